@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,9 +33,9 @@ class Cameras:
         names = tuple(self.names)
         count = len(names)
         object.__setattr__(self, "names", names)
-        object.__setattr__(self, "Ks", checked_array("Ks", self.Ks, (count, 3, 3)))
-        object.__setattr__(self, "cam_from_world", checked_array("cam_from_world", self.cam_from_world, (count, 4, 4)))
-        object.__setattr__(self, "sizes_wh", checked_array("sizes_wh", self.sizes_wh, (count, 2), np.int64))
+        object.__setattr__(self, "Ks", check_array("Ks", self.Ks, (count, 3, 3)))
+        object.__setattr__(self, "cam_from_world", check_array("cam_from_world", self.cam_from_world, (count, 4, 4)))
+        object.__setattr__(self, "sizes_wh", check_array("sizes_wh", self.sizes_wh, (count, 2), np.int64))
         if len(set(names)) != count:
             twice = next(name for name in names if names.count(name) > 1)
             raise BadInput(f"camera name {twice!r} comes twice: give every photograph its own name.")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 WGS84_SEMI_MAJOR_M = 6378137.0
 WGS84_FLATTENING = 1 / 298.257223563
@@ -40,7 +40,7 @@ class Frame:
     altitude_known: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "origin_lat_lon_alt", checked_array("origin_lat_lon_alt", self.origin_lat_lon_alt, (3,)))
+        object.__setattr__(self, "origin_lat_lon_alt", check_array("origin_lat_lon_alt", self.origin_lat_lon_alt, (3,)))
         if self.kind not in ("metric", "scaled", "unscaled"):
             raise BadInput(f"frame kind {self.kind!r} is unknown: use 'metric', 'scaled' or 'unscaled'.")
         if self.residual_m is not None and not (np.isfinite(self.residual_m) and self.residual_m >= 0):
@@ -61,8 +61,8 @@ class Sim3:
     translation: FloatArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rotation", checked_array("rotation", self.rotation, (3, 3)))
-        object.__setattr__(self, "translation", checked_array("translation", self.translation, (3,)))
+        object.__setattr__(self, "rotation", check_array("rotation", self.rotation, (3, 3)))
+        object.__setattr__(self, "translation", check_array("translation", self.translation, (3,)))
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise BadInput(f"the scale of a similarity is {self.scale}, expected a positive number.")
         rotation = np.clip(self.rotation, -10, 10)
@@ -112,8 +112,8 @@ class FrameUncertainty:
 
 def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
     """Metres east, north, up (P,3) of positions (P,3) [deg, deg, m] about an origin (3,), float64. BadInput off the globe."""
-    positions = checked_array("lat_lon_alt", lat_lon_alt, (None, 3))
-    origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
+    positions = check_array("lat_lon_alt", lat_lon_alt, (None, 3))
+    origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     _require_on_globe(positions)
     return (_ecef_from_geodetic(positions) - _ecef_from_geodetic(origin[None])) @ _ecef_from_enu(origin)
 
@@ -126,8 +126,8 @@ def geodetic_from_enu(positions_m: ArrayLike, origin_lat_lon_alt: ArrayLike) -> 
     BadInput for an origin off the globe and for positions below 1,000 km from the centre of the
     earth, where latitude loses its meaning, or above 1e8 m.
     """
-    positions = checked_array("positions_m", positions_m, (None, 3))
-    origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
+    positions = check_array("positions_m", positions_m, (None, 3))
+    origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     _require_on_globe(origin[None])
     with np.errstate(over="ignore", invalid="ignore"):
         ecef = _ecef_from_geodetic(origin[None]) + positions @ _ecef_from_enu(origin).T
@@ -144,7 +144,7 @@ def _require_on_globe(lat_lon_alt: FloatArray) -> None:
 
 def enu_change(from_lat_lon_alt: ArrayLike, to_lat_lon_alt: ArrayLike) -> Sim3:
     """The rigid move from east-north-up about one origin (3,) to that about another, degrees and metres; scale 1."""
-    start, end = (checked_array("origin", origin, (3,)) for origin in (from_lat_lon_alt, to_lat_lon_alt))
+    start, end = (check_array("origin", origin, (3,)) for origin in (from_lat_lon_alt, to_lat_lon_alt))
     rotation = _ecef_from_enu(end).T @ _ecef_from_enu(start)
     return Sim3(scale=1.0, rotation=rotation, translation=enu_from_geodetic(start[None], end)[0])
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import WGS84_FLATTENING, WGS84_SEMI_MAJOR_M
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 MAX_LATITUDE_DEG = 84.0
 """Beyond it, and south of −80°, UTM is not used."""
@@ -48,7 +48,7 @@ def utm_epsg(lat_deg: float, lon_deg: float) -> int:
 
 def utm_from_geodetic(lat_lon_deg: ArrayLike, epsg: int) -> FloatArray:
     """Easting and northing (P,2) m in zone `epsg` of latitudes and longitudes (P,2) deg; BadInput over 15° off its meridian."""
-    places = checked_array("lat_lon_deg", lat_lon_deg, (None, 2))
+    places = check_array("lat_lon_deg", lat_lon_deg, (None, 2))
     meridian_deg, false_northing_m = _zone(epsg)
     off_deg = (places[:, 1] - meridian_deg + 180) % 360 - 180
     if (np.abs(places[:, 0]) > 89).any() or (np.abs(off_deg) > MAX_OFF_MERIDIAN_DEG).any():
@@ -65,7 +65,7 @@ def utm_from_geodetic(lat_lon_deg: ArrayLike, epsg: int) -> FloatArray:
 
 def geodetic_from_utm(east_north_m: ArrayLike, epsg: int) -> FloatArray:
     """Latitude and longitude (P,2) deg of eastings and northings (P,2) m, the inverse of `utm_from_geodetic`."""
-    places = checked_array("east_north_m", east_north_m, (None, 2))
+    places = check_array("east_north_m", east_north_m, (None, 2))
     meridian_deg, false_northing_m = _zone(epsg)
     eta, xi = (places[:, 0] - FALSE_EASTING_M) / _RADIUS_M, (places[:, 1] - false_northing_m) / _RADIUS_M
     turns = [(2 * j * xi, 2 * j * eta, beta) for j, beta in enumerate(_BETAS, 1)]

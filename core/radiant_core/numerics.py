@@ -15,7 +15,7 @@ from radiant_core.errors import BadInput
 FloatArray = NDArray[np.float64]
 
 
-def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: type = np.float64) -> NDArray[Any]:
+def check_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: type = np.float64) -> NDArray[Any]:
     """Return `value` as a contiguous read-only array of `dtype`; None in `shape` is a free axis. It
     is a copy, but of an array that is all this already and that cannot be written to through
     another one.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,9 +28,9 @@ class SfmScene:
     frame: Frame
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", checked_array("points", self.points, (None, 3)))
-        object.__setattr__(self, "colors", checked_array("colors", self.colors, (len(self.points), 3), np.uint8))
-        object.__setattr__(self, "observations", checked_array("observations", self.observations, (None, 2), np.int64))
+        object.__setattr__(self, "points", check_array("points", self.points, (None, 3)))
+        object.__setattr__(self, "colors", check_array("colors", self.colors, (len(self.points), 3), np.uint8))
+        object.__setattr__(self, "observations", check_array("observations", self.observations, (None, 2), np.int64))
         limits = (len(self.points), len(self.cameras))
         if len(self.observations) and ((self.observations < 0) | (self.observations >= limits)).any():
             raise BadInput("an observation names a point or camera that is not there: check the indices of `observations`.")

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import checked_array
+from radiant_core.numerics import check_array
 
 TENSORS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")
 """The arrays of a model, in this order."""
@@ -45,7 +45,7 @@ class Splats:
         count = (*np.shape(self.means), 0)[0]  # a single number has no length; its shape is refused below
         shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh0": (1, 3), "shN": (None, 3)}
         for name, rest in shapes.items():
-            object.__setattr__(self, name, checked_array(name, getattr(self, name), (count, *rest), np.float32))
+            object.__setattr__(self, name, check_array(name, getattr(self, name), (count, *rest), np.float32))
         if self.shN.shape[1] + 1 not in SH_BASES:
             raise BadInput(f"shN has {self.shN.shape[1]} bases, expected 0, 3, 8 or 15 (degree 0 to 3): pad or cut it.")
 

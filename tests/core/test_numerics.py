@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import checked_array, rotmats_from_quats
+from radiant_core.numerics import check_array, rotmats_from_quats
 
 
 def test_a_checked_array_is_a_read_only_copy() -> None:
     source = np.arange(6.0).reshape(2, 3)
-    checked = checked_array("a", source, (None, 3))
+    checked = check_array("a", source, (None, 3))
     source[0, 0] = 99
     assert checked[0, 0] == 0
     with pytest.raises(ValueError, match="read-only"):
@@ -21,7 +21,7 @@ def test_a_checked_array_is_a_read_only_copy() -> None:
 @pytest.mark.parametrize("shape", [(2,), (3, 2), (2, 3, 1), (None, 4), ()])
 def test_another_shape_is_refused_with_both_shapes(shape: tuple[int | None, ...]) -> None:
     with pytest.raises(BadInput, match=r"a has shape \(2, 3\), expected"):
-        checked_array("a", np.zeros((2, 3)), shape)
+        check_array("a", np.zeros((2, 3)), shape)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -29,29 +29,29 @@ def test_the_first_value_that_is_not_finite_is_named(value: float) -> None:
     array = np.zeros((3, 2))
     array[1, 1] = array[2, 0] = value
     with pytest.raises(BadInput, match=r"a has 2 values that are not finite, the first at index \(1, 1\)"):
-        checked_array("a", array, (3, 2))
+        check_array("a", array, (3, 2))
 
 
 def test_doubles_beyond_float32_are_refused_without_a_warning() -> None:
     with pytest.raises(BadInput, match="1 values that are not finite"):
-        checked_array("a", [1.0, 1e300], (2,), np.float32)
+        check_array("a", [1.0, 1e300], (2,), np.float32)
 
 
 @pytest.mark.parametrize("value", [[0.5], [np.nan], [np.inf], [256], [-1], [1e30], [2**64]])
 def test_whole_numbers_are_never_rounded_or_wrapped(value: list[float]) -> None:
     with pytest.raises(BadInput):
-        checked_array("a", value, (1,), np.uint8)
+        check_array("a", value, (1,), np.uint8)
 
 
 def test_whole_floats_and_empty_lists_become_integers() -> None:
-    assert checked_array("a", [3.0, 4.0], (2,), np.int64).dtype == np.int64
-    assert checked_array("a", [], (0,), np.int64).dtype == np.int64
+    assert check_array("a", [3.0, 4.0], (2,), np.int64).dtype == np.int64
+    assert check_array("a", [], (0,), np.int64).dtype == np.int64
 
 
 @pytest.mark.parametrize("value", [["1.5"], [None], [[1], [1, 2]], [1j], object(), b"12"])
 def test_what_is_no_array_of_numbers_is_refused(value: object) -> None:
     with pytest.raises(BadInput, match="number"):
-        checked_array("a", value, (None,))  # pyright: ignore[reportArgumentType]
+        check_array("a", value, (None,))  # pyright: ignore[reportArgumentType]
 
 
 def quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

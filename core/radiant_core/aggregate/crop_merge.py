@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.splats import Splats, concatenate_splats
 
 BLIND_FACTOR = 1.5
@@ -43,8 +43,8 @@ def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray,
     """
     if not models:
         raise BadInput("no models to merge: pass at least one.")
-    sites = checked_array("sites", sites, (len(models), 2))
-    weights = checked_array("weights", weights, (len(models),))
+    sites = check_array("sites", sites, (len(models), 2))
+    weights = check_array("weights", weights, (len(models),))
     owners = [_owners(model, sites, weights) for model in models]
     kept, num_filled = [], 0
     for index, model in enumerate(models):

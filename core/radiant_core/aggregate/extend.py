@@ -27,7 +27,7 @@ from radiant_core.aggregate.retrain import RATES_END, faded, reached_by, retrain
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_error import ground_places
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig
@@ -47,7 +47,7 @@ class NewRegion:
     margin_m: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "polygon", checked_array("polygon", self.polygon, (None, 2)))
+        object.__setattr__(self, "polygon", check_array("polygon", self.polygon, (None, 2)))
         if len(self.polygon) < 3 or not (area := Polygon(self.polygon)).is_valid or area.area <= 0:
             raise BadInput(
                 f"the region has {len(self.polygon)} corners and no area of its own: give three or more, none crossing another side."

@@ -12,7 +12,7 @@ from shapely import Polygon, contains_xy, distance, points, prepare
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.geometry.coverage import coverage
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.regions.power_diagram import assign
 
 KEPT_COVERAGE = 0.8
@@ -45,7 +45,7 @@ def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | No
     """
     if not cameras:
         raise BadInput("no cameras of any model were given to say whose a place is: pass one set per model.")
-    checked = checked_array("places", places, (None, 3))
+    checked = check_array("places", places, (None, 3))
     covered = np.stack([coverage(checked, own) for own in cameras], axis=1)
     best = covered.max(axis=1)
     owner = covered.argmax(axis=1)
@@ -59,8 +59,8 @@ def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | No
 
 def claims_of_cells(sites: FloatArray, weights: FloatArray) -> Claims:
     """Claims of the cells of a power diagram, sites (M,2) m and weights (M,) m²."""
-    sites = checked_array("sites", sites, (None, 2))
-    weights = checked_array("weights", weights, (len(sites),))
+    sites = check_array("sites", sites, (None, 2))
+    weights = check_array("weights", weights, (len(sites),))
     return lambda positions: assign(positions, sites, weights)
 
 

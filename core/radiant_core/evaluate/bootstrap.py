@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array, require_finite
+from radiant_core.numerics import FloatArray, check_array, require_finite
 
 MAX_COUNTS = 2_000_000
 """Numbers held at a time, 16 MB."""
@@ -126,10 +126,10 @@ def _differences(a: ArrayLike | Sequence[ArrayLike], b: ArrayLike | Sequence[Arr
 
 def _scenes(name: str, values: ArrayLike | Sequence[ArrayLike]) -> list[FloatArray]:
     if isinstance(values, np.ndarray):
-        return [checked_array(name, values, (None, None))]
+        return [check_array(name, values, (None, None))]
     if not isinstance(values, list | tuple) or not len(values):
         raise BadInput(f"{name} is a {type(values).__name__}, expected an array (seeds, images) or a list with one per scene.")
-    return [checked_array(f"{name}[{index}]", scene, (None, None)) for index, scene in enumerate(values)]
+    return [check_array(f"{name}[{index}]", scene, (None, None)) for index, scene in enumerate(values)]
 
 
 def _drawn_means(offsets: FloatArray, num_draws: int, generator: np.random.Generator) -> FloatArray:

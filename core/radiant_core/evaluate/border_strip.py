@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.splats import Splats
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float,
     Raises BadInput where the border is shorter than a pixel, a width or pixel is not positive and
     finite, or the strip would have more than 20 million pixels.
     """
-    ends = checked_array("ends", ends, (2, 2))
+    ends = check_array("ends", ends, (2, 2))
     if not (0 < px_m < np.inf and px_m <= half_width_m < np.inf):
         raise BadInput(f"px_m is {px_m} and half_width_m {half_width_m}, expected 0 < px_m ≤ half_width_m: give metres.")
     length_m = float(np.hypot(*(ends[1] - ends[0])))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 Used = NDArray[np.bool_] | None
 """Which pixels (H,W) of a photograph are compared; None: all of them."""
@@ -14,7 +14,7 @@ Used = NDArray[np.bool_] | None
 
 def check_image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Both images (H,W,3) as float64; BadInput when shapes differ, there are no pixels, or a value is not finite or outside 0..1."""
-    pair = [checked_array(name, image, (None, None, 3)) for name, image in (("render", render), ("photograph", photograph))]
+    pair = [check_array(name, image, (None, None, 3)) for name, image in (("render", render), ("photograph", photograph))]
     if pair[0].shape != pair[1].shape:
         raise BadInput(f"a render {pair[0].shape} is compared with a photograph {pair[1].shape}: give them the same size.")
     if pair[0].size == 0:
@@ -27,7 +27,7 @@ def check_image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatArr
 
 def check_used(used: NDArray[np.bool_], image: FloatArray) -> NDArray[np.bool_]:
     """`used` (H,W) for an image (H,W,3); BadInput where it is of another size or leaves nothing."""
-    used = checked_array("used", used, image.shape[:2], np.bool_)
+    used = check_array("used", used, image.shape[:2], np.bool_)
     if not used.any():
         raise BadInput("a mask leaves nothing of a photograph to compare: leave that photograph out.")
     return used

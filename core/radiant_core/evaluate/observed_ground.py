@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
 from radiant_core.geometry.coverage import coverage
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.scene import SfmScene
 
 MIN_VIEWS = 2
@@ -37,7 +37,7 @@ def observed_coverage(places_xy: ArrayLike, scene: SfmScene, reach: float) -> Fl
 
     reach: how near points must lie, in the frame's unit.
     """
-    places_xy = checked_array("places_xy", places_xy, (None, 2))
+    places_xy = check_array("places_xy", places_xy, (None, 2))
     if len(scene.points) < MIN_POINTS or not len(scene.cameras):
         return np.zeros(len(places_xy))
     sampled = scene.points[np.random.default_rng(0).permutation(len(scene.points))[:NUM_SAMPLED]]

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from radiant_core.evaluate.border_strip import BorderStrip, low_gaussians, render_border_strip
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.splats import Splats
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def border_steps(splats: Splats, ends: ArrayLike, *, backend: Backend = "auto") 
     Raises BadInput for ends that are not finite or nearer than a pixel, or a strip of more than 20
     million pixels (100 km).
     """
-    ends = checked_array("ends", ends, (2, 2))
+    ends = check_array("ends", ends, (2, 2))
     strip = render_border_strip(splats, ends, half_width_m=HALF_WIDTH_M, px_m=PX_M, backend=backend)
     measured = {
         "colour": _strongest([_scored(values) for values in _colors(strip)]),

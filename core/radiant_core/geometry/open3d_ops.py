@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.frames import Sim3
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.splats import Splats
 
 MAX_ITERATIONS = 60
@@ -71,7 +71,7 @@ def icp_with_scale(source: ArrayLike, target: ArrayLike, start: Sim3, radii_m: S
     """
     import open3d as o3d
 
-    source, target = checked_array("source", source, (None, 3)), checked_array("target", target, (None, 3))
+    source, target = check_array("source", source, (None, 3)), check_array("target", target, (None, 3))
     if min(len(source), len(target)) < MIN_POINTS:
         return None
     registration = o3d.pipelines.registration
@@ -259,7 +259,7 @@ def heights_from_above(mesh: Mesh, places: ArrayLike) -> FloatArray:
     """Height (P,) of the topmost surface over places (P,2); NaN where there is none. Rays in float32: keep coordinates near the origin."""
     import open3d as o3d
 
-    places = checked_array("places", places, (None, 2))
+    places = check_array("places", places, (None, 2))
     if not len(mesh.triangles):
         return np.full(len(places), np.nan)
     tensor = cast(Any, o3d.core.Tensor)

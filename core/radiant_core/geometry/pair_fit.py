@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.sfm.world_frame.align import fit_sim3
 
 NUM_ITERATIONS = 30
@@ -79,7 +79,7 @@ def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int 
     None under 3 pairs or where no three give a scale within 25 % of 1. Source: Fischler and Bolles,
     RANSAC (1981).
     """
-    a, b = checked_array("a", a, (None, 3)), checked_array("b", b, (len(a), 3))
+    a, b = check_array("a", a, (None, 3)), check_array("b", b, (len(a), 3))
     if len(a) < 3:
         return None
     rng = np.random.default_rng(seed)

@@ -22,7 +22,7 @@ from radiant_core.io.array_file import VERSION, load_arrays, name_file_in_errors
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.plan_content import GROUND_KEY
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.numerics import checked_array
+from radiant_core.numerics import check_array
 from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.system import require_id
@@ -177,7 +177,7 @@ def load_plan_file(path: Path) -> PlanFile:
         cloud, edges = plan_of_record(record)
         stored = record.get("waypoints")
         ground = record.get(GROUND_KEY)
-        ground_m = None if ground is None else float(checked_array("the ground's altitude", [ground], (1,))[0])
+        ground_m = None if ground is None else float(check_array("the ground's altitude", [ground], (1,))[0])
         if stored is None:
             return PlanFile(cloud=cloud, edges=edges, ground_m=ground_m)
         looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import EdgeTable, edge_tables, fastest_counts
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.paper_arp import estimated_times_s
@@ -56,8 +56,8 @@ def compare(
     positions: ArrayLike, system: System, *, content: ArrayLike | None = None, max_iterations: int = 300
 ) -> tuple[ComparedPlan, ...]:
     """All methods on cameras (C,2) m and edges with positions; content (C,) ≥ 0 weighs cameras for `content`, which is left out without."""
-    positions = checked_array("positions", positions, (None, 2))
-    weights = None if content is None else checked_array("content", content, (len(positions),))
+    positions = check_array("positions", positions, (None, 2))
+    weights = None if content is None else check_array("content", content, (len(positions),))
     if not len(positions) or (weights is not None and weights.min() < 0):
         raise BadInput("a comparison needs at least one camera, and content of at least 0 for each.")
     tables = edge_tables(system, len(positions))

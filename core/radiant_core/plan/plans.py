@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 PlanStatus = Literal["optimal", "converged", "stopped", "infeasible", "slack", "constrained"]
 """optimal: equals the lower bound with a certificate; converged: within the threshold; stopped:
@@ -54,11 +54,11 @@ class CloudPlan:
             raise BadInput(f"the plan has the edges {self.edge_ids}, expected one or more, each with its own id.")
         if self.status not in get_args(PlanStatus) or not np.isfinite(self.lower_bound_s):
             raise BadInput(f"the plan has status {self.status!r} and lower bound {self.lower_bound_s} s: plan again.")
-        object.__setattr__(self, "sites", checked_array("sites", self.sites, (count, 2)))
-        object.__setattr__(self, "weights", checked_array("weights", self.weights, (count,)))
-        object.__setattr__(self, "edge_time_s", checked_array("edge_time_s", self.edge_time_s, (count,)))
-        object.__setattr__(self, "edge_of_camera", checked_array("edge_of_camera", self.edge_of_camera, (None,), np.int64))
-        object.__setattr__(self, "borders", tuple(checked_array("borders", border, (None, 2)) for border in self.borders))
+        object.__setattr__(self, "sites", check_array("sites", self.sites, (count, 2)))
+        object.__setattr__(self, "weights", check_array("weights", self.weights, (count,)))
+        object.__setattr__(self, "edge_time_s", check_array("edge_time_s", self.edge_time_s, (count,)))
+        object.__setattr__(self, "edge_of_camera", check_array("edge_of_camera", self.edge_of_camera, (None,), np.int64))
+        object.__setattr__(self, "borders", tuple(check_array("borders", border, (None, 2)) for border in self.borders))
         if len(self.borders) != count:
             raise BadInput(f"the plan has {len(self.borders)} borders for {count} edges: give one polygon per edge.")
         if len(self.edge_of_camera) and not (self.edge_of_camera.min() >= 0 and self.edge_of_camera.max() < count):
@@ -99,13 +99,13 @@ class EdgePlan:
             raise BadInput(f"the plan of edge {self.edge_id!r} has devices and says that it is not dealt: plan again.")
         if len(set(self.device_ids)) != count:
             raise BadInput(f"the plan of edge {self.edge_id!r} has the devices {self.device_ids}: give each its own id.")
-        object.__setattr__(self, "camera_indices", checked_array("camera_indices", self.camera_indices, (None,), np.int64))
+        object.__setattr__(self, "camera_indices", check_array("camera_indices", self.camera_indices, (None,), np.int64))
         shape = (len(self.camera_indices),)
         if len(np.unique(self.camera_indices)) != shape[0] or self.camera_indices.min(initial=0) < 0:
             raise BadInput(f"the plan of edge {self.edge_id!r} has a camera twice or a negative index: check camera_indices.")
-        object.__setattr__(self, "device_of_camera", checked_array("device_of_camera", self.device_of_camera, shape, np.int64))
-        object.__setattr__(self, "device_time_s", checked_array("device_time_s", self.device_time_s, (count,)))
-        object.__setattr__(self, "strips", tuple(checked_array("strips", strip, (None, 2)) for strip in self.strips))
+        object.__setattr__(self, "device_of_camera", check_array("device_of_camera", self.device_of_camera, shape, np.int64))
+        object.__setattr__(self, "device_time_s", check_array("device_time_s", self.device_time_s, (count,)))
+        object.__setattr__(self, "strips", tuple(check_array("strips", strip, (None, 2)) for strip in self.strips))
         if len(self.strips) != count:
             raise BadInput(f"the plan of edge {self.edge_id!r} has {len(self.strips)} strips for {count} devices.")
         allowed = range(count) if self.dealt else range(-1, 0)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 """From the deepest sea to the edge of space."""
@@ -64,7 +64,7 @@ class Waypoints:
             raise BadInput("there is no waypoint: give at least one.")
         _require_names(self.names)
         _require_finite_rows(self.names, self.lat_lon_alt)
-        object.__setattr__(self, "lat_lon_alt", checked_array("lat_lon_alt", self.lat_lon_alt, (len(self.names), 3)))
+        object.__setattr__(self, "lat_lon_alt", check_array("lat_lon_alt", self.lat_lon_alt, (len(self.names), 3)))
         _require_on_the_globe(self.names, self.lat_lon_alt)
         _require_one_site(self.names, self.lat_lon_alt)
         if self.heading_pitch_deg is not None:
@@ -191,7 +191,7 @@ def _require_names(names: tuple[str, ...]) -> None:
 
 
 def _require_finite_rows(names: tuple[str, ...], lat_lon_alt: ArrayLike) -> None:
-    """Name the first waypoint with NaN or Inf; wrong shapes and types are left to `checked_array`."""
+    """Name the first waypoint with NaN or Inf; wrong shapes and types are left to `check_array`."""
     array = np.asarray(lat_lon_alt)
     if array.shape == (len(names), 3) and array.dtype.kind == "f":
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 MAX_FRAMES = 100_000
 MAX_SIDE_PX = 8192
@@ -44,8 +44,8 @@ class Lens:
 
 def cameras_looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> Cameras:
     """Cameras at positions (V,3) that look at targets (V,3), named frame_00000 and so on; BadInput where both coincide, or for no frame."""
-    positions = checked_array("positions", positions, (None, 3))
-    targets = checked_array("targets", targets, (len(positions), 3))
+    positions = check_array("positions", positions, (None, 3))
+    targets = check_array("targets", targets, (len(positions), 3))
     if not 1 <= len(positions) <= MAX_FRAMES:
         raise BadInput(f"{len(positions)} frames were asked for, expected 1 to {MAX_FRAMES:,}.")
     ahead = targets - positions
@@ -75,7 +75,7 @@ def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: in
     """Once around `center` (3,) at a distance, seen from `elevation_deg` above the horizon; the last frame ends before the first begins."""
     if not (np.isfinite(radius) and radius > 0 and -89 <= elevation_deg <= 89):
         raise BadInput(f"an orbit of radius {radius} at {elevation_deg}° was asked for, expected a positive radius and −89° to 89°.")
-    center = checked_array("center", center, (3,))
+    center = check_array("center", center, (3,))
     turn, rise = np.linspace(0, 2 * np.pi, _checked_count(num_frames), endpoint=False), np.radians(elevation_deg)
     offsets = np.column_stack([np.cos(rise) * np.sin(turn), np.cos(rise) * np.cos(turn), np.full(len(turn), np.sin(rise))])
     return cameras_looking_at(center + radius * offsets, np.tile(center, (len(turn), 1)), lens)
@@ -88,7 +88,7 @@ def middle_box(points: ArrayLike) -> FloatArray:
     Of points spread evenly that is all of them; a third of them far away, as sky and haze are,
     moves it little. BadInput without points.
     """
-    points = checked_array("points", points, (None, 3))
+    points = check_array("points", points, (None, 3))
     if not len(points):
         raise BadInput("there is no point to look at: give a model that holds some.")
     middle = np.median(points, axis=0)
@@ -103,7 +103,7 @@ def box_corners(box: FloatArray) -> FloatArray:
 
 def along_border(ends: ArrayLike, ground: float, height: float, num_frames: int, lens: Lens) -> Cameras:
     """Along the line between `ends` (2,2), `height` above the ground, looking ahead and 45° down onto it."""
-    ends = checked_array("ends", ends, (2, 2))
+    ends = check_array("ends", ends, (2, 2))
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if not (length > 0 and np.isfinite(height) and height > 0):
         raise BadInput(f"a flight over a border of length {length} at height {height} was asked for, expected both above zero.")
@@ -118,12 +118,12 @@ def through_keyframes(times_s: ArrayLike, positions: ArrayLike, targets: ArrayLi
     """A path through K ≥ 2 positions and targets (K,3) at rising times (K,), `fps` frames a second, first and last included."""
     from scipy.interpolate import Akima1DInterpolator
 
-    times = checked_array("times_s", times_s, (None,))
+    times = check_array("times_s", times_s, (None,))
     if len(times) < 2 or not (np.diff(times) > 0).all():
         raise BadInput(f"the keyframes' times are {times.tolist()[:8]}, expected at least two, each later than the one before.")
     if not 0 < fps <= 240:
         raise BadInput(f"{fps} frames a second were asked for, expected above 0, at most 240.")
-    points = np.hstack([checked_array(name, value, (len(times), 3)) for name, value in (("positions", positions), ("targets", targets))])
+    points = np.hstack([check_array(name, value, (len(times), 3)) for name, value in (("positions", positions), ("targets", targets))])
     count = _checked_count(round((times[-1] - times[0]) * fps) + 1)
     path = np.asarray(Akima1DInterpolator(times, points, method="makima")(np.linspace(times[0], times[-1], count)))
     return cameras_looking_at(path[:, :3], path[:, 3:], lens)

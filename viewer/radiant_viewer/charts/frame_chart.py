@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_viewer.layers.palette import BLUE, ORANGE, VERMILLION, unit_rgb
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import SOFT_COLOR, axes_at, figure_image, style_axes, titled_figure
@@ -22,8 +22,8 @@ FAR_SHARE = 0.1
 
 def frame_picture(gps_m: FloatArray, cameras_m: FloatArray, title: str, detail: str) -> Image:
     """Draw GPS positions (P,3) m east, north, up, joined to camera centres (P,3) after the fit; BadInput without any."""
-    gps_m = checked_array("gps_m", gps_m, (None, 3))
-    cameras_m = checked_array("cameras_m", cameras_m, (len(gps_m), 3))
+    gps_m = check_array("gps_m", gps_m, (None, 3))
+    cameras_m = check_array("cameras_m", cameras_m, (len(gps_m), 3))
     if not len(gps_m):
         raise BadInput("a frame without GPS positions cannot be drawn: give at least one.")
     figure = titled_figure((WIDTH_PX, HEIGHT_PX), title, detail)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_viewer.layers.palette import CurveStyle, curve_style
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import axes_at, figure_image, style_axes, titled_figure
@@ -30,9 +30,9 @@ class Line:
     """Index for `curve_style`; by the order of names where None."""
 
     def __post_init__(self) -> None:
-        x = checked_array(f"x of {self.name}", self.x, (None,))
+        x = check_array(f"x of {self.name}", self.x, (None,))
         object.__setattr__(self, "x", x)
-        object.__setattr__(self, "y", checked_array(f"y of {self.name}", self.y, (len(x),)))
+        object.__setattr__(self, "y", check_array(f"y of {self.name}", self.y, (len(x),)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_viewer.layers.palette import category_colors
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.pictures.images import Image
@@ -41,7 +41,7 @@ def partitions_picture(
     positions: FloatArray, partitions: Sequence[Partition], edge_ids: Sequence[str], title: str, unit: str = "m"
 ) -> Image:
     """Return maps and bars (H,W,3) of partitions of the same cameras (C,2); BadInput without any, or for other cameras or edges."""
-    positions = checked_array("positions", positions, (None, 2))
+    positions = check_array("positions", positions, (None, 2))
     if not partitions or not len(positions):
         raise BadInput("there is no partition to draw: give at least one method and one camera.")
     for partition in partitions:

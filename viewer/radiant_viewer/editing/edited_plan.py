@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.regions.constraints import PlanConstraints
@@ -40,7 +40,7 @@ class PlanSubject:
             raise BadInput("the plan has no cameras: there is nothing to plan anew; make a plan of waypoints or photographs first.")
         if len(set(self.names)) != len(self.names):
             raise BadInput("a camera's name comes twice: give every one its own.")
-        object.__setattr__(self, "positions", checked_array("positions", self.positions, (len(self.names), 3)))
+        object.__setattr__(self, "positions", check_array("positions", self.positions, (len(self.names), 3)))
 
     @property
     def on_map(self) -> FloatArray:

@@ -19,7 +19,7 @@ from pyvistaqt import QtInteractor
 from vtkmodules.vtkCommonCore import vtkCommand
 from vtkmodules.vtkRenderingCore import vtkProp
 
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_viewer.host.scale_bar import ScaleBar
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer, has_same_structure, update_layer
 from radiant_viewer.layers.layer import CLOUD_SIZE, Layer
@@ -198,7 +198,7 @@ class Canvas:
         width, height = self.size_wh
         matrix = self.plotter.camera.GetCompositeProjectionTransformMatrix(width / max(height, 1), -1, 1)
         projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
-        local = checked_array("positions", positions, (None, 3)) - self.origin
+        local = check_array("positions", positions, (None, 3)) - self.origin
         if self.is_map:
             local[:, 2] = 0
         clip = np.column_stack([local, np.ones(len(local))]) @ projection.T

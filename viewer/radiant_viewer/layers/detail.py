@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array, require_finite
+from radiant_core.numerics import FloatArray, check_array, require_finite
 from radiant_viewer.layers.layer import Layer
 
 MOVING_POINTS = 50_000
@@ -44,7 +44,7 @@ def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
         return np.arange(len(points))
     step = max(1, min(len(points) // _SORTED_POINTS, len(points) // limit))
     require_finite("points to thin", points)
-    codes = _morton_codes(checked_array("points to thin", points[::step], (None, 3)))
+    codes = _morton_codes(check_array("points to thin", points[::step], (None, 3)))
     order = np.argsort(codes, kind="stable")
     levels = _first_levels(codes[order])
     last = int(np.searchsorted(np.cumsum(np.bincount(levels)), limit, side="right"))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_viewer.layers.palette import ColorArray
 
 CLOUD_SIZE = 100
@@ -101,17 +101,17 @@ class Layer:
     heat: HeatScale | None = None
 
     def __post_init__(self) -> None:
-        points = checked_array(f"points of layer {self.name!r}", self.points, (None, 3))
-        segments = checked_array(f"segments of layer {self.name!r}", self.segments, (None, 2, 3))
-        polygons = tuple(checked_array(f"a polygon of layer {self.name!r}", polygon, (None, 3)) for polygon in self.polygons)
+        points = check_array(f"points of layer {self.name!r}", self.points, (None, 3))
+        segments = check_array(f"segments of layer {self.name!r}", self.segments, (None, 2, 3))
+        polygons = tuple(check_array(f"a polygon of layer {self.name!r}", polygon, (None, 3)) for polygon in self.polygons)
         for name, positions in (("points", points), ("segments", segments), ("polygons", polygons)):
             object.__setattr__(self, name, positions)
             self._set_colors(f"{name[:-1]}_colors", len(positions))
         for label in self.labels:
-            checked_array(f"the place of label {label.text!r}", label.position, (3,))
+            check_array(f"the place of label {label.text!r}", label.position, (3,))
 
     def _set_colors(self, name: str, count: int) -> None:
-        object.__setattr__(self, name, checked_array(f"{name} of layer {self.name!r}", getattr(self, name), (count, 3), np.uint8))
+        object.__setattr__(self, name, check_array(f"{name} of layer {self.name!r}", getattr(self, name), (count, 3), np.uint8))
 
 
 def framing_positions(layers: Sequence[Layer]) -> FloatArray:

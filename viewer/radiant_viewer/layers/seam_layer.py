@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.splats import Splats
@@ -83,7 +83,7 @@ def color_steps(
     """
     if not (np.isfinite(width) and width > 0):
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
-    counts = np.ones(len(pieces.ends)) if shares is None else checked_array("shares", shares, (len(pieces.ends),))
+    counts = np.ones(len(pieces.ends)) if shares is None else check_array("shares", shares, (len(pieces.ends),))
     weights = _visible_weights(splats, width)
     weighted = np.column_stack([weights[:, None] * splat_colors(splats), weights, np.ones(len(splats))])
     tree = KDTree(splats.means[:, :2].astype(np.float64))
@@ -123,7 +123,7 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
     # A value that is not finite becomes one grey piece, counted in the legend.
     raw = np.asarray(values, np.float64)
     known = np.isfinite(raw)
-    levels = checked_array("values of the seam", np.where(known, raw, 0.0), (len(pieces.ends),))
+    levels = check_array("values of the seam", np.where(known, raw, 0.0), (len(pieces.ends),))
     low = min(0.0, float(levels.min(initial=0.0)))
     high = _round_up(max(float(levels.max(initial=0.0)), least_high))
     colors = np.where(known[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))

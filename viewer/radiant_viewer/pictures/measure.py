@@ -8,18 +8,18 @@ from __future__ import annotations
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 
 def path_length(corners: FloatArray) -> float:
     """Return the length of the open path through corners (K,2); 0 for fewer than two."""
-    places = checked_array("corners", corners, (None, 2))
+    places = check_array("corners", corners, (None, 2))
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
 def polygon_area(corners: FloatArray) -> float:
     """Return the area of the polygon of corners (K,2); BadInput where two of its sides cross."""
-    places = checked_array("corners", corners, (None, 2))
+    places = check_array("corners", corners, (None, 2))
     if len(places) < 3:
         return 0.0
     from shapely.geometry import Polygon

@@ -12,7 +12,7 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,7 +31,7 @@ class ViewPose:
 
     def __post_init__(self) -> None:
         for name in ("position", "focal_point", "up"):
-            object.__setattr__(self, name, checked_array(name, getattr(self, name), (3,)))
+            object.__setattr__(self, name, check_array(name, getattr(self, name), (3,)))
         if not 0 < self.angle_deg < 180:
             raise BadInput(f"a view has an angle of {self.angle_deg}°, expected more than 0° and less than 180°.")
         if np.linalg.norm(np.cross(self.focal_point - self.position, self.up)) == 0:

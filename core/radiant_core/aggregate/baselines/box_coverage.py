@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 NEAR_SHARE = 1e-4
 """The near plane, as a share of the box's diagonal. What is cut away hides no pixel unless the box is thinner than that before it."""
@@ -32,7 +32,7 @@ def box_coverage(cameras: Cameras, low: ArrayLike, high: ArrayLike) -> FloatArra
     0 for a box without extent or behind the camera, 1 where the camera looks through all of it from
     inside. BadInput for a corner that is not finite or below the other one.
     """
-    low, high = checked_array("low", low, (3,)), checked_array("high", high, (3,))
+    low, high = check_array("low", low, (3,)), check_array("high", high, (3,))
     if (high < low).any():
         raise BadInput(f"the box ends at {high.tolist()}, before it begins at {low.tolist()}: pass low and high in this order.")
     near_m = NEAR_SHARE * float(np.linalg.norm(high - low))

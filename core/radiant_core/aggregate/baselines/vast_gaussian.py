@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.baselines.box_coverage import box_coverage
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, concatenate_splats
 
@@ -124,7 +124,7 @@ def vast_cells(scene: SfmScene, m: int, n: int, config: VastGaussianConfig = Vas
                 VastCell(
                     column=column,
                     row=row,
-                    bounds=checked_array("bounds", bounds, (2, 2)),
+                    bounds=check_array("bounds", bounds, (2, 2)),
                     is_outer=np.array([[column == 0, row == 0], [column == m - 1, row == n - 1]]),
                     own_cameras=np.sort(own),
                     cameras=cameras,

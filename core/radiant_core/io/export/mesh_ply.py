@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import atomic_writer
-from radiant_core.numerics import checked_array
+from radiant_core.numerics import check_array
 
 _VERTEX = np.dtype([("position", "<f8", 3), ("color", "u1", 3)])
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
@@ -17,9 +17,9 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 def save_mesh(path: Path, vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike) -> None:
     """Write vertices (V,3) as doubles, triangles (T,3) of their indices and colors (V,3) uint8, atomically; BadInput for a misfit."""
-    positions = checked_array("vertices", vertices, (None, 3))
-    corners = checked_array("triangles", triangles, (None, 3), np.int64)
-    shades = checked_array("colors", colors, (len(positions), 3), np.uint8)
+    positions = check_array("vertices", vertices, (None, 3))
+    corners = check_array("triangles", triangles, (None, 3), np.int64)
+    shades = check_array("colors", colors, (len(positions), 3), np.uint8)
     if len(corners) and not (corners.min() >= 0 and corners.max() < len(positions)):
         raise BadInput(f"a triangle names vertex {int(corners.max())} of {len(positions)}: check the indices.")
     rows = np.zeros(len(positions), _VERTEX)

@@ -27,7 +27,7 @@ from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.array_file import header_of, load_arrays, name_file_in_errors, save_arrays, schema_of
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, SPZ_MEAN_STEP, splats_from_spz, spz_bytes
 from radiant_core.io.records import load_splats, save_splats
-from radiant_core.numerics import FloatArray, checked_array, unit_quats
+from radiant_core.numerics import FloatArray, check_array, unit_quats
 from radiant_core.splats import SH_BASES, Splats
 
 BYTES_FACTORS: dict[UploadFormat, float] = {"float32": 1.0, "float16": 0.52, "spz": 0.22}
@@ -109,7 +109,7 @@ def _float16_arrays(splats: Splats) -> dict[str, NDArray]:
 def _load_float16(path: Path) -> Splats:
     arrays, about = load_arrays(path, FLOAT16_SCHEMA, FLOAT16_DTYPES)
     with name_file_in_errors(path):
-        packed, box = arrays.pop("means"), checked_array("box", arrays.pop("box"), (2, 3))
+        packed, box = arrays.pop("means"), check_array("box", arrays.pop("box"), (2, 3))
         if packed.ndim != 1 or (packed >> np.uint64(3 * _MEAN_BITS)).any() or (box[1] < box[0]).any():
             raise BadInput("its centres are not packed as they should be: write it anew with this version.")
         places = (packed[:, None] >> _SHIFTS) & np.uint64(_MEAN_MAX)
@@ -135,7 +135,7 @@ def _load_spz(path: Path) -> Splats:
     arrays, about = load_arrays(path, SPZ_SCHEMA, {"spz": "U8"})
     with name_file_in_errors(path):
         data, count, degree = arrays["spz"].tobytes(), int(about["num_splats"]), int(about["sh_degree"])
-        middle, exponent = checked_array("middle", about["middle"], (3,)), int(about["exponent"])
+        middle, exponent = check_array("middle", about["middle"], (3,)), int(about["exponent"])
         if not (0 <= degree < len(SH_BASES) and count >= 0 and abs(exponent) <= _MAX_EXPONENT):
             raise BadInput(f"it says {count} Gaussians of degree {degree} and exponent {exponent}: write it anew with this version.")
         # Open3D takes mutated SPZ for another model, so it only gets bytes that are known to be

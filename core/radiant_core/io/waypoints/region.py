@@ -12,7 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.array_file import name_file_in_errors
 from radiant_core.io.waypoints.geojson_reader import geojson_geometries
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 MAX_REGION_BYTES = 16_000_000
 
@@ -51,7 +51,7 @@ def _rings(geometry: Any) -> list[Any]:
 def _polygon(ring: Any, origin: FloatArray) -> Polygon:
     if not isinstance(ring, list) or len(ring) < 4 or not all(isinstance(at, list) and len(at) in (2, 3) for at in ring):
         raise BadInput("a ring is no list of at least four positions of longitude and latitude.")
-    lon_lat = checked_array("ring", [at[:2] for at in ring], (None, 2))
+    lon_lat = check_array("ring", [at[:2] for at in ring], (None, 2))
     places = enu_from_geodetic(np.column_stack([np.flip(lon_lat, axis=1), np.full(len(lon_lat), origin[2])]), origin)
     polygon = Polygon(places[:, :2])
     if not polygon.is_valid:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.borders.borders import distance_outside_m
 from radiant_core.plan.borders.footprints import RegionShares
 from radiant_core.plan.counts.deadline import device_time_s
@@ -78,7 +78,7 @@ def plan_buffers(
 
     Raises BadInput when positions, shares, plan and system are not of one kind.
     """
-    positions = checked_array("positions", positions, (len(cloud.edge_of_camera), 2))
+    positions = check_array("positions", positions, (len(cloud.edge_of_camera), 2))
     require_plan_of(len(positions), cloud, edges)
     require_same_system(edges, system)
     if rule.min_share is not None and (shares is None or (shares.num_images, shares.num_regions) != (len(positions), len(edges))):

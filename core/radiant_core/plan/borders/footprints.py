@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 HORIZON_HEIGHTS = 5.0
 """Ground farther away than this many heights covers few pixels: it is seen at less than 11° of depression."""
@@ -54,13 +54,13 @@ class Views:
     corner_rays: FloatArray
 
     def __post_init__(self) -> None:
-        positions = checked_array("positions", self.positions, (None, 2))
-        rays = checked_array("corner_rays", self.corner_rays, (len(positions), 4, 3))
+        positions = check_array("positions", self.positions, (None, 2))
+        rays = check_array("corner_rays", self.corner_rays, (len(positions), 4, 3))
         lengths = np.linalg.norm(rays, axis=2, keepdims=True)
         if (lengths == 0).any():
             raise BadInput("corner_rays has rays without a direction: check the cameras.")
         object.__setattr__(self, "positions", positions)
-        object.__setattr__(self, "heights_m", checked_array("heights_m", self.heights_m, (len(positions),)))
+        object.__setattr__(self, "heights_m", check_array("heights_m", self.heights_m, (len(positions),)))
         object.__setattr__(self, "corner_rays", rays / lengths)
 
     def __len__(self) -> int:
@@ -92,11 +92,11 @@ class RegionShares:
     def __post_init__(self) -> None:
         size = (len(self.shares),)
         for name, limit in (("images", self.num_images), ("regions", self.num_regions)):
-            indices = checked_array(name, getattr(self, name), size, np.int64)
+            indices = check_array(name, getattr(self, name), size, np.int64)
             if len(indices) and not 0 <= indices.min() <= indices.max() < limit:
                 raise BadInput(f"{name} of shares run from {indices.min()} to {indices.max()}, expected 0 to {limit - 1}.")
             object.__setattr__(self, name, indices)
-        shares = checked_array("shares", self.shares, size)
+        shares = check_array("shares", self.shares, size)
         if len(shares) and not 0 < shares.min() <= shares.max() <= 1:
             raise BadInput(f"shares run from {shares.min()} to {shares.max()}, expected above 0 and at most 1.")
         if (np.diff(self.regions * self.num_images + self.images) <= 0).any():
@@ -116,7 +116,7 @@ def views_before_capture(positions: ArrayLike, heights_m: ArrayLike, optics: Opt
     what is not known. An unknown pitch is straight down, an unknown heading along the way to the
     next position, as a drone flies.
     """
-    positions = checked_array("positions", positions, (None, 2))
+    positions = check_array("positions", positions, (None, 2))
     count = len(positions)
     angles = np.full((count, 2), np.nan) if heading_pitch_deg is None else np.array(heading_pitch_deg, np.float64)
     if angles.shape != (count, 2) or np.isinf(angles).any() or (np.abs(angles[:, 1]) > -NADIR_DEG).any():
@@ -168,7 +168,7 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
     """
     if not len(polygons):
         raise BadInput("there is no region: give at least one polygon.")
-    corners = [checked_array("a region", polygon, (None, 2)) for polygon in polygons]
+    corners = [check_array("a region", polygon, (None, 2)) for polygon in polygons]
     order, lows, highs = sort_from_west(footprints)
     widest_m = float((highs[:, 0] - lows[:, 0]).max(initial=0.0))
     found: list[tuple[FloatArray, NDArray[np.int64], int]] = []

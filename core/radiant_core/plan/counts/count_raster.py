@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import edge_table
 from radiant_core.plan.counts.wide_deadline import fastest_edge_counts, times_of_counts
 from radiant_core.plan.devices.even_shares import even_times_s
@@ -48,8 +48,8 @@ class CountRaster:
 
     def __post_init__(self) -> None:
         _require_cell(self.cell_m)
-        object.__setattr__(self, "cells", checked_array("cells", self.cells, (None, 2), np.int64))
-        object.__setattr__(self, "counts", checked_array("counts", self.counts, (len(self.cells),), np.int64))
+        object.__setattr__(self, "cells", check_array("cells", self.cells, (None, 2), np.int64))
+        object.__setattr__(self, "counts", check_array("counts", self.counts, (len(self.cells),), np.int64))
         if self.counts.min(initial=1) < 1 or len(np.unique(self.cells, axis=0)) != len(self.cells):
             raise BadInput("the raster has a cell twice or one without a camera: count the cameras of each cell once.")
 
@@ -62,7 +62,7 @@ class CountRaster:
 
 def count_raster(positions: ArrayLike, cell_m: float) -> CountRaster:
     """How many of the positions (C,2) m lie in each cell of side `cell_m`; BadInput for a cell that is not positive or far too small."""
-    positions = checked_array("positions", positions, (None, 2))
+    positions = check_array("positions", positions, (None, 2))
     _require_cell(cell_m)
     indices = np.floor(positions / cell_m)
     if np.abs(indices).max(initial=0) > MAX_CELL_INDEX:
@@ -78,7 +78,7 @@ def _require_cell(cell_m: float) -> None:
 
 def middles_of_cells(positions: ArrayLike, cell_m: float) -> FloatArray:
     """For each of the positions (C,2) m the middle (C,2) of its cell; raises as `count_raster`."""
-    return (np.floor(checked_array("positions", positions, (None, 2)) / count_raster(positions, cell_m).cell_m) + 0.5) * cell_m
+    return (np.floor(check_array("positions", positions, (None, 2)) / count_raster(positions, cell_m).cell_m) + 0.5) * cell_m
 
 
 def system_without_devices(system: System, num_cameras: int) -> System:
@@ -113,7 +113,7 @@ def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) 
     go to an edge with room, those for which the way grows least; then the plan is not certified.
     BadInput when all edges together cannot hold them.
     """
-    positions = checked_array("positions", positions, (None, 2))
+    positions = check_array("positions", positions, (None, 2))
     if regions.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the regions are of edges {', '.join(regions.edge_ids)}, the system has others: plan this system anew.")
     used = np.flatnonzero(regions.counts)

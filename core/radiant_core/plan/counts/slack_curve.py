@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
@@ -36,7 +36,7 @@ def slack_curve(
     positions: ArrayLike, system: System, slacks: Sequence[float] = SLACKS, *, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[SlackPoint, ...]:
     """The exact plan of cameras (C,2) m per slack; `progress` receives the share done. Raises as `plan_regions`, and where none fits."""
-    positions = checked_array("positions", positions, (None, 2))
+    positions = check_array("positions", positions, (None, 2))
     points: list[SlackPoint] = []
     for index, slack in enumerate(slacks):
         progress(index / len(slacks))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import MultiPoint, get_coordinates
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import device_time_s, edge_table
 from radiant_core.plan.devices.even_shares import even_quotas
 from radiant_core.plan.devices.strip_order import chords_across, shortest_order
@@ -25,7 +25,7 @@ from radiant_core.plan.system import Edge, System
 
 def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[EdgePlan, ...]:
     """One `EdgePlan` per edge for the cameras (C,2) m of a plan of the same system; BadInput when plan and input differ."""
-    positions = checked_array("positions", positions, (len(plan.edge_of_camera), 2))
+    positions = check_array("positions", positions, (len(plan.edge_of_camera), 2))
     if plan.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the plan is for edges {', '.join(plan.edge_ids)}, the system has others: plan this system anew.")
     return tuple(

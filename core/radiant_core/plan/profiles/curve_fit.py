@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.profiles.cost_curves import CostCurve
 
 EXTRAPOLATION = 2.0
@@ -69,8 +69,8 @@ def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -
     values fall with the count, unless they `may_fall`: what a busy machine measured gives a flat
     curve and a large error.
     """
-    counts = checked_array("counts", counts, (None,))
-    values = checked_array("values", values, (len(counts),))
+    counts = check_array("counts", counts, (None,))
+    values = check_array("values", values, (len(counts),))
     _require_costs(counts, values)
     if not may_fall and falls(counts, values):
         raise BadInput(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from radiant_core.numerics import checked_array
+from radiant_core.numerics import check_array
 from radiant_core.plan.profiles.curve_fit import EXTRAPOLATION
 from radiant_core.plan.profiles.profile import Profile, ProfileKey
 from radiant_core.plan.system import System
@@ -22,7 +22,7 @@ def profile_warnings(system: System, quotas: ArrayLike, training: ProfileKey) ->
     Silent for devices and edges without cameras and for curves that a system file spells out:
     nothing is known of these.
     """
-    quotas = checked_array("quotas", quotas, (len(system.devices),), np.int64)
+    quotas = check_array("quotas", quotas, (len(system.devices),), np.int64)
     users: dict[str, tuple[Profile, list[tuple[str, int]]]] = {}
     joiners: dict[str, tuple[Profile, list[tuple[str, int]]]] = {}
     for device, quota in zip(system.devices, quotas.tolist(), strict=True):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.regions.power_diagram import assign
 from radiant_core.plan.regions.transport import Dealt, deal_with_counts
 
@@ -42,7 +42,7 @@ def deal_within(positions: FloatArray, sites: FloatArray, capacities: Indices) -
     positive capacity, `num_paths` the chains taken. Raises BadInput where the capacities hold too
     few.
     """
-    capacities = np.minimum(checked_array("capacities", capacities, (len(sites),), np.int64), len(positions))
+    capacities = np.minimum(check_array("capacities", capacities, (len(sites),), np.int64), len(positions))
     if capacities.min(initial=0) < 0 or capacities.sum() < len(positions):
         raise BadInput(f"capacities sum to {capacities.sum()} for {len(positions)} cameras: give at least 0 each, together all cameras.")
     open_edges = np.flatnonzero(capacities)

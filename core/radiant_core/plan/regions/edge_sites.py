@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.regions.power_diagram import assign
 from radiant_core.plan.system import Edge, System
 
@@ -33,7 +33,7 @@ def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayL
     longitude when the scene has no origin on the globe (None), without cameras, and for positions
     beyond 1e8 m.
     """
-    positions = checked_array("positions", positions, (None, 2))
+    positions = check_array("positions", positions, (None, 2))
     if not len(positions):
         raise BadInput("no camera positions were given to place the edges among: give at least one.")
     located = [_located(edge, origin_lat_lon_alt) for edge in system.edges]
@@ -77,7 +77,7 @@ def _located(edge: Edge, origin_lat_lon_alt: ArrayLike | None) -> Edge:
             f"edge {edge.id!r} stands at latitude and longitude {edge.lat_lon_deg}, but the scene has no GPS: give the edge "
             "position_m, or neither to have it placed."
         )
-    origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
+    origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     return _moved_to(edge, enu_from_geodetic([[*edge.lat_lon_deg, origin[2]]], origin)[0])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core._native import assign_power_cells
 from radiant_core._native import cell_polygons as native_cell_polygons
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 
 def assign(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> NDArray[np.int64]:
@@ -28,10 +28,10 @@ def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> t
 
     Of sites at one spot the heaviest has the whole cell, the first among equals.
     """
-    corners = checked_array("outline", outline, (None, 2))
+    corners = check_array("outline", outline, (None, 2))
     centre = corners.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
-    local_sites = checked_array("sites", sites, (None, 2)) - centre
-    checked_weights = checked_array("weights", weights, (len(local_sites),))
+    local_sites = check_array("sites", sites, (None, 2)) - centre
+    checked_weights = check_array("weights", weights, (len(local_sites),))
     local_outline: FloatArray = corners - centre
     tolerance_m = 1e-13 * float(np.ptp(local_outline, axis=0).max())
     negligible_m2 = 1e-15 * polygon_area_m2(local_outline)

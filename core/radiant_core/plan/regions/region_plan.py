@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import edge_tables
 from radiant_core.plan.counts.slack import capacities_within
 from radiant_core.plan.counts.wide_deadline import (
@@ -158,7 +158,7 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
     Edges without cameras own no land. The lower bound is that of the same counts of cameras dealt
     freely, 0 where memory forbids it.
     """
-    positions = checked_array("positions", positions, (len(edge_of_camera), 2))
+    positions = check_array("positions", positions, (len(edge_of_camera), 2))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
     fits = system_capacity(system, len(positions)) >= len(positions)
     bound_s = float(fastest_edge_counts(system, len(positions)).edge_time_s.max()) if fits else 0.0
@@ -172,7 +172,7 @@ def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64],
     Which cameras lie in a cell may differ from `edge_of_camera`. Times and the lower bound are left
     at 0.
     """
-    positions = checked_array("positions", positions, (len(edge_of_camera), 2))
+    positions = check_array("positions", positions, (len(edge_of_camera), 2))
     counts = np.bincount(edge_of_camera, minlength=len(system.edges))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
     return _regions_of_owners(plane, system, edge_of_camera, _exact_partition(plane, counts, None).weights, 0.0)
@@ -205,7 +205,7 @@ def _at_means(positions: FloatArray, edge_of_camera: NDArray[np.int64], system: 
 
 
 def _plane(positions: ArrayLike, system: System) -> _Plane:
-    positions = checked_array("positions", positions, (None, 2))
+    positions = check_array("positions", positions, (None, 2))
     if not len(positions):
         raise BadInput("positions holds no camera: give at least one.")
     unplaced = [edge.id for edge in system.edges if edge.position is None]

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core._native import deal_to_cells
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 Indices = NDArray[np.int64]
 
@@ -53,8 +53,8 @@ def deal_with_counts(
     plan, to start from. Coordinates should be about a local origin. Raises BadInput unless the
     counts are not negative and sum to the cameras.
     """
-    counts = checked_array("counts", counts, (len(sites),), np.int64)
-    given = None if multiplicities is None else checked_array("multiplicities", multiplicities, (len(positions),), np.int64)
+    counts = check_array("counts", counts, (len(sites),), np.int64)
+    given = None if multiplicities is None else check_array("multiplicities", multiplicities, (len(positions),), np.int64)
     num_cameras = len(positions) if given is None else int(given.sum())
     if counts.min(initial=0) < 0 or (given is not None and given.min(initial=0) < 0) or counts.sum() != num_cameras:
         raise BadInput(f"counts sum to {counts.sum()} for {num_cameras} cameras: give counts of at least 0 that sum to the cameras.")

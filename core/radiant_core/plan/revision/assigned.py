@@ -14,7 +14,7 @@ from shapely import MultiPoint, Polygon, get_coordinates
 from shapely.geometry.polygon import orient
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.region_plan import regions_around
 from radiant_core.plan.revision.captured import plan_of_owners
@@ -32,7 +32,7 @@ def device_indices(owners: Sequence[str], system: System) -> NDArray[np.int64]:
 
 def assigned_plan(positions: ArrayLike, owners: Sequence[str], system: System) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The plan in which camera i of positions (C,2) m belongs to the device with the id `owners[i]`; raises as `plan_of_owners`."""
-    positions = checked_array("positions", positions, (len(owners), 2))
+    positions = check_array("positions", positions, (len(owners), 2))
     device_of_camera = device_indices(owners, system)
     edge_of_device = np.repeat(np.arange(len(system.edges)), [len(edge.devices) for edge in system.edges])
     regions = regions_around(positions, edge_of_device[device_of_camera], system)

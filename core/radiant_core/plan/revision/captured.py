@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import device_time_s
 from radiant_core.plan.counts.wide_deadline import fastest_edge_counts
 from radiant_core.plan.plans import CloudPlan, EdgePlan, PlanStatus, require_plan_of
@@ -42,8 +42,8 @@ def plan_captured(
     device captured more than its memory holds, or when most photographs lie farther from every
     waypoint than the plan is wide.
     """
-    planned = checked_array("planned_xy", planned_xy, (None, 2))
-    captured = checked_array("captured_xy", captured_xy, (None, 2))
+    planned = check_array("planned_xy", planned_xy, (None, 2))
+    captured = check_array("captured_xy", captured_xy, (None, 2))
     require_plan_of(len(planned), cloud_plan, edge_plans)
     require_same_system(edge_plans, system)
     if not len(captured):
@@ -66,7 +66,7 @@ def plan_of_owners(
     Raises BadInput when plan and system are not of one kind, or when a device captured more than
     its memory holds.
     """
-    captured = checked_array("captured_xy", captured_xy, (len(device_of_captured), 2))
+    captured = check_array("captured_xy", captured_xy, (len(device_of_captured), 2))
     require_same_system(edge_plans, system)
     counts = np.bincount(device_of_captured, minlength=len(system.devices))
     _require_memory(system, counts)
@@ -98,8 +98,8 @@ def find_captured_elsewhere(
 
     Raises BadInput when most lie farther from every waypoint than the plan is wide.
     """
-    planned = checked_array("planned_xy", planned_xy, (None, 2))
-    captured = checked_array("captured_xy", captured_xy, (len(device_of_captured), 2))
+    planned = check_array("planned_xy", planned_xy, (None, 2))
+    captured = check_array("captured_xy", captured_xy, (len(device_of_captured), 2))
     edge_of_device = np.repeat(np.arange(len(edge_plans)), [len(plan.device_ids) for plan in edge_plans])
     meant = device_of_planned(edge_plans, len(planned))[nearest_planned(planned, captured)]
     return edge_of_device[meant] != edge_of_device[device_of_captured]

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, sparse  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.devices.device_split import long_axis
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.regions.edge_sites import separate_sites
@@ -133,8 +133,8 @@ def replan(  # noqa: PLR0913
     when plan, positions and system do not belong together, for unknown ids and for a negative
     tolerance.
     """
-    positions = checked_array("positions", positions, (len(cloud_plan.edge_of_camera), 2))
-    fixed = np.zeros(len(positions), bool) if captured is None else checked_array("captured", captured, (len(positions),), np.int64) > 0
+    positions = check_array("positions", positions, (len(cloud_plan.edge_of_camera), 2))
+    fixed = np.zeros(len(positions), bool) if captured is None else check_array("captured", captured, (len(positions),), np.int64) > 0
     if not (np.isfinite(tolerance) and tolerance >= 0):
         raise BadInput(f"tolerance is {tolerance}, expected a finite share of at least 0.")
     require_plan_of(len(positions), cloud_plan, edge_plans)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.system import System
 
 
@@ -49,10 +49,10 @@ class Fleet:
         if self.edge_of_device[0] != 0 or self.edge_of_device[-1] != num_edges - 1 or (steps < 0).any() or (steps > 1).any():
             raise BadInput("edge_of_device must rise from 0 to E − 1 without a gap: sort the devices by edge.")
         for name in ("start_s", "work_s", "model_bytes", "repair_s"):
-            if (checked_array(name, getattr(self, name), (num_devices,)) < 0).any():
+            if (check_array(name, getattr(self, name), (num_devices,)) < 0).any():
                 raise BadInput(f"{name} has negative values, expected at least 0.")
         for name, count in (("uplink_bytes_per_s", num_devices), ("edge_uplink_bytes_per_s", num_edges)):
-            if (checked_array(name, getattr(self, name), (count,)) <= 0).any():
+            if (check_array(name, getattr(self, name), (count,)) <= 0).any():
                 raise BadInput(f"{name} has values that are not positive: a machine without bandwidth never delivers, drop it instead.")
         if np.isnan(self.fails_s).any() or self.fails_s.shape != (num_devices,) or self.dropped.shape != (num_devices,):
             raise BadInput("fails_s and dropped need one value per device, fails_s inf for never.")
@@ -66,8 +66,8 @@ class BandwidthTrace:
     shares: FloatArray
 
     def __post_init__(self) -> None:
-        times_s = checked_array("times_s", self.times_s, (None,))
-        shares = checked_array("shares", self.shares, (len(times_s),))
+        times_s = check_array("times_s", self.times_s, (None,))
+        shares = check_array("shares", self.shares, (len(times_s),))
         if not len(times_s) or times_s[0] != 0 or (np.diff(times_s) <= 0).any() or (shares <= 0).any():
             raise BadInput("a bandwidth trace needs rising times from 0 s and positive shares: a network that stops never delivers.")
 
@@ -114,7 +114,7 @@ def simulate(fleet: Fleet, trace: BandwidthTrace | None = None) -> Timeline:
 
 def fleet_of(system: System, quotas: ArrayLike) -> Fleet:
     """The fleet of a system whose devices have `quotas` (D,) cameras; devices without any do nothing."""
-    quotas = checked_array("quotas", quotas, (len(system.devices),), np.int64)
+    quotas = check_array("quotas", quotas, (len(system.devices),), np.int64)
     sizes = [len(edge.devices) for edge in system.edges]
     edge_of_device = np.repeat(np.arange(len(sizes)), sizes)
     counts = np.bincount(edge_of_device, weights=quotas).astype(np.int64)

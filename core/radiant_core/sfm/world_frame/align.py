@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 
 NUM_TRIALS = 500
 NUM_REFITS = 30
@@ -76,7 +76,7 @@ def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = N
     source, target = _checked_pairs(source, target)
     if len(source) < 2:
         raise BadInput(f"{len(source)} pair of positions cannot fix a similarity: at least 2 are needed, 3 for the rotation.")
-    shares = np.ones(len(source)) if weights is None else checked_array("weights", weights, (len(source),))
+    shares = np.ones(len(source)) if weights is None else check_array("weights", weights, (len(source),))
     shares = shares / shares.sum()
     source_mean, target_mean = shares @ source, shares @ target
     from_source, from_target = source - source_mean, target - target_mean
@@ -148,8 +148,8 @@ def compare_centers(scene_centers: ArrayLike, reference_centers: ArrayLike) -> C
 
 
 def _checked_pairs(source: ArrayLike, target: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    source = checked_array("source", source, (None, 3))
-    return source, checked_array("target", target, (len(source), 3))
+    source = check_array("source", source, (None, 3))
+    return source, check_array("target", target, (len(source), 3))
 
 
 def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3 | None:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.frames import MAX_REACH_M, Frame, FrameUncertainty, Sim3, enu_from_geodetic
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, check_array
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.align import Alignment, robust_sim3
 from radiant_core.sfm.world_frame.orient import level_fit
@@ -75,7 +75,7 @@ def device_frame(
     if len(names) < MIN_POSITIONS:
         reason = f"only {len(names)} of its {len(scene.cameras)} placed photographs have GPS with an altitude"
         return RefusedFrame(reason=f"{reason}, and a frame needs {MIN_POSITIONS}.")
-    origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
+    origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     positions_m = enu_from_geodetic([lat_lon_alt[name] for name in names], origin)
     centers = scene.cameras.named(names).centers
     extent_m = float(np.linalg.norm(np.ptp(positions_m, axis=0)))
