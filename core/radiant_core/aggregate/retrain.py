@@ -1,12 +1,10 @@
-"""Joining models at an edge or the cloud: all of them together, taught by what each shows at its
-own cameras. Once per node.
+"""Joining models: all together, taught by what each shows at its own cameras. Once per node.
 
 `paper` concatenates and retrains everything (paper Sec. III-D, Fig. 6). `default` begins near the
-end instead: every model fades where another one speaks for the place (`ownership`), so that the
-first picture is about that of a clean cut, then all of them are fitted together in a few epochs at
-falling rates. Views before which nothing is contested are not shown, and what only they see keeps
-its bits. Gaussians are neither added nor densified: the paper densifies on devices, from step 500
-of their 20,000 on.
+end: every model fades where another one owns the place (`ownership`), which is about a clean cut,
+then all are fitted together in a few epochs at falling rates. Views without contested places are
+not shown, and what only they see keeps its bits. Gaussians are neither added nor densified: the
+paper densifies on devices, from step 500 of their 20,000 on.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews, concatenate_views
 
 RATES_END = 0.3
-"""Share of the rates that is left at the end of a retraining by `default`; the centres' fall as in training."""
+"""Share of the rates left at the end of a retraining by `default`; means' rates as in training."""
 RATES = ("means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
 """Of a configuration, the rates that `paper` takes from 3DGS."""
 TOUCHED_SHARE = 0.02
@@ -60,9 +58,9 @@ class Joined:
     contested_share: float = 1.0
     """Of all Gaussians, those in places that a second model knows too."""
     agreement_db: float | None = None
-    """PSNR between the models' own pictures and those of all models cut at their borders, in the worst view; None where nobody looked."""
+    """PSNR of the models' pictures and those of the cut, in the worst view; None: not measured."""
     balance: Balance | None = None
-    """How exposures of the models differ; None where nobody looked."""
+    """How exposures of the models differ; None: not measured."""
 
     @property
     def splats(self) -> Splats:
@@ -73,12 +71,9 @@ class Joined:
 def retrain_on_synthetic_views(
     teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None = None
 ) -> Joined:
-    """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a
-    place lies in.
-
-    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single` or
-    pooled. Raises BadInput without any.
-    """
+    """Join the teachers' models by what each shows at its own cameras; `claims` say whose a place
+    is. A single one comes back unchanged unless `aggregate.retrain_single` or pooled. BadInput
+    without any."""
     if not teachers:
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
     if len(teachers) == 1 and not (aggregate.retrain_single or teachers[0].pooled):
@@ -98,7 +93,7 @@ def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate:
 
 
 def cut_at_borders(teachers: Sequence[Teacher], claims: Claims | None = None) -> Joined:
-    """The teachers' models without what lies in places that another one owns; nothing is rendered or retrained."""
+    """The models without what lies in places that another one owns; nothing is rendered."""
     return _cut(teachers, _owned(teachers, claims))
 
 
@@ -151,7 +146,7 @@ def _join(
 
 
 def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig) -> tuple[list[Splats], list[Ownership]]:
-    """Models and owners without the Gaussians in another one's place that `faded` would leave fainter than `aggregate.faint_opacity`."""
+    """Models and owners without what `faded` would leave fainter than `aggregate.faint_opacity`."""
     kept = [
         (places.owner == index) | (aggregate.foreign_opacity * model.opacities >= aggregate.faint_opacity)
         for index, (model, places) in enumerate(zip(models, owned, strict=True))
@@ -171,7 +166,7 @@ def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -
 
 
 def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) may show in an image: whose sphere of three standard deviations reaches into the pyramid of a camera."""
+    """Which Gaussians (N,) reach, by three standard deviations, into the pyramid of a camera."""
     radii = 3 * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
     means = splats.means.T.astype(np.float64)
     reached = np.zeros(len(splats), bool)
@@ -186,7 +181,7 @@ def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
 
 
 def teacher_views(teachers: Sequence[Teacher], long_side_px: int) -> TrainingViews:
-    """Every teacher's synthetic views at its cameras, reduced to `long_side_px`; those that are rendered are taken as they are."""
+    """Every teacher's views, reduced to `long_side_px`; rendered ones are taken as they are."""
     return concatenate_views([synthetic_views(t.splats, t.cameras.scaled(long_side_px), rendered=t.rendered) for t in teachers])
 
 
@@ -198,7 +193,7 @@ def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
 
 
 def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which cameras (C,) have enough of the contested Gaussians before them, by every so-manieth Gaussian."""
+    """Which cameras (C,) have enough contested Gaussians before them, by a sample of all."""
     touched = np.zeros(len(cameras), bool)
     some = np.unique(np.linspace(0, len(means) - 1, NUM_ASKED).astype(np.int64))
     means, contested = means[some], contested[some]
@@ -209,29 +204,21 @@ def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: ND
 
 
 def _agreement_db(joined: Splats, views: TrainingViews, backend: Backend) -> float:
-    """PSNR of what the models show and what the joined one does, in the worst of some views: one seam is enough to be seen."""
+    """PSNR of the models' pictures and the joined one's in the worst of some: a seam is enough."""
     some = np.unique(np.linspace(0, len(views) - 1, NUM_COMPARED).astype(np.int64))
     compared = zip(render_views(joined, views.cameras.select(some), backend), some, strict=True)
     return min(psnr_db(view.image, views.images[index] / 255) for view, index in compared)
 
 
 def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
-    """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is
-    added, grown or exposed anew, and rates fall as joining has it, not as a device's. `paper`
-    retrains at the rates of 3DGS, however its devices were trained."""
+    """A device's settings for `aggregate.num_epochs` over the synthetic views: nothing is added or
+    exposed anew, and rates fall as joining has it; `paper` retrains at the rates of 3DGS."""
     num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
-    still = {
-        "sh_degree_every": 0,
-        "density": NoDensification(),
-        "start_scale": 1.0,
-        "exposure": "none",
-        "background": "black",
-        "settle_epochs": None,
-    }
+    still = replace(train, sh_degree_every=0, start_scale=1.0, exposure="none", background="black", settle_epochs=None)
     rates = {name: getattr(train_preset("paper"), name) for name in RATES} if aggregate.preset == "paper" else {}
-    return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still, **rates)
+    return replace(still, num_steps=num_steps, sh_degree=merged.sh_degree, density=NoDensification(), **rates)
 
 
 def untrained(splats: Splats) -> TrainResult:

@@ -1,7 +1,7 @@
-"""What the head of a safetensors file says, checked against the file's length before anything is
-allocated. Once per file.
+"""The head of a safetensors file, checked before anything is allocated. Once per file.
 
-    8 bytes: length of the header, little-endian; the header: JSON, name → {dtype, shape, data_offsets}; then the numbers
+        8 bytes: length of the header, little-endian
+        the header: JSON, name → {dtype, shape, data_offsets}; then the numbers
 
 The library checks much of this too; here the header is bounded, no name comes twice, and the arrays
 fill the file exactly. Layout: https://github.com/huggingface/safetensors#format
@@ -21,25 +21,12 @@ from radiant_core.io.run_store import open_without_waiting, parse_json
 MAX_HEADER_BYTES = 16 * 2**20
 """The names of 500,000 cameras fit."""
 MAX_DIMENSIONS = 8
-_DTYPE_BYTES = {
-    "BOOL": 1,
-    "U8": 1,
-    "I8": 1,
-    "F16": 2,
-    "BF16": 2,
-    "U16": 2,
-    "I16": 2,
-    "F32": 4,
-    "U32": 4,
-    "I32": 4,
-    "F64": 8,
-    "U64": 8,
-    "I64": 8,
-}
+_DTYPES_OF_BYTES = {1: "BOOL U8 I8", 2: "F16 BF16 U16 I16", 4: "F32 U32 I32", 8: "F64 U64 I64"}
+_DTYPE_BYTES = {dtype: num_bytes for num_bytes, dtypes in _DTYPES_OF_BYTES.items() for dtype in dtypes.split()}
 
 
 def require_layout(path: Path) -> None:
-    """Raise StoreDamaged unless `path` is a regular file whose header is bounded and well-formed and whose arrays fill it exactly."""
+    """Raise StoreDamaged unless `path` has a bounded, well-formed header and exactly its arrays."""
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
             status = os.fstat(file.fileno())

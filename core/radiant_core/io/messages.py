@@ -1,8 +1,8 @@
-"""The codec of messages: the only place that writes and reads what crosses between nodes. Once per
-node and message.
+"""The only codec of what crosses between nodes. Once per node and message.
 
     a task       task.json, and files of the arrays that its fields name (`in_file`)
-    DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json where its frame is uncertain
+        DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json where
+                     its frame is uncertain
     EdgeModel    the same with virtual_cameras.safetensors, virtual_views.safetensors
 
 Types and unknown keys are refused by pydantic in its strict mode: no number as text, nothing
@@ -39,7 +39,7 @@ Message = TypeVar("Message")
 Model = TypeVar("Model", DeviceModel, EdgeModel)
 TASK_NAME = "task.json"
 MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
-"""What a node keeps, and what it sends where that is not the same file. Where it arrives both are called by the first name."""
+"""What a node keeps, and what it sends where that differs; both arrive under the first name."""
 CAMERAS_NAME, FRAME_NAME, SUMMARY_NAME = "cameras.safetensors", "frame.json", "summary.json"
 VIRTUAL_CAMERAS, VIRTUAL_VIEWS = "virtual_cameras.safetensors", "virtual_views.safetensors"
 NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
@@ -71,18 +71,13 @@ def message_record(message: Any) -> dict[str, Any]:
 
 
 def message_of(kind: type[Message], record: Mapping[str, Any], name: str = "message") -> Message:
-    """The message of the dataclass `kind` that `message_record` wrote, for dataclasses without
-    files.
-
-    Raises:
-        BadInput: a field is missing, unknown or of another kind; `name` is what the sentence calls
-            the message.
-    """
+    """The message of the dataclass `kind`, without files, that `message_record` wrote; BadInput,
+    calling it `name`, where a field is missing, unknown or of another kind."""
     return kind(**_parsed(kind, json.dumps(record).encode(), name))
 
 
 def task_key(task: Any) -> dict[str, Any]:
-    """What of a task decides the bits of its result, as JSON's values; its files count by their bytes, elsewhere."""
+    """What of a task decides the bits of its result; its files count by their bytes, elsewhere."""
     record = message_record(task)
     return {field.name: record[field.name] for field in fields(task) if field.name in record and field.metadata.get("keyed", True)}
 
@@ -99,12 +94,8 @@ def save_task(folder: Path, task: Any) -> list[str]:
 
 
 def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
-    """The task that `save_task` wrote into a node's folder.
-
-    Raises:
-        BadInput: a file is missing, damaged, or no task of this kind; `name` is what the sentence
-            calls the task.
-    """
+    """The task that `save_task` wrote into a node's folder; BadInput, calling it `name`, where a file
+    is missing, damaged, or no task of this kind."""
     path = folder / TASK_NAME
     data = read_bounded(path, MAX_JSON_BYTES)
     try:
@@ -124,7 +115,7 @@ def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
 
 
 def task_setting(folder: Path, name: str) -> Any:
-    """One setting of the task in a node's folder as JSON has it, whatever the task; None where there is none."""
+    """One setting of the task in a node's folder as JSON has it; None where there is none."""
     path = folder / TASK_NAME
     record = read_json(path) if path.is_file() else {}
     return record.get(name) if isinstance(record, dict) else None
@@ -142,7 +133,7 @@ def _parsed(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
 
 
 def _left_out(whole: Any, given: Any, place: str = "") -> str | None:
-    """The path of the first key that `given` leaves to a default: pydantic demands those of the message alone, not of its parts."""
+    """The path of the first key that `given` leaves to a default, which pydantic allows in parts."""
     parts = whole.items() if isinstance(whole, dict) else enumerate(whole) if isinstance(whole, list) else ()
     for key, value in parts:
         path = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
@@ -219,7 +210,7 @@ def load_device_model(place: Path) -> DeviceModel | str:
 
 
 def load_edge_model(place: Path, long_side_px: int) -> EdgeModel | str:
-    """The edge's model that arrived in a folder, its pictures of that long side, or why it cannot be used, one sentence."""
+    """The edge's model that arrived in a folder, with its pictures, or why not, one sentence."""
     try:
         cameras = _cameras_in(place / VIRTUAL_CAMERAS)
         return EdgeModel(
@@ -259,11 +250,7 @@ def _hashes(place: Path) -> dict[str, str]:
 
 
 def load_uncertainty(place: Path) -> FrameUncertainty | None:
-    """How well the frame of a model is known; None where it is exact, or nothing says so.
-
-    Raises:
-        BadInput: the file says anything else.
-    """
+    """How well a model's frame is known; None where it is exact or unsaid, BadInput for anything else."""
     path = place / FRAME_NAME
     if not path.is_file():
         return None

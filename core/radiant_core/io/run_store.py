@@ -1,8 +1,7 @@
 """Files of a run: written whole or not at all, sealed by hashes, held by one writer at a time.
 
 A stage writes its files, then `seal` records its key (hash of all it was made from) and the SHA-256
-of every file; a later run skips the stage when `is_sealed` says that key and bytes are still the
-same. Runs once per stage and file, never per step.
+of every file; a later run skips it where `is_sealed` holds. Once per stage and file.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ LOCK_NAME = ".lock"
 MAX_JSON_BYTES = 64 * 2**20
 """Default limit of a JSON file: a plan of 100,000 cameras takes some 2 MB."""
 FULL_BYTES = 1 << 20
-"""With less than this left a disk counts as full: libraries that write there end their process, or half a file, without a word."""
+"""With less than this left a disk counts as full: libraries that write there fail silently."""
 
 
 def disk_is_full(folder: Path) -> bool:
@@ -41,19 +40,17 @@ def disk_is_full(folder: Path) -> bool:
 
 
 def require_room(folder: Path) -> None:
-    """Raise CannotWrite where the disk of a folder is full, after a library wrote there that would not say so."""
+    """Raise CannotWrite on a full disk, after a library wrote there that would not say so."""
     if disk_is_full(folder):
         raise CannotWrite(f"the disk of {folder} is full: free space or choose another output folder.")
 
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A name beside `path` for a library that writes files itself; what it wrote takes the place of
-    `path` when the block ends well.
+    """A name beside `path` for a library that writes itself; its file becomes `path` in the end.
 
     Temporary file in the same folder, fsync, replace, fsync of the folder: after a power cut the
-    old or the new file is there. Raises CannotWrite when the system refuses (disk full, no such
-    folder, not allowed); the old file is then untouched.
+    old or the new file is there. Raises CannotWrite when the system refuses; the old one then stays.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
@@ -71,7 +68,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_writer(path: Path) -> Iterator[IO[bytes]]:
-    """A binary file that takes the place of `path` when the block ends well, and vanishes when it does not; raises as `atomic_path`."""
+    """A binary file that becomes `path` when the block ends well; raises as `atomic_path`."""
     with atomic_path(path) as temporary, temporary.open("xb") as file:
         yield file
 
@@ -83,7 +80,7 @@ def write_atomic(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, obj: Any) -> None:
-    """Write `obj` as indented UTF-8 JSON with sorted keys; BadInput when a number is not finite or a value is not JSON's."""
+    """Write `obj` as indented UTF-8 JSON with sorted keys; BadInput unless finite and JSON's."""
     try:
         text = json.dumps(obj, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
         data = (text + "\n").encode()
@@ -93,12 +90,12 @@ def write_json(path: Path, obj: Any) -> None:
 
 
 def open_without_waiting(path: str, flags: int) -> int:
-    """Opener for `open`: without O_NONBLOCK a pipe in a stranger's folder would hold the reader for ever."""
+    """Opener for `open`: without O_NONBLOCK a stranger's pipe would hold the reader for ever."""
     return os.open(path, flags | os.O_NONBLOCK)
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:
-    """The bytes of a regular file of at most `max_bytes`; StoreDamaged when it is missing, no file, or larger."""
+    """The bytes of a regular file of at most `max_bytes`; else, or missing, StoreDamaged."""
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
             status = os.fstat(file.fileno())
@@ -113,12 +110,8 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
 
 
 def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BYTES) -> Any:
-    """The value of a JSON file of at most `max_bytes`; an object that has all `keys` where some are
-    named.
-
-    Raises StoreDamaged when it is missing, larger, malformed, has a number that is not finite, a
-    key twice or one too few.
-    """
+    """The value of a JSON file of at most `max_bytes`, an object with all `keys` if any; StoreDamaged
+    when missing, larger, malformed, with a number that is not finite, or a key twice or too few."""
     data = read_bounded(path, max_bytes)
     try:
         value = parse_json(data)
@@ -130,7 +123,7 @@ def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BY
 
 
 def parse_json(data: bytes | str) -> Any:
-    """The value of a JSON text; ValueError (or RecursionError) where it is malformed, a number not finite, or a key there twice."""
+    """The value of a JSON text; ValueError or RecursionError unless sound, finite, keys unique."""
     return json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
 
 
@@ -147,8 +140,7 @@ def file_sha256(path: Path) -> str:
 
 
 def content_key(*parts: Any) -> str:
-    """Stable SHA-256 (64 hexadecimal digits) of what a stage is made from, equal in every process
-    and on every machine.
+    """Stable SHA-256 (64 hexadecimal digits) of what a stage is made from, equal on every machine.
 
     Takes None, bool, int, float, str, bytes, lists, tuples, mappings with text keys (order does not
     matter), numpy arrays, dataclasses, and Paths: a file counts by its bytes, a folder by the names
@@ -170,11 +162,10 @@ def _digest_of(pieces: Iterable[bytes]) -> str:
 
 
 def seal(folder: Path, key: str, names: Sequence[str]) -> None:
-    """Write folder/done.json: `key` and the SHA-256 of each file `names` (relative, "/" between
-    parts), all forced to disk.
+    """Write folder/done.json: `key` and the SHA-256 of each file in `names` (relative, "/" between).
 
     Raises StoreDamaged when a file is missing, BadInput when a name leaves the folder, CannotWrite
-    when done.json cannot be written.
+    when something cannot be forced to disk.
     """
     folder = Path(folder)
     for name in names:
@@ -190,7 +181,7 @@ def seal(folder: Path, key: str, names: Sequence[str]) -> None:
 
 
 def seal_problem(folder: Path, key: str) -> str | None:
-    """Why `folder` is not sealed under `key`, one sentence, or None when key and the hash of every file are right."""
+    """Why `folder` is not sealed under `key`, one sentence; None when key and hashes are right."""
     folder = Path(folder)
     if not (folder / SEAL_NAME).is_file():
         return f"{folder} is not finished: there is no {SEAL_NAME}."
@@ -214,11 +205,8 @@ def is_sealed(folder: Path, key: str) -> bool:
 
 
 class RunLock:
-    """Held by the one process that writes a run folder: `with RunLock(folder): ...`.
-
-    The kernel frees it when the process ends, however it ends. Raises BadInput when another process
-    holds it.
-    """
+    """Held by the one process that writes a run folder: `with RunLock(folder): ...`. The kernel frees
+    it however the process ends. BadInput when another one holds it."""
 
     def __init__(self, folder: Path) -> None:
         self.path = Path(folder) / LOCK_NAME
@@ -252,7 +240,7 @@ class RunLock:
 
 
 def _canonical_bytes(value: Any) -> Iterator[bytes]:
-    """Bytes that differ for different values: every piece says its type and length before its content."""
+    """Bytes that differ for different values: type and length stand before each content."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, np.ndarray):

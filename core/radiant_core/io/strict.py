@@ -1,4 +1,4 @@
-"""What stands in files that people or other nodes write: checked to the last key, refused in one sentence."""
+"""What stands in files that others write: checked to the last key, refused in one sentence."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from radiant_core.errors import BadInput
 
 
 class Strict(BaseModel):
-    """Base of what stands in a file: no unknown keys, no numbers written as text, nothing infinite."""
+    """Base of what stands in a file: no unknown keys, no numbers as text, nothing infinite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 def problem_sentence(error: ValidationError, kind: str, path: str = "") -> str:
-    """The first problem of what stands at a key's `path` in a `kind` of file: the whole path, what came, what is expected."""
+    """The first problem below a key's `path` in a `kind` of file: where, what came, what should."""
     problem = error.errors(include_url=False)[0]
     key = "".join([path, *(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"])]).lstrip(".")
     if problem["type"] == "missing":

@@ -29,7 +29,7 @@ _VIEWS_DTYPES = {"images": "U8", "image_ends": "I64", "weights": "U8", "weight_e
 
 
 def save_view(path: Path, image: NDArray[np.uint8], weight: NDArray[np.uint8]) -> None:
-    """Write image (H,W,3) and weight (H,W), atomically; BadInput for another shape or type, else raises as `write_atomic`."""
+    """Write image (H,W,3) and weight (H,W) uint8, atomically; BadInput, or as `write_atomic`."""
     if image.dtype != np.uint8 or weight.dtype != np.uint8 or image.shape != (*weight.shape, 3) or not weight.size:
         raise BadInput(
             f"a view has image {image.shape} {image.dtype} and weight {weight.shape} {weight.dtype}, expected (H,W,3), (H,W) uint8."
@@ -41,11 +41,8 @@ def save_view(path: Path, image: NDArray[np.uint8], weight: NDArray[np.uint8]) -
 
 
 def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Image (H,W,3) and weight (H,W) that `save_view` wrote.
-
-    Raises StoreDamaged when the file is broken, BadInput when it holds something else or a view of
-    another size.
-    """
+    """Image (H,W,3) and weight (H,W) that `save_view` wrote; StoreDamaged when broken, BadInput when
+    something else or of another size."""
     arrays, about = load_arrays(path, SCHEMA, {"png": "U8"})
     with name_file_in_errors(path):
         # Before decoding, so that no more memory is taken than the view is expected to need.
@@ -60,7 +57,7 @@ def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], N
 
 
 def save_views(path: Path, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> None:
-    """Write images (H,W,3) and weights (H,W) of V views, both not lossless, atomically; raises as `write_atomic`."""
+    """Write images (H,W,3), weights (H,W) of V views, lossy, atomically; as `write_atomic`."""
     images = [_encoded(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]) for image, _ in views]
     coarse = [(np.rint(weight / WEIGHT_STEP) * WEIGHT_STEP).astype(np.uint8) for _, weight in views]
     weights = [_encoded(".png", weight, [cv2.IMWRITE_PNG_COMPRESSION, 6]) for weight in coarse]
@@ -69,7 +66,7 @@ def save_views(path: Path, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.u
 
 
 def load_views(path: Path, sizes_wh: Sequence[tuple[int, int]]) -> list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    """The V views that `save_views` wrote, of these sizes; none where it wrote none. Raises as `load_view`."""
+    """The V views that `save_views` wrote, of these sizes, or none. Raises as `load_view`."""
     arrays, _ = load_arrays(path, VIEWS_SCHEMA, _VIEWS_DTYPES)
     with name_file_in_errors(path):
         if not arrays["image_ends"].size:
@@ -78,8 +75,7 @@ def load_views(path: Path, sizes_wh: Sequence[tuple[int, int]]) -> list[tuple[ND
         views = []
         for image, weight, (width, height) in zip(images, weights, sizes_wh, strict=True):
             for data in (image, weight):
-                # Before decoding, so that no more memory is taken than the view is expected to
-                # need.
+                # Before decoding: no more memory is taken than the view is expected to need.
                 if read_size_wh(data) != (width, height):
                     raise BadInput(f"it has a view of {read_size_wh(data)} px, expected {width} × {height}: send it anew.")
             pixels = decode_image(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -105,7 +101,7 @@ def _ends(parts: Sequence[NDArray[np.uint8]]) -> NDArray[np.int64]:
 
 
 def _unchained(data: NDArray[np.uint8], ends: NDArray[np.int64], count: int) -> list[bytes]:
-    """The parts of what `_chained` and `_ends` made; BadInput for another count, or ends that do not fit."""
+    """The parts of what `_chained` and `_ends` made; BadInput where count or ends do not fit."""
     if data.ndim != 1 or ends.shape != (count,):
         raise BadInput(f"it holds {ends.shape} views, expected {count}: send it anew.")
     starts = np.concatenate([[0], ends])

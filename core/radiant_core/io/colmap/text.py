@@ -1,4 +1,4 @@
-"""The text files of a COLMAP model as records; comment lines start with '#', every error names its line."""
+"""The text files of a COLMAP model as records; '#' starts a comment, errors name their line."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
 
 
 def parse_images(data: bytes, path: str) -> list[ColmapImage]:
-    """The records of images.txt, two lines each (the second may be empty); BadInput with the line number."""
+    """The records of images.txt, two lines each, the second may be empty; BadInput with the line."""
     lines = _lines(data, path)
     images = []
     for place, line in _records(lines, path):
@@ -83,7 +83,7 @@ def parse_points(data: bytes, path: str) -> ColmapPoints:
 
 
 def write_model(folder: Path, model: ColmapModel) -> None:
-    """Write cameras.txt, images.txt and points3D.txt into `folder`, each atomically; raises as `write_atomic`."""
+    """Write cameras.txt, images.txt and points3D.txt, each atomically; raises as `write_atomic`."""
     folder.mkdir(parents=True, exist_ok=True)
     cameras = [f"{c.camera_id} {c.model} {c.size_wh[0]} {c.size_wh[1]} {_joined(c.params)}\n" for c in model.cameras.values()]
     write_atomic(folder / "cameras.txt", "".join(["# camera_id model width height params\n", *cameras]).encode())

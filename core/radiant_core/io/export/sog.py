@@ -1,14 +1,14 @@
-"""Models as SOG (Spatially Ordered Gaussians, version 2), the small format of web viewers: lossless
-WebP textures in a zip. Once per model.
+"""Models as SOG (Spatially Ordered Gaussians 2): lossless WebP textures in a zip. Once per model.
 
 Of Gaussian i of N, pixel i of each W × H texture, rows first:
-    means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)), m = sign(x) ln(|x| + 1) per axis
-    quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z was largest and left out
-    scales, sh0        per channel one of 256 values of ln scale, of sh0; alpha of sh0 is the opacity in 255 steps
-    shN                16-bit label of one of 65,536 rows at most, whose numbers are again one of 256 values
-The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until
-there are enough. Coordinates stay those of the 3DGS PLY, as converters keep them. Source:
-PlayCanvas, "The SOG Format".
+        means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)),
+                           m = sign(x) ln(|x| + 1) per axis
+        quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z
+                           was largest and left out
+        scales, sh0        per channel one of 256 values; alpha of sh0 is the opacity in 255 steps
+        shN                16-bit label of one of 65,536 rows at most, of one of 256 values each
+    The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until
+    there are enough. Coordinates stay those of the 3DGS PLY. Source: PlayCanvas, "The SOG Format".
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 @dataclass(frozen=True, kw_only=True)
 class SogErrors:
-    """How far the stored values are from the model's: greatest error of a centre, and root mean square errors of ln scales, sh0 and shN."""
+    """Greatest error of a centre, and root mean square errors of ln scales, sh0 and shN."""
 
     position_max_m: float
     log_scale_rms: float
@@ -51,7 +51,7 @@ class SogErrors:
 
 
 def save_sog(path: Path, splats: Splats) -> SogErrors:
-    """Write at least one Gaussian to `path`, atomically, along a Z curve; BadInput without any, or when it cannot be written."""
+    """Write N > 0 Gaussians to `path`, atomically, along a Z curve; BadInput when it cannot."""
     if not len(splats):
         raise BadInput(f"cannot write {path}: the model has no Gaussians, and SOG cannot say so.")
     ordered = splats.select(morton_order(splats.means))
@@ -105,7 +105,7 @@ def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, An
 
 
 def _add_harmonics(splats: Splats, shape: tuple[int, int], textures: dict[str, NDArray[np.uint8]], meta: dict[str, Any]) -> float:
-    """Put the harmonics of degree 1 and up (N,K,3) into textures and meta; returns their root mean square error."""
+    """Put the harmonics above degree 0 into textures and meta; returns their RMS error."""
     bases = splats.shN.shape[1]
     flat = splats.shN.reshape(len(splats), 3 * bases)
     labels, rows = _row_palette(flat)
@@ -158,7 +158,7 @@ def _quat_bytes(quats: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _quantized(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
-    """Codes of the shape of `values`, and 256 rising values: Lloyd's iteration on a histogram, begun with a density ∝ f^⅓."""
+    """Codes and 256 rising values: Lloyd's iteration on a histogram, from a density ∝ f^⅓."""
     low, high = float(values.min()), float(values.max())
     if high <= low:
         return np.zeros(values.shape, np.uint8), np.full(CODES, low)
@@ -177,7 +177,7 @@ def _quantized(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
 
 
 def _row_palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], FloatArray]:
-    """Labels (N,) and palette (R,F), R ≤ 65,536, of rows (N,F): the rows themselves where they are few enough."""
+    """Labels (N,) and palette (R,F), R ≤ 65,536, of rows (N,F): the rows where they are few."""
     if len(rows) <= MAX_ROWS:
         return np.arange(len(rows)), rows.astype(np.float64)
     labels = np.zeros(len(rows), np.int64)

@@ -1,5 +1,4 @@
-"""Waypoints from GeoJSON (RFC 7946): Points, MultiPoints and the vertices of LineStrings; longitude
-first. Once per file.
+"""Waypoints from GeoJSON (RFC 7946): points and vertices of lines, longitude first. Once per file.
 
 A feature's name is its property name or id, else its member id; vertices get a number behind it.
 Polygons and features without a geometry are no waypoints: they are counted as ignored.
@@ -26,7 +25,7 @@ def geojson_rows(text: str) -> WaypointRows:
 
 
 def geojson_geometries(text: str) -> Iterator[tuple[str, str, Any]]:
-    """Where each geometry of a GeoJSON text stands, its feature's name, and itself, collections opened; BadInput as above."""
+    """Place, feature's name and value of each geometry, collections opened; BadInput as above."""
     try:
         value = json.loads(text, parse_constant=float)
     except (ValueError, RecursionError) as error:
