@@ -18,7 +18,7 @@ from radiant_core.numerics import FloatArray, check_array
 WGS84_SEMI_MAJOR_M = 6378137.0
 WGS84_FLATTENING = 1 / 298.257223563
 MAX_REACH_M = 300e3
-"""Farthest that a position may lie from the middle of its site: no drone or aeroplane flies on."""
+"""Farthest that a position may lie from the middle of its site: beyond drones and aeroplanes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,7 +19,7 @@ def check_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtyp
     Raises BadInput when the shape differs, with the count and the first index when a value is not
     finite in `dtype`, or when `dtype` is whole numbers and a value is not one of them.
     """
-    array = _converted(name, value, dtype)
+    array = _convert(name, value, dtype)
     fits = array.ndim == len(shape) and all(want is None or want == got for want, got in zip(shape, array.shape, strict=True))
     if not fits:
         wanted = ", ".join("any" if want is None else str(want) for want in shape)
@@ -30,7 +30,7 @@ def check_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtyp
     return array
 
 
-def _converted(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
+def _convert(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
     try:
         source = np.asarray(value)
     except (TypeError, ValueError) as error:

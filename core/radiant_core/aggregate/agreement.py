@@ -2,7 +2,7 @@
 
 Every model is rendered at some cameras of every other, as a guest:
 
-        agree(i, j):  PSNR of i's and j's pictures at j's cameras, both opaque  ≥  MIN_AGREEMENT_DB
+    agree(i, j):  PSNR of i's and j's pictures at j's cameras, both opaque  ≥  MIN_AGREEMENT_DB
 
 The model with the largest share of contradicting neighbours is left out if that is most of them,
 then the rest is counted again. Models that contradict each other where no third covers the place
@@ -25,7 +25,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 
 MIN_AGREEMENT_DB = 10.0
-"""Half grey against a photograph is about 14 dB; honest models agree to 16 to 22 dB."""
+"""Half grey against a photograph is about 14 dB; models: 16 to 22 (docs/threat_model.md)."""
 MIN_MODELS = 3
 """Of two models that contradict each other it is undecidable which is wrong."""
 NUM_ASKED = 4
@@ -52,17 +52,17 @@ def find_contradictions(models: Sequence[Splats], cameras: Sequence[Cameras], ba
         return Agreement(agreement_db=np.full((len(models), len(models)), np.nan), refused={})
     agreement_db = np.full((len(models), len(models)), np.nan)
     for host, own in enumerate(cameras):
-        asked = _some(own)
+        asked = _sample_cameras(own)
         if not len(asked):
             continue
         home = list(render_views(models[host], asked, backend))
         for guest in range(len(models)):
             if guest != host:
                 agreement_db[guest, host] = _agreement_db(home, list(render_views(models[guest], asked, backend)))
-    return Agreement(agreement_db=agreement_db, refused=_outvoted(agreement_db))
+    return Agreement(agreement_db=agreement_db, refused=_find_outvoted(agreement_db))
 
 
-def _some(cameras: Cameras) -> Cameras:
+def _sample_cameras(cameras: Cameras) -> Cameras:
     rows = np.unique(np.linspace(0, len(cameras) - 1, min(NUM_ASKED, len(cameras))).astype(np.int64))
     return cameras.select(rows).scaled(LONG_SIDE_PX) if len(cameras) else cameras
 
@@ -90,7 +90,7 @@ def measure_agreement_db(model: Splats, cameras: Cameras, views: Sequence[tuple[
     return float(-10 * np.log10(max(squares / count, 1e-10))) if count else float("inf")
 
 
-def _outvoted(agreement_db: FloatArray) -> dict[int, str]:
+def _find_outvoted(agreement_db: FloatArray) -> dict[int, str]:
     """Models to leave out, from what pairs say of each other in both directions.
 
     In rounds the model with the largest share of contradicting neighbours, or all that are equal in

@@ -1,7 +1,7 @@
 """Exposures that differ between models: a gain and offset per model and channel. Once per join.
 
-        c' = g c + b     g, b = argmin Σ over pairs of pixels  ρ(g_i c_i + b_i − g_j c_j − b_j)
-                         Σ over models of g = M, of b = 0
+    c' = g c + b     g, b = argmin Σ over pairs of pixels  ρ(g_i c_i + b_i − g_j c_j − b_j)
+                     Σ over models of g = M, of b = 0
 
 over pixels of some cameras of every model where both models are opaque and their depths agree; ρ is
 Cauchy's, by least squares with weights 1 / (1 + (r / s)²), s the median |r|, since models differ by
@@ -78,7 +78,7 @@ def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> 
     if count < 2 or shared.min() < MIN_PAIRS:
         return balance
     some = pairs.select(np.unique(np.linspace(0, len(pairs.first) - 1, MAX_PAIRS).astype(np.int64)))
-    solved = np.array([_solved(some, channel, count) for channel in range(3)])
+    solved = np.array([_solve_channel(some, channel, count) for channel in range(3)])
     return replace(balance, gains=solved[:, 0::2].T, offsets=solved[:, 1::2].T)
 
 
@@ -86,10 +86,10 @@ def balance_teachers(teachers: Sequence[Teacher], balance: Balance) -> list[Teac
     """The teachers as if all had been exposed alike: their models, and their rendered pictures."""
     if not balance.needed:
         return list(teachers)
-    return [_exposed(*each) for each in zip(teachers, balance.gains, balance.offsets, strict=True)]
+    return [_expose_teacher(*each) for each in zip(teachers, balance.gains, balance.offsets, strict=True)]
 
 
-def _exposed(teacher: Teacher, gains: FloatArray, offsets: FloatArray) -> Teacher:
+def _expose_teacher(teacher: Teacher, gains: FloatArray, offsets: FloatArray) -> Teacher:
     shown = {
         # A picture is over black: where the model is transparent there is nothing to add to.
         row: (np.clip(gains * image + offsets * weight[..., None], 0, 255).round().astype(np.uint8), weight)
@@ -128,7 +128,7 @@ def _pairs(teachers: Sequence[Teacher], backend: Backend) -> _Pairs:
     return _Pairs(first=first_of, second=second_of, one=one, other=other)
 
 
-def _solved(pairs: _Pairs, channel: int, count: int) -> FloatArray:
+def _solve_channel(pairs: _Pairs, channel: int, count: int) -> FloatArray:
     """g and b in turn (2M,) of one channel."""
     rows = np.arange(len(pairs.first))
     design = np.zeros((len(rows), 2 * count))

@@ -79,11 +79,11 @@ def retrain_on_synthetic_views(
     if len(teachers) == 1 and not (aggregate.retrain_single or teachers[0].pooled):
         return Joined(trained=untrained(teachers[0].splats), num_given=len(teachers[0].splats))
     if aggregate.preset == "paper":
-        return _as_in_the_paper(teachers, train, aggregate, options)
+        return _join_as_in_paper(teachers, train, aggregate, options)
     return _join(teachers, train, aggregate, options, claims)
 
 
-def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
+def _join_as_in_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
     views = teacher_views(teachers, train.long_side_px)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
@@ -94,10 +94,10 @@ def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate:
 
 def cut_at_borders(teachers: Sequence[Teacher], claims: Claims | None = None) -> Joined:
     """The models without what lies in places that another one owns; nothing is rendered."""
-    return _cut(teachers, _owned(teachers, claims))
+    return _cut(teachers, _ownerships(teachers, claims))
 
 
-def _owned(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
+def _ownerships(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
     cameras = [teacher.cameras for teacher in teachers]
     return [ownership(teacher.splats.means, cameras, claims) for teacher in teachers]
 
@@ -119,7 +119,7 @@ def _join(
 ) -> Joined:
     balance = exposure_balance(teachers, options.backend)
     teachers = balance_teachers(teachers, balance)
-    owned = _owned(teachers, claims)
+    owned = _ownerships(teachers, claims)
     plainly_cut = _cut(teachers, owned)
     models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])

@@ -1,7 +1,7 @@
 """Virtual cameras: the cloud's views of an edge's model, which hide the devices'. Once per edge.
 
-        centre ← centre + r u,  r ≤ 2 % of the camera's median distance to the model
-        rotation ← turn by at most 1° about u'
+    centre ← centre + r u,  r ≤ 2 % of the camera's median distance to the model
+    rotation ← turn by at most 1° about u'
 
 They come in a random order under names of their own, with one size and pinhole, so that nothing
 tells which device took a picture. Not hidden: their number, and roughly where photographs were

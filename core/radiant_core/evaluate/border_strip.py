@@ -73,7 +73,7 @@ def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float,
     ground_m = float(np.median(splats.means[inside, 2])) if inside.any() else 0.0
     low = low_gaussians(splats, inside)
     near, inside = near & low, inside & low
-    moved = _moved(splats.select(np.flatnonzero(near)), local[near], ground_m)
+    moved = _move(splats.select(np.flatnonzero(near)), local[near], ground_m)
     camera = _camera_above(along, columns, 2 * half_rows, px_m)
     # Here, since it brings torch, which other measures need not wait for.
     from radiant_core.render.rendered_view import render_views
@@ -91,7 +91,7 @@ def low_gaussians(splats: Splats, inside: NDArray[np.bool_]) -> NDArray[np.bool_
     return splats.means[:, 2] < ground_m + CEILING_M
 
 
-def _moved(splats: Splats, local_xy: FloatArray, ground_m: float) -> Splats:
+def _move(splats: Splats, local_xy: FloatArray, ground_m: float) -> Splats:
     means = np.column_stack([local_xy, splats.means[:, 2].astype(np.float64) - ground_m])
     return replace(splats, means=means.astype(np.float32))
 

@@ -122,7 +122,7 @@ class Lpips:
         distance, tap = 0.0, 0
         with torch.no_grad(), torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False):
             for conv in _NETWORKS[self.network].convs:
-                images = [_convolved(image, conv, weights) for image in images]
+                images = [_convolve(image, conv, weights) for image in images]
                 if conv.tap:
                     distance += _tap_distance(images[0], images[1], weights[_head(tap)])
                     tap += 1
@@ -151,7 +151,9 @@ def load_lpips(path: Path, network: LpipsNetwork) -> Lpips:
         found = _read_safetensors(path, network)
     else:
         raise BadInput(f"there are no LPIPS weights at {path}: give a folder with the .pth files or one safetensors file.")
-    return Lpips(network=network, weights={name: _checked(path, name, found.get(name), shape) for name, shape in _shapes(network).items()})
+    return Lpips(
+        network=network, weights={name: _check_tensor(path, name, found.get(name), shape) for name, shape in _shapes(network).items()}
+    )
 
 
 def save_lpips(path: Path, lpips: Lpips) -> None:
@@ -179,7 +181,7 @@ def _head(tap: int) -> str:
     return f"lin{tap}.model.1.weight"
 
 
-def _convolved(image: Tensor, conv: _Conv, weights: Mapping[str, Tensor]) -> Tensor:
+def _convolve(image: Tensor, conv: _Conv, weights: Mapping[str, Tensor]) -> Tensor:
     """(C,H,W) after pooling, convolution and ReLU."""
     image = image[None]
     if conv.pool_px:
@@ -230,7 +232,7 @@ def _require_size(path: Path) -> None:
         raise BadInput(f"{path} has {num_bytes} bytes, expected at most {MAX_FILE_BYTES}: it holds no LPIPS weights.")
 
 
-def _checked(path: Path, name: str, value: Any, shape: tuple[int, ...]) -> Tensor:
+def _check_tensor(path: Path, name: str, value: Any, shape: tuple[int, ...]) -> Tensor:
     if not isinstance(value, Tensor):
         raise BadInput(f"{path} has no tensor {name}: give torchvision's backbone and the heads of lpips 0.1 for this network.")
     # The shape comes first: an expanded tensor of a small file could be of any size.

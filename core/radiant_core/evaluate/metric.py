@@ -41,8 +41,8 @@ class Metric:
             raise BadInput(f"metric {self.key} has the direction {self.direction!r}: use 'lower', 'higher' or 'info'.")
         if not isinstance(self.unit, str):
             raise BadInput(f"metric {self.key} has the unit {self.unit!r}: give it as text.")
-        object.__setattr__(self, "value", _finite(self.key, "value", self.value))
-        object.__setattr__(self, "tolerance", _finite(self.key, "tolerance", self.tolerance))
+        object.__setattr__(self, "value", _finite_number(self.key, "value", self.value))
+        object.__setattr__(self, "tolerance", _finite_number(self.key, "tolerance", self.tolerance))
         if self.tolerance < 0:
             raise BadInput(f"metric {self.key} has the tolerance {self.tolerance}: give zero or more.")
 
@@ -103,7 +103,7 @@ def _by_key(metrics: Sequence[Metric]) -> dict[str, Metric]:
     return by_key
 
 
-def _finite(key: str, name: str, value: Any) -> float:
+def _finite_number(key: str, name: str, value: Any) -> float:
     try:
         number = float(value) if not isinstance(value, str | bytes | bool) else math.nan
     except (TypeError, ValueError, OverflowError):

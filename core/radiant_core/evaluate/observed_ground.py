@@ -38,14 +38,14 @@ def observed_coverage(places_xy: ArrayLike, scene: SfmScene, reach: float) -> Fl
     num_nearest = min(NUM_NEAREST, len(scene.points))
     distances, nearest = KDTree(scene.points[:, :2]).query(places_xy, num_nearest)
     heights = np.median(scene.points[:, 2][nearest], axis=1)
-    covered, num_views = _covered(np.column_stack([places_xy, heights]), scene.cameras)
+    covered, num_views = _coverage_and_views(np.column_stack([places_xy, heights]), scene.cameras)
     usual = float(np.median(coverage(sampled, scene.cameras)))
     shares = np.minimum(1.0, covered / usual) if usual > 0 else np.zeros(len(covered))
     observed = (num_views >= MIN_VIEWS) & (distances[:, MIN_POINTS - 1] <= reach) & (shares >= MIN_SHARE)
     return np.where(observed, shares, 0.0)
 
 
-def _covered(places: FloatArray, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
+def _coverage_and_views(places: FloatArray, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
     """Coverage (K,) of places (K,3), and by how many images each is shown (K,)."""
     covered, num_views = np.zeros(len(places)), np.zeros(len(places))
     for index in range(len(cameras)):

@@ -2,18 +2,18 @@
 
 One render and 0.3 s per straight border. Of the strip seen from straight above and the Gaussians
 that show in it, four quantities are taken at the border and at parallels:
-        colour   mean of the 0.4 m to the left − to the right of every half metre of the border, of
-                 grey and two differences of channels
+    colour   mean of the 0.4 m to the left − to the right of every half metre of the border, of
+             grey and two differences of channels
     height   left − right of neighbouring Gaussians' centres that lie on either side
     density  log of the ratio of Gaussians, weighted by opacity, in the bands to either side
     gap      opacity beside the line − opacity on it
 the first two pooled along the border by a location that lets no piece decide: weights 1 / (s² + (x
 − v)²), the maximum of Cauchy's likelihood with the scale s of each piece's own surroundings, so
 that lawn counts more than hedges. With v(t) for the pooled figure at t,
-        score = |v(0) − median of v(t)| / root mean square of v(t) − median,  2 m ≤ |t| ≤ 7 m.
-    Heights are those of centres: rendered depth mixes surfaces, and 5 cm vanish in its scatter of
-    20 cm. A seam is found where any score exceeds its threshold, which holds for metric models of
-    towns from the air (`radiant_app/bench/step_detector.py` measured them).
+    score = |v(0) − median of v(t)| / root mean square of v(t) − median,  2 m ≤ |t| ≤ 7 m.
+Heights are those of centres: rendered depth mixes surfaces, and 5 cm vanish in its scatter of
+20 cm. A seam is found where any score exceeds its threshold, which holds for metric models of
+towns from the air (`radiant_app/bench/step_detector.py` measured them).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ PIECE_M = 0.5
 PARALLELS_M: FloatArray = np.concatenate([np.arange(-7.0, -1.9, 0.5), np.arange(2.0, 7.1, 0.5)])
 COLOR_WIDTH_M = 0.4
 """Narrow, though a step is blurred over as much: texture grows faster with the distance. A step of
-20/255 was found at 0.71 of 90 virtual borders, with 1 m at 0.54, with lines through 1.5 m at 0.38."""
+20/255 was found at 0.71 of 90 virtual borders, with 1 m at 0.54, with lines over 1.5 m at 0.38."""
 DENSITY_WIDTH_M = 2.0
 GAP_WIDTH_M, BESIDE_GAP_M = 0.3, 1.0
 """Half the width of the line, and to where opacity beside it is taken."""
@@ -103,10 +103,10 @@ def border_steps(splats: Splats, ends: ArrayLike, *, backend: Backend = "auto") 
     ends = check_array("ends", ends, (2, 2))
     strip = render_border_strip(splats, ends, half_width_m=HALF_WIDTH_M, px_m=PX_M, backend=backend)
     measured = {
-        "colour": _strongest([_scored(values) for values in _colors(strip)]),
-        "height": _scored(_heights(splats, ends)),
-        "density": _scored(_densities(strip)),
-        "gap": _scored(_gaps(strip)),
+        "colour": _strongest([_score(values) for values in _colors(strip)]),
+        "height": _score(_heights(splats, ends)),
+        "density": _score(_densities(strip)),
+        "gap": _score(_gaps(strip)),
     }
     return BorderSteps(
         steps={quantity: measured[quantity].step for quantity in QUANTITIES},
@@ -121,7 +121,7 @@ def _offsets_m() -> FloatArray:
     return np.concatenate([[0.0], PARALLELS_M])
 
 
-class _Scored(NamedTuple):
+class _Score(NamedTuple):
     """Step at the border, scatter of the parallels, responses (1 + 22,) in units of that."""
 
     step: float
@@ -129,19 +129,19 @@ class _Scored(NamedTuple):
     responses: FloatArray
 
 
-def _scored(values: FloatArray) -> _Scored:
+def _score(values: FloatArray) -> _Score:
     """The border and its parallels (1 + 22,) in units of the parallels' own scatter."""
     known = np.isfinite(values)
     if not known[0] or known[1:].sum() < len(PARALLELS_M) // 2:
-        return _Scored(np.nan, np.nan, np.full(len(values), np.nan))
+        return _Score(np.nan, np.nan, np.full(len(values), np.nan))
     others = values[1:][known[1:]]
     deviations = values - np.median(others)
     # A made-up model may be the same at all parallels, to rounding of float32.
     scatter = max(float(np.sqrt(np.mean((others - np.median(others)) ** 2))), 1e-6)
-    return _Scored(float(deviations[0]), scatter, deviations / scatter)
+    return _Score(float(deviations[0]), scatter, deviations / scatter)
 
 
-def _strongest(rows: list[_Scored]) -> _Scored:
+def _strongest(rows: list[_Score]) -> _Score:
     """Step and scatter of grey; the responses of whichever channel stands out most."""
     return rows[0]._replace(responses=max((row.responses for row in rows), key=lambda responses: abs(responses[0])))
 

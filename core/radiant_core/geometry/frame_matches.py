@@ -56,8 +56,8 @@ IDENTITY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlap:
-    """The cameras of either model that see the other's surface, best first, and `share`: of what one
-    model covers by three near cameras, how much the other covers (the larger of both ways)."""
+    """The cameras of either model that see the other's surface, best first, and `share`: of what
+    one model covers by three near cameras, how much the other covers, the larger of both ways."""
 
     a_cameras: Cameras
     b_cameras: Cameras
@@ -66,7 +66,7 @@ class Overlap:
 
 def find_overlap(a_surface: FloatArray, a_cameras: Cameras, b_surface: FloatArray, b_cameras: Cameras) -> Overlap | None:
     """What models with surface points (N,3), (M,3) m in one frame share; None under two cameras."""
-    a_points, b_points = _thinned(a_surface), _thinned(b_surface)
+    a_points, b_points = _thin(a_surface), _thin(b_surface)
     if not (len(a_points) and len(b_points) and len(a_cameras) and len(b_cameras)):
         return None
     points = np.concatenate([a_points, b_points])
@@ -77,8 +77,8 @@ def find_overlap(a_surface: FloatArray, a_cameras: Cameras, b_surface: FloatArra
     b_chosen = np.argsort(-b_counts, kind="stable")[: int((b_counts >= MIN_SEEN_SHARE * len(a_points)).sum())]
     if min(len(a_chosen), len(b_chosen)) < MIN_VIEWS:
         return None
-    a_knows, b_knows = _knows(a_cameras, a_sees, points, of_a), _knows(b_cameras, b_sees, points, ~of_a)
-    share = float((a_knows & b_knows).sum()) / max(1.0, float(min(a_knows.sum(), b_knows.sum())))
+    a_covers, b_covers = _covers(a_cameras, a_sees, points, of_a), _covers(b_cameras, b_sees, points, ~of_a)
+    share = float((a_covers & b_covers).sum()) / max(1.0, float(min(a_covers.sum(), b_covers.sum())))
     return Overlap(a_cameras=a_cameras.select(a_chosen), b_cameras=b_cameras.select(b_chosen), share=share)
 
 
@@ -137,7 +137,7 @@ def _at_common_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]
         for index in range(len(cameras)):
             known = (of_a.views[index].alpha > MIN_ALPHA) & (of_b.views[index].alpha > MIN_ALPHA)
             if known.mean() >= MIN_COMMON_PIXELS:
-                found.append(_matched(_features(of_a, index), _features(of_b, index)))
+                found.append(_match_features(_features(of_a, index), _features(of_b, index)))
     return found
 
 
@@ -146,7 +146,7 @@ def _at_own_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:
     views = [ModelViews.of(model, _first(cameras, MAX_COARSE_VIEWS)) for model, cameras in own]
     features = [[_features(of_one, index) for index in range(len(of_one.cameras))] for of_one in views]
     # `consensus` asks for a share of all pairs, which views without a common place would dilute.
-    matched = [_matched(one, other) for one in features[0] for other in features[1]]
+    matched = [_match_features(one, other) for one in features[0] for other in features[1]]
     return sorted(matched, key=lambda pairs: -len(pairs[0]))[: 2 * MAX_COARSE_VIEWS]
 
 
@@ -156,15 +156,15 @@ def _first(cameras: Cameras, count: int) -> Cameras:
 
 def tracked_pairs(a: ModelViews, b: ModelViews, a_from_b: Sim3) -> PointPairs:
     """P points followed through cameras of both models, each in its own model's frame."""
-    parts = [_tracked_from(a, index, b, a_from_b.inverse()) for index in range(len(a.cameras))]
+    parts = [_track_from(a, index, b, a_from_b.inverse()) for index in range(len(a.cameras))]
     for index in range(len(b.cameras)):
-        there = _tracked_from(b, index, a, a_from_b)
+        there = _track_from(b, index, a, a_from_b)
         parts.append((there[2], there[3], there[0], there[1]))
     arrays = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
     return PointPairs(a=arrays[0], a_covariances=arrays[1], b=arrays[2], b_covariances=arrays[3])
 
 
-def _tracked_from(
+def _track_from(
     hub_views: ModelViews, index: int, other: ModelViews, other_from_hub: Sim3
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Points (P,3) and covariances in the hub's model, then in the other, from one hub view."""
@@ -219,7 +219,7 @@ def _nearest(cameras: Cameras, center: FloatArray, count: int = MAX_PARTNERS) ->
 def _features(views: ModelViews, index: int) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
     """Points (P,3) at rendered depth, tolerances (P,) m, descriptors (P,128) of one view."""
     sift = cv2.SIFT.create(nfeatures=NUM_FEATURES, contrastThreshold=0.01)
-    keypoints, descriptors = sift.detectAndCompute(views.grey[index], _eroded(views.views[index].alpha > MIN_ALPHA))
+    keypoints, descriptors = sift.detectAndCompute(views.grey[index], _erode(views.views[index].alpha > MIN_ALPHA))
     if descriptors is None:
         return np.zeros((0, 3)), np.zeros(0), np.zeros((0, 128), np.float32)
     points, depths = views.lift(index, np.array([keypoint.pt for keypoint in keypoints]) + 0.5)
@@ -227,7 +227,7 @@ def _features(views: ModelViews, index: int) -> tuple[FloatArray, FloatArray, ND
     return points[there], COARSE_TOLERANCE * depths[there], np.asarray(descriptors, np.float32)[there]
 
 
-def _matched(a: tuple, b: tuple) -> _Matched:
+def _match_features(a: tuple, b: tuple) -> _Matched:
     """Points (P,3) of a, of b and tolerances (P,) m of features with one clear best match."""
     if len(a[0]) < 2 or len(b[0]) < 2:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
@@ -237,11 +237,11 @@ def _matched(a: tuple, b: tuple) -> _Matched:
     return a[0][one], b[0][other], a[1][one]
 
 
-def _eroded(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _erode(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return cv2.erode(mask.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
 
 
-def _thinned(points: FloatArray) -> FloatArray:
+def _thin(points: FloatArray) -> FloatArray:
     return points[:: max(1, -(-len(points) // MAX_SAMPLES))]
 
 
@@ -250,7 +250,7 @@ def _sees(cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
     return np.array([cameras.select([index]).any_sees(points) for index in range(len(cameras))]).reshape(len(cameras), len(points))
 
 
-def _knows(cameras: Cameras, sees: NDArray[np.bool_], points: FloatArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _covers(cameras: Cameras, sees: NDArray[np.bool_], points: FloatArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Points (P,) near enough to three cameras, measured by the distances of the `own` ones."""
     distances = np.linalg.norm(points[None] - cameras.centers[:, None], axis=2)
     seen_own = sees & own

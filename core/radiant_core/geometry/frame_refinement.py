@@ -114,12 +114,12 @@ def refine_frames(models: Sequence[PlacedModel], report: Report | None = None, s
     for done, ((a, b), overlap) in enumerate(overlaps.items()):
         if report is not None:
             report(done, len(overlaps), " and ".join(models[index].name or f"model {index + 1}" for index in (a, b)))
-        pairs.append(_fitted_pair(models, surfaces, (a, b), overlap, seed))
+        pairs.append(_fit_pair(models, surfaces, (a, b), overlap, seed))
     if report is not None:
         report(len(overlaps), len(overlaps), "all frames at once")
     centers = np.array([_middle(model) for model in models]).reshape(-1, 3)
     priors = [model.uncertainty for model in models]
-    solved, used, dropped = _solved_without_open_loops(centers, priors, [pair for pair in pairs if pair.agrees])
+    solved, used, dropped = _solve_without_open_loops(centers, priors, [pair for pair in pairs if pair.agrees])
     group = _groups(len(models), used)
     sizes = [len(model.cameras) for model in models]
     named = [model.name or f"model {number}" for number, model in enumerate(models, 1)]
@@ -150,9 +150,7 @@ def _neighbours(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray]) -
     return {pair: found[pair] for pair in sorted(chosen)}
 
 
-def _fitted_pair(
-    models: Sequence[PlacedModel], surfaces: Sequence[FloatArray], pair: tuple[int, int], overlap: Overlap, seed: int
-) -> _Pair:
+def _fit_pair(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray], pair: tuple[int, int], overlap: Overlap, seed: int) -> _Pair:
     a, b = pair
     fit = match_models(models[a].splats, models[b].splats, overlap, seed)
     if isinstance(fit, str) and overlap.share >= EXPECTED_SHARE:
@@ -167,12 +165,12 @@ def _fitted_pair(
     variances = np.diag(fit.covariance) + LENS_BEND**2
     variances = variances + sum(spread_to(fit.center, _middle(models[i]), models[i].uncertainty, GPS_BIAS_M) for i in pair)
     limits = MAX_SIGMAS * np.sqrt(variances)
-    agrees = not _beyond(apart, limits)
+    agrees = not _exceeds(apart, limits)
     reason = f"their common ground lies {_figures(apart)} apart, where GPS allows {_figures(limits / np.sqrt([3, 3, 3, 3, 3, 3, 1]))}"
     return _Pair(a=a, b=b, share=overlap.share, fit=fit, agrees=agrees, reason=reason)
 
 
-def _beyond(xi: FloatArray, limits: FloatArray) -> bool:
+def _exceeds(xi: FloatArray, limits: FloatArray) -> bool:
     """Whether shift, rotation or scale exceed their largest limit per axis."""
     lengths = [np.linalg.norm(xi[:3]), np.linalg.norm(xi[3:6]), abs(xi[6])]
     return bool((lengths > np.array([limits[:3].max(), limits[3:6].max(), limits[6]])).any())
@@ -182,7 +180,7 @@ def _figures(xi: FloatArray) -> str:
     return f"{np.linalg.norm(xi[:3]):.2f} m, {np.degrees(np.linalg.norm(xi[3:6])):.2f}° and {100 * abs(np.expm1(xi[6])):.2f} % of scale"
 
 
-def _solved_without_open_loops(
+def _solve_without_open_loops(
     centers: FloatArray, priors: list[FrameUncertainty], agreeing: list[_Pair]
 ) -> tuple[SolvedFrames, list[_Pair], list[_Pair]]:
     """All frames from the pairs; the worst pair is left out until no loop stays open."""
@@ -214,8 +212,8 @@ def _groups(num_models: int, used: Sequence[_Pair]) -> list[int]:
 def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int], sizes: list[int], named: list[str]) -> dict[int, str]:
     """The models that must not be merged: of two contradicting groups that with fewer photographs.
 
-    A contradiction is a pair that disagrees with GPS or with the loops, or, for a model joined to no
-    other, one that should match and does not.
+    A contradiction is a pair that disagrees with GPS or with the loops, or, for a model joined to
+    no other, one that should match and does not.
     """
     photographs = {number: sum(size for size, other in zip(sizes, group, strict=True) if other == number) for number in set(group)}
     refusals: dict[int, str] = {}

@@ -169,7 +169,8 @@ def main(folder: Path, say: IO[str]) -> int:
 
 
 def fitting_voxel(count: Callable[[float], int], settings: FusionSettings) -> tuple[float, int]:
-    """The finest voxel from the settings' on whose blocks are possible; its blocks, or the first's."""
+    """The finest voxel from the settings' on whose blocks are possible; and its blocks, or those of
+    a fixed one."""
     voxel = settings.voxel
     first = num_blocks = count(voxel)
     while num_blocks > settings.max_blocks:

@@ -38,8 +38,8 @@ MIN_Z = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelViews:
-    """V cameras of at most 400 px with what the model shows there; grey (H,W) uint8 is free of local
-    brightness and contrast, so that exposures do not matter."""
+    """V cameras of at most 400 px with what the model shows there; grey (H,W) uint8 is without
+    local brightness and contrast, so that exposures do not matter."""
 
     cameras: Cameras
     views: tuple[RenderedView, ...]
@@ -60,7 +60,7 @@ class ModelViews:
         return (in_camera - pose[:3, 3]) @ pose[:3, :3], depths
 
     def project(self, index: int, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pixels (N,2) and depths (N,) of world points (N,3) in one view; a pixel needs depth > 0."""
+        """Pixels (N,2) and depths (N,) of points (N,3) in one view; no pixel where depth ≤ 0."""
         K, pose = self.cameras.Ks[index], self.cameras.cam_from_world[index]
         in_camera = points @ pose[:3, :3].T + pose[:3, 3]
         depths = in_camera[:, 2]
@@ -121,8 +121,8 @@ class Rays:
 
 
 def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) are found
-    there and back; rendered depths that differ by more than `max_depth_error` hide a pixel."""
+    """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) were
+    found there and back. Rendered depths that differ by over `max_depth_error` hide a pixel."""
     grey = hub.views.grey[hub.index]
     height, width = grey.shape
     there, depths = other.project(index, other_from_hub.apply(hub.grid))
@@ -131,14 +131,14 @@ def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_de
         for values in (there[:, 0] - 0.5, there[:, 1] - 0.5, depths)
     ]
 
-    def warped(image: NDArray[Any]) -> NDArray[Any]:
+    def warp(image: NDArray[Any]) -> NDArray[Any]:
         return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
 
     view = other.views[index]
-    visible = (warped(view.alpha) > MIN_ALPHA) & (np.abs(warped(view.depth) - maps[2]) < max_depth_error * maps[2])
+    visible = (warp(view.alpha) > MIN_ALPHA) & (np.abs(warp(view.depth) - maps[2]) < max_depth_error * maps[2])
     if not visible.any():
         return hub.pixels, np.zeros(len(hub.pixels), bool)
-    image = warped(other.grey[index])
+    image = warp(other.grey[index])
     start = (hub.pixels - 0.5).astype(np.float32)[:, None]
     forth, found, _ = _flow(grey, image, start)
     back, found_back, _ = _flow(image, grey, forth)
@@ -150,8 +150,8 @@ def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_de
 
 
 def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (P,3) m, covariances (P,3,3) m² for 0.5 px and RMS errors (P,) px where O rays meet, by
-    least squares of reprojection errors from `start` (P,3)."""
+    """Points (P,3) where O rays meet, by least squares of reprojection errors from `start` (P,3);
+    their covariances (P,3,3) m² for 0.5 px of error and RMS errors (P,) px."""
     points, num_points, seen = start.copy(), len(start), rays.points
     poses, Ks = cameras.cam_from_world[rays.cameras], cameras.Ks[rays.cameras]
     focal = Ks[:, [0, 1], [0, 1]]
@@ -170,7 +170,7 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
         gradient = np.zeros((num_points, 3))
         np.add.at(H, seen, np.einsum("o,oki,okj->oij", weights, jacobian, jacobian) / SIGMA_PX**2)
         np.add.at(gradient, seen, np.einsum("o,oki,ok->oi", weights, jacobian, residuals) / SIGMA_PX**2)
-        # A lone ray, or parallel ones, leave a direction open: held by 1e-6/m², a covariance of 1000² m².
+        # A lone ray, or parallel ones, leave a direction open: 1e-6/m² holds it, at 1000² m².
         H += 1e-6 * np.eye(3)
         points = points + np.linalg.solve(H, gradient[..., None])[..., 0]
     counts = np.maximum(1, np.bincount(seen, minlength=num_points))

@@ -1,7 +1,7 @@
 """What Open3D computes: ICP with scale of surface points, once per pair of models; a mesh from
 depth views by a truncated signed distance and its heights, once per surface model.
 
-        (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target in a falling radius.
+    (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target in a falling radius.
 A free scale may collapse: a shrunken cloud has a near neighbour everywhere. So the result says how
 it fared both ways. Sources: Besl and McKay, PAMI 14 (1992); Umeyama, PAMI 13 (1991).
 """
@@ -37,7 +37,7 @@ RAYS_AT_ONCE = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthView:
-    """image (H,W,3) uint8; depth (H,W) along the axis, 0 unknown; K (3,3) px; cam_from_world (4,4)."""
+    """image (H,W,3) uint8; depth (H,W) along the axis, 0 unknown; K (3,3) px; pose (4,4)."""
 
     image: NDArray[np.uint8]
     depth: NDArray[np.float32]
@@ -55,7 +55,7 @@ class IcpFit:
 
 
 def surface_points(splats: Splats, largest_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Means (K,3) m and mask (N,) of the Gaussians of a surface: opaque, at most `largest_m` wide."""
+    """Means (K,3) m and mask (N,) of what makes a surface: opaque, at most `largest_m` wide."""
     opaque = splats.logit_opacities > np.log(SURFACE_OPACITY / (1 - SURFACE_OPACITY))
     chosen = opaque & (splats.log_scales.max(axis=1, initial=-np.inf) < np.log(largest_m))
     return splats.means[chosen].astype(np.float64), chosen
@@ -118,8 +118,8 @@ def fused_mesh(
     views: Iterable[DepthView], voxel: float, max_depth: float, num_blocks: int = 10_000, blocks_at_once: int = BLOCKS_AT_ONCE
 ) -> Mesh:
     """The surface that depth views agree on: truncated signed distances averaged in voxels, then
-    marching cubes, without pieces below a square of `MIN_PIECE_VOXELS`. May be empty. Source: Curless
-    and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
+    marching cubes, without pieces below a square of `MIN_PIECE_VOXELS`. May be empty. Source:
+    Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
 
     `num_blocks` of `count_blocks` spares the grid a doubling; `blocks_at_once` bound the mesh's.
     """
@@ -131,7 +131,7 @@ def fused_mesh(
         image = o3d.t.geometry.Image(_tensor(np.asarray(view.image, np.float32) / 255))
         depth, K, pose = _depth_tensors(view)
         grid.integrate(blocks, depth, image, K, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
-    mesh = _welded_mesh(_pieces(grid, voxel, blocks_at_once))
+    mesh = _weld_mesh(_pieces(grid, voxel, blocks_at_once))
     if len(mesh.triangles):
         labels, _, areas = mesh.cluster_connected_triangles()
         small = np.asarray(areas)[np.asarray(labels)] < (MIN_PIECE_VOXELS * voxel) ** 2
@@ -176,12 +176,13 @@ def _seen_blocks(grid: Any, view: DepthView, max_depth: float) -> Any:
 
 def _pieces(grid: Any, voxel: float, blocks_at_once: int) -> Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]:
     """The mesh in boxes of blocks: vertices (V,3), triangles (T,3), colors (V,3). Each is made with
-    the blocks around its box and holds the triangles whose middle lies in it, so that boxes meet."""
+    the blocks around its box and holds the triangles whose middle lies in it, so that the next
+    box goes on at the very same vertices."""
     rows = grid.hashmap().active_buf_indices().numpy().astype(np.int64)
     keys = grid.hashmap().key_tensor().numpy()[rows].astype(np.int64)
     for low, high in _boxes(keys, blocks_at_once):
         near = _within(keys, low - 1, high + 1)
-        mesh = _copied(grid, voxel, rows[near]).extract_triangle_mesh(weight_threshold=MIN_WEIGHT)
+        mesh = _copy_blocks(grid, voxel, rows[near]).extract_triangle_mesh(weight_threshold=MIN_WEIGHT)
         if "indices" not in mesh.triangle:
             continue
         vertices, triangles = mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy()
@@ -214,7 +215,7 @@ def _within(places: NDArray[Any], low: NDArray[np.int64], high: NDArray[np.int64
     return np.asarray(((places >= low) & (places < high)).all(axis=1))
 
 
-def _copied(grid: Any, voxel: float, rows: NDArray[np.int64]) -> Any:
+def _copy_blocks(grid: Any, voxel: float, rows: NDArray[np.int64]) -> Any:
     """A grid of the blocks at `rows` alone."""
     if len(rows) == grid.hashmap().size():
         return grid
@@ -226,7 +227,7 @@ def _copied(grid: Any, voxel: float, rows: NDArray[np.int64]) -> Any:
     return part
 
 
-def _welded_mesh(pieces: Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]) -> Any:
+def _weld_mesh(pieces: Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]) -> Any:
     """Pieces as one mesh of Open3D, with every vertex once."""
     import open3d as o3d
 

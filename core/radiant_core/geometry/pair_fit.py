@@ -1,6 +1,6 @@
 """The similarity between two models from pairs of 3D points. Once per pair of models and round.
 
-        min Σ_i ρ(r_iᵀ C_i⁻¹ r_i),   r_i = a_i − S b_i,   C_i = A_i + s² R B_i Rᵀ,   ρ Geman–McClure
+    min Σ_i ρ(r_iᵀ C_i⁻¹ r_i),   r_i = a_i − S b_i,   C_i = A_i + s² R B_i Rᵀ,   ρ Geman–McClure
 by reweighted Gauss–Newton in ξ = (shift m, rotation rad, ln scale) about the middle of the pairs.
 Pairs of one patch of ground err together, so the covariance is the cluster-robust one, H⁻¹ (Σ_c g_c
 g_cᵀ) H⁻¹ with the gradients g_c summed over patches c, never under a floor. Sources: Umeyama, PAMI
@@ -44,7 +44,8 @@ class PointPairs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PairFit:
-    """Similarity a ← b, covariance (7,7) of ξ about `center` (3,), pairs that agree, median in m."""
+    """Similarity a ← b, covariance (7,7) of ξ about `center` (3,) in a's frame, how many pairs
+    agree, their median distance in m."""
 
     a_from_b: Sim3
     center: FloatArray
@@ -60,7 +61,7 @@ def compose(outer: Sim3, inner: Sim3) -> Sim3:
 
 
 def similarity_about(center: FloatArray, xi: FloatArray) -> Sim3:
-    """Turns and grows about `center` (3,), then shifts: xi (7,) = shift m, rotation rad, ln scale."""
+    """Turns and grows about `center` (3,), then shifts; xi (7,): shift m, rotation, ln scale."""
     scale, rotation = float(np.exp(xi[6])), Rotation.from_rotvec(xi[3:6]).as_matrix()
     return Sim3(scale=scale, rotation=rotation, translation=center + xi[:3] - scale * rotation @ center)
 
@@ -72,7 +73,7 @@ def xi_about(center: FloatArray, similarity: Sim3) -> FloatArray:
 
 
 def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int = 0) -> tuple[Sim3, FloatArray] | None:
-    """The similarity a ← b of three random pairs that most pairs (P,3) agree with, within tolerances
+    """The similarity a ← b of three random pairs that most pairs (P,3) agree with to tolerances
     (P,), and their mask (P,); None under 3 pairs or where no three give a scale within 25 % of 1.
     Source: Fischler and Bolles, RANSAC (1981).
     """
@@ -110,7 +111,7 @@ def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
     center = np.median(pairs.a, axis=0)
     fit = start
     for _ in range(NUM_ITERATIONS):
-        residuals, precision, jacobian, weights = _linearised(pairs, fit, center)
+        residuals, precision, jacobian, weights = _linearise(pairs, fit, center)
         H = np.einsum("n,nia,nij,njb->ab", weights, jacobian, precision, jacobian)
         diagonal = np.diag(H)
         if not (diagonal > 0).all() or np.linalg.cond(H / np.sqrt(np.outer(diagonal, diagonal))) > 1e10:
@@ -119,7 +120,7 @@ def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
         fit = compose(similarity_about(center, step), fit)
         if np.abs(step).max() < 1e-9:
             break
-    residuals, precision, jacobian, weights = _linearised(pairs, fit, center)
+    residuals, precision, jacobian, weights = _linearise(pairs, fit, center)
     gradients = np.einsum("n,nia,nij,nj->na", weights, jacobian, precision, residuals)
     inverse = np.linalg.inv(np.einsum("n,nia,nij,njb->ab", weights, jacobian, precision, jacobian))
     patch = _patches(pairs.a)
@@ -135,7 +136,7 @@ def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
     )
 
 
-def _linearised(pairs: PointPairs, fit: Sim3, center: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _linearise(pairs: PointPairs, fit: Sim3, center: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Residuals (P,3), precisions (P,3,3), ∂(S b)/∂ξ (P,3,7), weights (P,)."""
     moved = fit.apply(pairs.b)
     residuals = pairs.a - moved

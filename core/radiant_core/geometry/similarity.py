@@ -25,7 +25,8 @@ SHORTEST_QUAT, LONGEST_QUAT = 1e-30, 1e30
 
 
 def move_splats(splats: Splats, similarity: Sim3) -> Splats:
-    """N Gaussians in the target frame of `similarity`; opacities, colours and quaternion lengths stay.
+    """N Gaussians in the target frame of `similarity`; opacities, quaternion lengths and colours
+    in their turned directions stay.
 
     Computed in float64 and rounded to float32 once: colours in turned directions agree to 1e-6. A
     zero quaternion, drawn unturned, becomes the rotation itself. BadInput beyond float32.
@@ -46,7 +47,7 @@ def move_splats(splats: Splats, similarity: Sim3) -> Splats:
     return replace(
         splats,
         means=means.astype(np.float32),
-        quats=_turned_quats(splats.quats, similarity.rotation).astype(np.float32),
+        quats=_turn_quats(splats.quats, similarity.rotation).astype(np.float32),
         log_scales=log_scales.astype(np.float32),
         shN=np.concatenate(moved, axis=1).astype(np.float32),
     )
@@ -65,7 +66,7 @@ def sh_basis(directions: FloatArray, degree: int) -> FloatArray:
     return np.stack(sh_terms(x, y, z, degree)[degree**2 :], axis=1)
 
 
-def _turned_quats(quats: NDArray[np.float32], rotation: FloatArray) -> FloatArray:
+def _turn_quats(quats: NDArray[np.float32], rotation: FloatArray) -> FloatArray:
     """q_R q (N,4) wxyz with the lengths of `quats` (N,4)."""
     exact = quats.astype(np.float64)
     lengths = np.linalg.norm(exact, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 """A model's surface: rendered depth fused into a mesh, and its heights as a grid. Once per surface.
 
-        reach R = median over views of the median depth
-        box = the cameras', R wider on each side, and in it depth up to `MAX_DEPTH` · R
+    reach R = median over views of the median depth
+    box = the cameras', R wider on each side, and in it depth up to `MAX_DEPTH` · R
     o' = 1 / (1 + exp(−4 (logit o − logit 0.3)))
 Rendered depth is a mean over all that a ray meets, haze included, so it is rendered with opacities
 o' that are nearly 0 or 1: then it is that of the first surface. A pixel counts where the model is
@@ -35,7 +35,7 @@ SHARPENING, MIDDLE_OPACITY = 4.0, 0.3
 they are 1.14 % in 0.82; without those below 0.3 0.32 % in 0.41 (docs/experiments/surface.md)."""
 MIN_ALPHA = 0.5
 MAX_JUMP = 0.04
-"""Greatest range of depth among neighbours, as a share: a slope of 85° from above, 640 px in 60°."""
+"""Greatest range of depth among neighbours, as a share: a slope of 85° from above, 640 px, 60°."""
 MAX_DEPTH = 3.0
 MAX_CELLS, CELLS_AT_ONCE = 100_000_000, 1 << 22
 PIXELS_PER_CELL = 2.0
@@ -46,7 +46,7 @@ _REACH_VIEWS, _REACH_PX = 12, 96
 class Surface:
     """The mesh in the model's frame, of num_views; voxel, its resolution, in the model's unit.
 
-    finest_voxel: what was asked for, below `voxel` where that did not fit; num_blocks of 16³ voxels.
+    finest_voxel: what was asked for, below `voxel` where that did not fit; num_blocks of 16³.
     """
 
     mesh: Mesh
@@ -91,7 +91,7 @@ def extract_surface(  # noqa: PLR0913
     centers = cameras.centers
     # Open3D and the rasterizer keep float32: near the middle its steps are below a micrometre.
     middle = np.round(centers.mean(axis=0))
-    local, moved = _moved(sharpen_opacities(splats), small, middle)
+    local, moved = _move(sharpen_opacities(splats), small, middle)
     low, high = (centers.min(axis=0) - middle - reach)[:2], (centers.max(axis=0) - middle + reach)[:2]
     seen = 0
 
@@ -111,7 +111,7 @@ def extract_surface(  # noqa: PLR0913
         max_blocks=MAX_BLOCKS if memory_bytes is None else blocks_within(memory_bytes),
     )
     fusion = fuse_apart(views(), settings, lambda done, total: report(len(moved) + len(moved) * done // total, 2 * len(moved)), scratch)
-    mesh = _cropped(fusion.mesh, low, high)
+    mesh = _crop(fusion.mesh, low, high)
     if not len(mesh.triangles):
         raise BadInput(
             f"none of {len(cameras)} cameras sees a surface of {fusion.voxel:.3g}: choose a coarser resolution, or a model that is trained."
@@ -210,14 +210,14 @@ def _reach(splats: Splats, cameras: Cameras) -> float:
     return float(np.median(depths))
 
 
-def _moved(splats: Splats, cameras: Cameras, middle: FloatArray) -> tuple[Splats, Cameras]:
+def _move(splats: Splats, cameras: Cameras, middle: FloatArray) -> tuple[Splats, Cameras]:
     poses = cameras.cam_from_world.copy()
     poses[:, :3, 3] += poses[:, :3, :3] @ middle
     means = (splats.means.astype(np.float64) - middle).astype(np.float32)
     return replace(splats, means=means), replace(cameras, cam_from_world=poses)
 
 
-def _cropped(mesh: Mesh, low: FloatArray, high: FloatArray) -> Mesh:
+def _crop(mesh: Mesh, low: FloatArray, high: FloatArray) -> Mesh:
     """Triangles whose corners all lie within a box on the map."""
     inside = np.asarray(((mesh.vertices[:, :2] >= low) & (mesh.vertices[:, :2] <= high)).all(axis=1))
     kept = mesh.triangles[inside[mesh.triangles].all(axis=1)] if len(mesh.triangles) else mesh.triangles

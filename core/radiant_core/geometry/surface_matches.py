@@ -22,8 +22,9 @@ MAX_POINTS = 20_000
 
 
 def icp_match(a: FloatArray, b: FloatArray, first_radius_m: float) -> PairFit | str:
-    """The similarity a ← b of common surface points (N,3), (M,3) m in nearly one frame, or why not."""
-    a, b = _thinned(a), _thinned(b)
+    """The similarity a ← b of common surface points (N,3), (M,3) m in nearly one frame, or one
+    clause that says why there is none."""
+    a, b = _thin(a), _thin(b)
     radii_m = [radius_m for radius_m in first_radius_m * 0.5 ** np.arange(12) if radius_m > LAST_RADIUS_M]
     radii_m.append(LAST_RADIUS_M)
     there, back = icp_with_scale(b, a, IDENTITY, radii_m), icp_with_scale(a, b, IDENTITY, radii_m)
@@ -45,5 +46,5 @@ def icp_match(a: FloatArray, b: FloatArray, first_radius_m: float) -> PairFit | 
     )
 
 
-def _thinned(points: FloatArray) -> FloatArray:
+def _thin(points: FloatArray) -> FloatArray:
     return points[:: max(1, -(-len(points) // MAX_POINTS))]

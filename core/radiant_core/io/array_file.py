@@ -55,7 +55,7 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
 
     Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
     """
-    with _opened(path) as file, name_file_in_errors(path):
+    with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
         require_schema(record, schema)
         found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
@@ -66,16 +66,17 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
 
 def schema_of(path: Path) -> str:
     """The schema of a file of `save_arrays`, "" where it says none; StoreDamaged when broken."""
-    with _opened(path) as file, name_file_in_errors(path):
+    with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
         return str(record.get("schema", "")) if isinstance(record, dict) else ""
 
 
 def header_of(path: Path) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]]:
     """What a file of `save_arrays` says, and its arrays' shapes, unread; raises as `schema_of`."""
-    with _opened(path) as file, name_file_in_errors(path):
+    with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
-        shapes = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118
+        names = file.keys()
+        shapes = {key: tuple(file.get_slice(key).get_shape()) for key in names}
         return (record if isinstance(record, dict) else {}), shapes
 
 
@@ -101,7 +102,7 @@ def name_file_in_errors(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_arrays(path: Path) -> Iterator[Any]:
     if not Path(path).is_file():
         raise StoreDamaged(f"cannot read {path}: there is no such file: run the stage that writes it again.")
     require_layout(path)

@@ -1,7 +1,7 @@
 """The head of a safetensors file, checked before anything is allocated. Once per file.
 
-        8 bytes: length of the header, little-endian
-        the header: JSON, name → {dtype, shape, data_offsets}; then the numbers
+    8 bytes: length of the header, little-endian
+    the header: JSON, name → {dtype, shape, data_offsets}; then the numbers
 
 The library checks much of this too; here the header is bounded, no name comes twice, and the arrays
 fill the file exactly. Layout: https://github.com/huggingface/safetensors#format
@@ -35,7 +35,7 @@ def require_layout(path: Path) -> None:
             num_header = int.from_bytes(file.read(8), "little")
             left = status.st_size - 8 - num_header
             if not (2 <= num_header <= MAX_HEADER_BYTES and left >= 0):
-                raise StoreDamaged(_broken(path, f"it says a header of {num_header} bytes and has {status.st_size} in all"))
+                raise StoreDamaged(_broken_sentence(path, f"it says a header of {num_header} bytes and has {status.st_size} in all"))
             header = file.read(num_header)
     except OSError as error:
         raise StoreDamaged(f"cannot read {path}: {error.strerror or error}: run the stage that writes it again.") from error
@@ -44,7 +44,7 @@ def require_layout(path: Path) -> None:
     except (ValueError, RecursionError) as error:
         problem = f"its header is not valid JSON ({str(error)[:80]})"
     if problem:
-        raise StoreDamaged(_broken(path, problem))
+        raise StoreDamaged(_broken_sentence(path, problem))
 
 
 def _problem(header: Any, num_bytes: int) -> str | None:
@@ -85,5 +85,5 @@ def _is_counts(value: Any) -> bool:
     return isinstance(value, list) and all(type(number) is int and 0 <= number < 2**63 for number in value)
 
 
-def _broken(path: Path, reason: str) -> str:
+def _broken_sentence(path: Path, reason: str) -> str:
     return f"{path} is not a whole safetensors file: {reason}: run the stage that writes it again."

@@ -1,8 +1,8 @@
 """The only codec of what crosses between nodes. Once per node and message.
 
     a task       task.json, and files of the arrays that its fields name (`in_file`)
-        DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json where
-                     its frame is uncertain
+    DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json
+                 where its frame is uncertain
     EdgeModel    the same with virtual_cameras.safetensors, virtual_views.safetensors
 
 Types and unknown keys are refused by pydantic in its strict mode: no number as text, nothing
@@ -73,7 +73,7 @@ def message_record(message: Any) -> dict[str, Any]:
 def message_of(kind: type[Message], record: Mapping[str, Any], name: str = "message") -> Message:
     """The message of the dataclass `kind`, without files, that `message_record` wrote; BadInput,
     calling it `name`, where a field is missing, unknown or of another kind."""
-    return kind(**_parsed(kind, json.dumps(record).encode(), name))
+    return kind(**_parse(kind, json.dumps(record).encode(), name))
 
 
 def task_key(task: Any) -> dict[str, Any]:
@@ -94,8 +94,8 @@ def save_task(folder: Path, task: Any) -> list[str]:
 
 
 def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
-    """The task that `save_task` wrote into a node's folder; BadInput, calling it `name`, where a file
-    is missing, damaged, or no task of this kind."""
+    """The task that `save_task` wrote into a node's folder; BadInput, calling it `name`, where a
+    file is missing, damaged, or no task of this kind."""
     path = folder / TASK_NAME
     data = read_bounded(path, MAX_JSON_BYTES)
     try:
@@ -104,7 +104,7 @@ def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
         raise BadInput(f"{path} is not valid JSON ({error}): send the task again.") from error
     if not isinstance(found, dict):
         raise BadInput(f"{path} is no JSON object: send the task again.")
-    values = _parsed(kind, data, f"{path}: {name}")
+    values = _parse(kind, data, f"{path}: {name}")
     for field in fields(kind):  # pyright: ignore[reportArgumentType]
         if "file" in field.metadata:
             values[field.name] = load_scene(folder / field.metadata["file"])
@@ -121,23 +121,24 @@ def task_setting(folder: Path, name: str) -> Any:
     return record.get(name) if isinstance(record, dict) else None
 
 
-def _parsed(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
+def _parse(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
     try:
         parsed = _model(kind).model_validate_json(data)
     except ValidationError as error:
         raise BadInput(f"{name}: {problem_sentence(error, 'message')}") from error
-    key = _left_out(parsed.model_dump(mode="json"), json.loads(data))
+    key = _find_left_out(parsed.model_dump(mode="json"), json.loads(data))
     if key is not None:
         raise BadInput(f"{name}: {key} is missing: add it.")
     return {field: getattr(parsed, field) for field in _json_names(kind)}
 
 
-def _left_out(whole: Any, given: Any, place: str = "") -> str | None:
-    """The path of the first key that `given` leaves to a default, which pydantic allows in parts."""
+def _find_left_out(whole: Any, given: Any, place: str = "") -> str | None:
+    """The path of the first key that `given` leaves to a default: pydantic demands those of the
+    message alone, not of its parts."""
     parts = whole.items() if isinstance(whole, dict) else enumerate(whole) if isinstance(whole, list) else ()
     for key, value in parts:
         path = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
-        if (isinstance(given, dict) and key not in given) or (path := _left_out(value, given[key], path)):
+        if (isinstance(given, dict) and key not in given) or (path := _find_left_out(value, given[key], path)):
             return path
     return None
 
@@ -250,7 +251,7 @@ def _hashes(place: Path) -> dict[str, str]:
 
 
 def load_uncertainty(place: Path) -> FrameUncertainty | None:
-    """How well a model's frame is known; None where it is exact or unsaid, BadInput for anything else."""
+    """How well a model's frame is known; None where it is exact or unsaid. BadInput otherwise."""
     path = place / FRAME_NAME
     if not path.is_file():
         return None

@@ -4,7 +4,7 @@ Read once per scene. Layout: coordinates.pt {origin_drb (3,), pose_scale_factor}
 val each rgbs/NNNNNN.jpg and metadata/NNNNNN.pt {H, W, intrinsics (fx, fy, cx, cy), c2w (3,4)}. The
 world's axes are down, right, back; the camera's right, up, back; images are undistorted already, so
 `distortion` is not applied again. Hence
-        centre = pose_scale_factor · R · c2w[:, 3],   R with rows right, −back, −down: z up
+    centre = pose_scale_factor · R · c2w[:, 3],   R with rows right, −back, −down: z up
 The place of the middle, origin_drb, is left out: it has no latitude or longitude and only costs
 digits. Source: Turki et al., Mega-NeRF, CVPR 2022, and the layout of its published data.
 """
@@ -110,7 +110,7 @@ def _unpacked_bytes(path: Path) -> int:
 def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> FloatArray:
     """The finite numbers of `shape` under `key`."""
     found = tuple(getattr(loaded.get(key), "shape", shape))
-    # Before anything is converted: by its strides a tensor of a few bytes holds billions of numbers.
+    # Before any conversion: by its strides a tensor of a few bytes holds billions of numbers.
     if found != shape and (shape or any(side != 1 for side in found)):
         raise BadInput(f"{path}: {key!r} has shape {found}, expected {shape}.")
     try:
@@ -123,7 +123,7 @@ def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Pat
 
 
 def _of_shape(value: Any, shape: tuple[int, ...]) -> Any:
-    """A tensor, or counted nested lists: one small list, named again and again, grows to any size."""
+    """A tensor, or counted nested lists: a small list named repeatedly unfolds to any size."""
     if not isinstance(value, list | tuple):
         return value
     if not shape or len(value) != shape[0]:

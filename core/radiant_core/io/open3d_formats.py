@@ -126,7 +126,7 @@ def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:
 
 @contextmanager
 def _log_instead_of_output() -> Iterator[None]:
-    """Open3D reports each SPZ file on standard output, where JSON may go; here on standard error."""
+    """Open3D reports SPZ files on standard output, where JSON may go: on standard error here."""
     sys.stdout.flush()
     kept = os.dup(1)
     os.dup2(2, 1)

@@ -133,7 +133,7 @@ def save_plan(  # noqa: PLR0913
 
 def plan_record(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> dict[str, Any]:
     """Both levels of a plan as JSON's values, for a file that holds more than a plan."""
-    return {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
+    return {"cloud": _plan_values(cloud), "edges": [_plan_values(edge) for edge in edges]}
 
 
 def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
@@ -144,8 +144,8 @@ def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanFile:
-    """Both levels of a plan, the waypoints it was made from, and the altitude of the ground (m) that
-    their altitudes count with, where it was given."""
+    """Both levels of a plan, the waypoints it was made from, and the altitude of the ground (m)
+    that their altitudes count with, where it was given."""
 
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
@@ -223,13 +223,13 @@ def _ids(values: Any) -> tuple[str, ...]:
     return ids
 
 
-def _jsonable(plan: CloudPlan | EdgePlan) -> dict[str, Any]:
-    return {field.name: _plain(getattr(plan, field.name)) for field in fields(plan)}
+def _plan_values(plan: CloudPlan | EdgePlan) -> dict[str, Any]:
+    return {field.name: _plain_value(getattr(plan, field.name)) for field in fields(plan)}
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+        return [_plain_value(item) for item in value]
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -238,10 +238,10 @@ def _plan_fields(plan_type: type[CloudPlan | EdgePlan], record: Any) -> dict[str
     needed = {field.name for field in fields(plan_type) if field.default is MISSING}
     if not isinstance(record, dict) or not needed <= set(record) <= names:
         raise BadInput(f"a part of it is no {plan_type.__name__}, which has exactly {sorted(names)}: plan again.")
-    return {name: _parsed(name, value) for name, value in record.items()}
+    return {name: _parse_field(name, value) for name, value in record.items()}
 
 
-def _parsed(name: str, value: Any) -> Any:
+def _parse_field(name: str, value: Any) -> Any:
     """A field of a plan from JSON; arrays stay lists, empty polygons regain two columns."""
     if name in ("edge_ids", "device_ids"):
         return _ids(value)

@@ -50,7 +50,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """A name beside `path` for a library that writes itself; its file becomes `path` in the end.
 
     Temporary file in the same folder, fsync, replace, fsync of the folder: after a power cut the
-    old or the new file is there. Raises CannotWrite when the system refuses; the old one then stays.
+    old or the new file is there. Raises CannotWrite when the system refuses; the old file stays.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
@@ -110,8 +110,11 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
 
 
 def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BYTES) -> Any:
-    """The value of a JSON file of at most `max_bytes`, an object with all `keys` if any; StoreDamaged
-    when missing, larger, malformed, with a number that is not finite, or a key twice or too few."""
+    """The value of a JSON file of at most `max_bytes`, an object with all `keys` if any are given.
+
+    Raises StoreDamaged when it is missing, larger, malformed, has a number that is not finite, a
+    key twice or one too few.
+    """
     data = read_bounded(path, max_bytes)
     try:
         value = parse_json(data)
@@ -151,7 +154,7 @@ def content_key(*parts: Any) -> str:
 
 def key_of_files(sha256_of: Mapping[str, str]) -> str:
     """`content_key` of a folder that holds files with these hashes, by their paths inside it."""
-    return _digest_of(chain(_tagged("list", b"1"), _tagged("path", b""), _canonical_bytes(sha256_of)))
+    return _digest_of(chain(_tag("list", b"1"), _tag("path", b""), _canonical_bytes(sha256_of)))
 
 
 def _digest_of(pieces: Iterable[bytes]) -> str:
@@ -162,7 +165,7 @@ def _digest_of(pieces: Iterable[bytes]) -> str:
 
 
 def seal(folder: Path, key: str, names: Sequence[str]) -> None:
-    """Write folder/done.json: `key` and the SHA-256 of each file in `names` (relative, "/" between).
+    """Write folder/done.json: `key` and the SHA-256 of each file `names` (relative, with "/").
 
     Raises StoreDamaged when a file is missing, BadInput when a name leaves the folder, CannotWrite
     when something cannot be forced to disk.
@@ -205,8 +208,8 @@ def is_sealed(folder: Path, key: str) -> bool:
 
 
 class RunLock:
-    """Held by the one process that writes a run folder: `with RunLock(folder): ...`. The kernel frees
-    it however the process ends. BadInput when another one holds it."""
+    """Held by the one process that writes a run folder: `with RunLock(folder): ...`. The kernel
+    frees it however the process ends. Raises BadInput when another one holds it."""
 
     def __init__(self, folder: Path) -> None:
         self.path = Path(folder) / LOCK_NAME
@@ -247,25 +250,25 @@ def _canonical_bytes(value: Any) -> Iterator[bytes]:
         array = np.ascontiguousarray(value)
         if array.dtype.hasobject:
             raise TypeError("content_key got an array of Python objects: pass numbers.")
-        yield from _tagged("array", f"{array.dtype.newbyteorder('<').str}{value.shape}".encode())
+        yield from _tag("array", f"{array.dtype.newbyteorder('<').str}{value.shape}".encode())
         yield np.asarray(array, array.dtype.newbyteorder("<")).tobytes()
     elif isinstance(value, Path):
-        yield from _tagged("path", b"")
+        yield from _tag("path", b"")
         yield from _canonical_bytes(_folder_hashes(value) if value.is_dir() else file_sha256(value))
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        yield from _tagged("dataclass", type(value).__name__.encode())
+        yield from _tag("dataclass", type(value).__name__.encode())
         yield from _canonical_bytes({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
     elif isinstance(value, Mapping):
-        yield from _tagged("mapping", str(len(value)).encode())
+        yield from _tag("mapping", str(len(value)).encode())
         for key in sorted(value):
-            yield from _tagged("key", key.encode())
+            yield from _tag("key", key.encode())
             yield from _canonical_bytes(value[key])
     elif isinstance(value, list | tuple):
-        yield from _tagged("list", str(len(value)).encode())
+        yield from _tag("list", str(len(value)).encode())
         for item in value:
             yield from _canonical_bytes(item)
     else:
-        yield from _tagged(type(value).__name__, _scalar_bytes(value))
+        yield from _tag(type(value).__name__, _scalar_bytes(value))
 
 
 def _scalar_bytes(value: Any) -> bytes:
@@ -278,7 +281,7 @@ def _scalar_bytes(value: Any) -> bytes:
     raise TypeError(f"content_key got a {type(value).__name__}: pass numbers, text, arrays, dataclasses or paths.")
 
 
-def _tagged(tag: str, content: bytes) -> Iterator[bytes]:
+def _tag(tag: str, content: bytes) -> Iterator[bytes]:
     yield f"{tag}:{len(content)}:".encode()
     yield content
 

@@ -164,7 +164,7 @@ def test_a_texture_holds_16383_pixels_a_side_and_what_needs_more_is_told() -> No
 )
 def test_256_values_leave_hardly_more_than_the_best_256(values: np.ndarray) -> None:
     """Against Lloyd's iteration on the sorted values themselves, run to its end from equal shares."""
-    codes, book = sog._quantized(values)
+    codes, book = sog._quantize(values)
     assert (np.diff(book) >= 0).all() and codes.dtype == np.uint8
     ordered = np.sort(values)
     best = np.array([part.mean() for part in np.array_split(ordered, 256)])

@@ -3,11 +3,11 @@
 Per client, with G the global model, L the client's, ε the median squared distance of a Gaussian of
 L to its nearest neighbour in L:
     1  G' = Gaussians of G in the client's frusta: |ndc| ≤ 1.3, 0 < z < far
-        2  targets: V renders of L at the client's cameras and V of G at cameras known before,
-           drawn as ∝ how many of L they see
+    2  targets: V renders of L at the client's cameras and V of G at cameras known before,
+       drawn as ∝ how many of L they see
     3  opacity ≤ 0.005 for all of L, and for those of G' with one of L within ε
-        4  5 epochs, Adam 0.05, on the opacities of L and G':  0.8 L1 + 0.2 (1 − SSIM), and
-           1e-2 · mean H(o) from the second epoch on
+    4  5 epochs, Adam 0.05, on the opacities of L and G':  0.8 L1 + 0.2 (1 − SSIM), and
+       1e-2 · mean H(o) from the second epoch on
     5  those of L and G' with opacity ≤ 0.005 are dropped
     H(o) = −o ln o − (1 − o) ln(1 − o)
 
@@ -119,7 +119,7 @@ def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dg
     while ready := [index for index in waiting if overlaps(result.splats, models[index], cameras[index], config)]:
         index = ready[0]
         waiting.remove(index)
-        merged = fed3dgs_merge(result.splats, models[index], cameras[index], _numbered(known), config, options)
+        merged = fed3dgs_merge(result.splats, models[index], cameras[index], _number_cameras(known), config, options)
         result = replace(
             merged,
             num_steps=result.num_steps + merged.num_steps,
@@ -181,19 +181,19 @@ def _require_client(model: Splats, cameras: Cameras, name: str) -> None:
 def _in_frusta(model: Splats, cameras: Cameras, far_m: float, config: Fed3dgsConfig) -> NDArray[np.bool_]:
     """Which Gaussians (N,) have their centre in a frustum widened to the limit of ndc."""
     seen = np.zeros(len(model), bool)
-    for depths, ndc in (_projected(model, cameras, index) for index in range(len(cameras))):
+    for depths, ndc in (_project(model, cameras, index) for index in range(len(cameras))):
         seen |= (depths > 0) & (depths < far_m) & (np.abs(ndc) <= config.ndc_limit).all(axis=1)
     return seen
 
 
 def _far_m(local: Splats, cameras: Cameras, config: Fed3dgsConfig) -> float:
     """Depth at which the client's frusta end; infinite where its cameras see no Gaussian of it."""
-    depths = [z[(z > 0) & (np.abs(ndc) <= 1).all(axis=1)] for z, ndc in (_projected(local, cameras, i) for i in range(len(cameras)))]
+    depths = [z[(z > 0) & (np.abs(ndc) <= 1).all(axis=1)] for z, ndc in (_project(local, cameras, i) for i in range(len(cameras)))]
     found = np.concatenate(depths)
     return config.far_factor * float(np.median(found)) if len(found) else np.inf
 
 
-def _projected(model: Splats, cameras: Cameras, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _project(model: Splats, cameras: Cameras, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depths (N,) m and places (N,2) in the image of one camera, -1 to 1 from edge to edge."""
     pose, K = cameras.cam_from_world[index], cameras.Ks[index]
     in_camera = model.means.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
@@ -224,10 +224,10 @@ def _targets(
     unique, first = np.unique(drawn, return_inverse=True)
     rendered = synthetic_views(global_model, other_cameras.select(unique), backend)
     images = (*own.images, *(rendered.images[index] for index in first))
-    return TrainingViews(cameras=_numbered([local_cameras, *(other_cameras.select([index]) for index in drawn)]), images=images)
+    return TrainingViews(cameras=_number_cameras([local_cameras, *(other_cameras.select([index]) for index in drawn)]), images=images)
 
 
-def _numbered(parts: Sequence[Cameras]) -> Cameras:
+def _number_cameras(parts: Sequence[Cameras]) -> Cameras:
     """All cameras of `parts` under numbers: a photograph may be shared, a camera drawn twice."""
     return Cameras(
         names=tuple(f"{number:06d}" for number in range(sum(map(len, parts)))),

@@ -1,9 +1,9 @@
 """VastGaussian (Lin 2024): cells of equal camera counts, trained with all that sees them, cropped.
 
-        cells:  m groups of equal counts by x, each n by y; rectangles end halfway to the next group
-        select: widen by 20 % per side, take cameras and points inside              → position
-                + cameras of whose image the cell's airspace covers at least 25 %   → visibility
-                + all points that any camera of the cell observes                   → coverage
+    cells:  m groups of equal counts by x, each n by y; rectangles end halfway to the next group
+    select: widen by 20 % per side, take cameras and points inside              → position
+            + cameras of whose image the cell's airspace covers at least 25 %   → visibility
+            + all points that any camera of the cell observes                   → coverage
     merge:  of each cell's model what lies in its own rectangle, outer cells to infinity
 
 Once per scene; training is the caller's. What differs from the publication, and why:
@@ -116,7 +116,7 @@ def vast_cells(scene: SfmScene, m: int, n: int, config: VastGaussianConfig = Vas
         rows, y_edges = _equal_groups(members, xy[members, 1], n)
         for row, own in enumerate(rows):
             bounds = np.array([[x_edges[column], y_edges[row]], [x_edges[column + 1], y_edges[row + 1]]])
-            cameras, points = _selected(scene, own, bounds, config)
+            cameras, points = _select_for_cell(scene, own, bounds, config)
             cells.append(
                 VastCell(
                     column=column,
@@ -164,7 +164,7 @@ def _equal_groups(members: NDArray[np.int64], places: FloatArray, count: int) ->
     return [members[group] for group in groups], np.array([places.min(), *inner, places.max()])
 
 
-def _selected(
+def _select_for_cell(
     scene: SfmScene, own: NDArray[np.int64], bounds: FloatArray, config: VastGaussianConfig
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cameras and points of the cell with `bounds` (2,2), by position, visibility and coverage."""

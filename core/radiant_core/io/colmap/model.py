@@ -35,9 +35,9 @@ def image_names(folder: Path) -> tuple[str, ...]:
 def read_model(folder: Path) -> ColmapModel:
     """The model in `folder` (binary where both formats are there).
 
-    Raises BadInput naming the file and the byte or line when it is missing or truncated, has trailing
-    bytes, an unknown camera model, values that are not finite, a name that leaves the folder, or an
-    id twice or nowhere.
+    Raises BadInput naming the file and the byte or line when it is missing or truncated, or has
+    trailing bytes, an unknown camera model, values that are not finite, a name that leaves
+    the folder, an id twice, or an id that is not there.
     """
     paths = model_files(folder)
     parser = _PARSERS[paths[0].suffix]

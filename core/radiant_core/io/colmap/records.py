@@ -49,7 +49,7 @@ class ColmapCamera:
 
     @property
     def K(self) -> FloatArray:
-        """Matrix (3,3) px of a pinhole camera; BadInput for another, left so by COLMAP's undistorter."""
+        """Matrix (3,3) px of a pinhole camera; BadInput for another, which COLMAP left as it is."""
         if not self.is_pinhole:
             raise BadInput(
                 f"camera {self.camera_id} of the model is {self.model} without distortion, which COLMAP does not undistort: give it as "
@@ -61,7 +61,8 @@ class ColmapCamera:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColmapImage:
-    """quat_wxyz (4,), translation (3,) of cam_from_world; points2d (K,2) px; point3d_ids, -1: none."""
+    """quat_wxyz (4,), translation (3,) of cam_from_world; points2d (K,2) px; point3d_ids (K,), -1
+    for none."""
 
     image_id: int
     name: str
@@ -82,7 +83,8 @@ class ColmapImage:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColmapPoints:
-    """ids (P,); xyz (P,3); colors (P,3); errors_px (P,); tracks (T,3): point, image id, 2D point."""
+    """ids (P,); xyz (P,3); colors (P,3) uint8; errors_px (P,); tracks (T,3): point index, image id,
+    index of its 2D point."""
 
     ids: NDArray[np.int64]
     xyz: FloatArray

@@ -26,7 +26,8 @@ _SHORT, _DOUBLE, _ASCII = 3, 12, 2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeightGrid:
-    """heights (H,W), NaN unseen; north_west (2,) the outer corner; cell > 0; epsg None: own frame."""
+    """heights (H,W) float64, NaN where nothing was seen; north_west (2,) the outer corner; cell
+    > 0; epsg None in the model's own frame."""
 
     heights: FloatArray
     north_west: FloatArray

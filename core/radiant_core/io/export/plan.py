@@ -51,7 +51,7 @@ def save_device_waypoints(
     *,
     only: NDArray[np.bool_] | None = None,
 ) -> tuple[Path, ...]:
-    """One `<device>.csv` per device in the existing `folder`, waypoints in order, or a header alone.
+    """One `<device>.csv` per device in the existing `folder`, in order; without any, a header.
 
     Of an edge that deals its waypoints itself, later, `edges/<edge>.csv` for a plan of its own.
     Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where known, then
@@ -67,23 +67,23 @@ def save_device_waypoints(
         for device_id in plan.device_ids:
             written.append(folder / f"{device_id}.csv")
             extra = None if plan.edge_id not in of_edge else of_edge[plan.edge_id].cameras_of(device_id)
-            write_atomic(written[-1], _device_csv(waypoints, _among(plan.cameras_of(device_id), wanted), extra).encode())
+            write_atomic(written[-1], _device_csv(waypoints, _keep_wanted(plan.cameras_of(device_id), wanted), extra).encode())
         if not plan.dealt:
             (folder / "edges").mkdir(exist_ok=True)
             written.append(folder / "edges" / f"{plan.edge_id}.csv")
-            write_atomic(written[-1], _device_csv(waypoints, _among(plan.camera_indices, wanted), None).encode())
+            write_atomic(written[-1], _device_csv(waypoints, _keep_wanted(plan.camera_indices, wanted), None).encode())
     return tuple(written)
 
 
-def _among(rows: NDArray[np.int64], wanted: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _keep_wanted(rows: NDArray[np.int64], wanted: NDArray[np.bool_]) -> NDArray[np.int64]:
     return rows[wanted[rows]]
 
 
 def save_regions_geojson(
     path: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints, buffers: Sequence[EdgeBuffer] = ()
 ) -> None:
-    """One FeatureCollection: a polygon per region and device strip with land, a point per waypoint and
-    per device that takes it as a buffer; memory does not grow with the waypoints.
+    """One FeatureCollection: a polygon per region and device strip with land, a point per waypoint
+    and per device that takes it as a buffer. Memory does not grow with the waypoints.
 
     Properties: kind (region, strip, waypoint, buffer), name, edge, device, cameras, planned_s.
     Raises BadInput when the plan is not of these waypoints, or as `atomic_writer`.
@@ -93,7 +93,7 @@ def save_regions_geojson(
 
 
 def write_features(path: Path, features: Iterable[dict[str, Any]]) -> None:
-    """One FeatureCollection at `path`, atomically, a feature a line; BadInput as `atomic_writer`."""
+    """One FeatureCollection at `path`, atomically, a feature a line; raises as `atomic_writer`."""
     with atomic_writer(path) as file:
         file.write(b'{"type": "FeatureCollection", "features": [\n')
         between = b""
@@ -138,7 +138,7 @@ def _features(
 
 
 def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin: FloatArray) -> Iterator[dict[str, Any]]:
-    """A feature per region and device strip with land, about the origin (3,) of the plan's metres."""
+    """A feature per region and device strip that has land, about the origin (3,) of the plan."""
     for index, (edge_id, border) in enumerate(zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True)):
         cameras, planned_s = int(cloud_plan.counts[index]), float(cloud_plan.edge_time_s[index])
         about = {"kind": "region", "name": edge_id, "edge": edge_id, "cameras": cameras, "planned_s": planned_s}
@@ -168,7 +168,7 @@ def _polygon_feature(polygon: FloatArray, origin: FloatArray, about: dict[str, A
 
 def _geometry(polygon: FloatArray, origin: FloatArray) -> dict[str, Any]:
     """A polygon (V,2) m about the origin (3,); MultiPolygon across the 180th meridian."""
-    ring = _continuous(_lon_lat(get_coordinates(segmentize(Polygon(polygon), _side_m(polygon, origin))), origin), origin)
+    ring = _unwrap_ring(_lon_lat(get_coordinates(segmentize(Polygon(polygon), _side_m(polygon, origin))), origin), origin)
     shape = Polygon(np.round(ring, 9))
     if not shape.is_valid:
         # A side that runs through a pole has every longitude there.
@@ -190,7 +190,7 @@ def _side_m(polygon: FloatArray, origin: FloatArray) -> float:
     return float(np.hypot(*np.ptp(polygon, axis=0)) / POLE_PIECES) if near else MAX_SIDE_M
 
 
-def _continuous(ring: FloatArray, origin: FloatArray) -> FloatArray:
+def _unwrap_ring(ring: FloatArray, origin: FloatArray) -> FloatArray:
     """A closed ring (V,2) of longitude and latitude without jumps at the 180th meridian, near the
     origin's longitude; one around a pole goes on along that, a line in longitude and latitude."""
     lons = np.unwrap(ring[:, 0], period=360)

@@ -28,7 +28,7 @@ from radiant_core.splats import Splats
 
 @dataclass(frozen=True, kw_only=True)
 class SpzCuts:
-    """Gaussians that SPZ cannot hold: left out beyond 2,047 units, or made smaller, to 379 units."""
+    """Gaussians that SPZ cannot hold: beyond 2,047 units left out, over 379 units shrunk."""
 
     num_left_out: int
     num_shrunk: int
@@ -50,7 +50,8 @@ def save_spz(path: Path, splats: Splats) -> SpzCuts:
 def save_scene_geojson(
     path: Path, scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], about_camera: Mapping[str, Mapping[str, Any]]
 ) -> None:
-    """Regions and strips as polygons, cameras as points with `about_camera`; BadInput without GPS."""
+    """Regions and strips as polygons, cameras as points that `about_camera` describes by name;
+    BadInput without GPS."""
     if scene.frame.kind != "metric":
         raise BadInput(f"cannot write {path}: no GPS fixed where the scene lies, and GeoJSON knows only longitude and latitude.")
     write_features(path, _scene_features(scene, cloud_plan, edge_plans, about_camera))

@@ -1,14 +1,14 @@
 """Models as SOG (Spatially Ordered Gaussians 2): lossless WebP textures in a zip. Once per model.
 
 Of Gaussian i of N, pixel i of each W × H texture, rows first:
-        means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)),
-                           m = sign(x) ln(|x| + 1) per axis
-        quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z
-                           was largest and left out
-        scales, sh0        per channel one of 256 values; alpha of sh0 is the opacity in 255 steps
-        shN                16-bit label of one of 65,536 rows at most, of one of 256 values each
-    The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until
-    there are enough. Coordinates stay those of the 3DGS PLY. Source: PlayCanvas, "The SOG Format".
+    means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)),
+                       m = sign(x) ln(|x| + 1) per axis
+    quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z
+                       was largest and left out
+    scales, sh0        per channel one of 256 values; alpha of sh0 is the opacity in 255 steps
+    shN                16-bit label of one of 65,536 rows at most, of one of 256 values each
+The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until
+there are enough. Coordinates stay those of the 3DGS PLY. Source: PlayCanvas, "The SOG Format".
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def save_sog(path: Path, splats: Splats) -> SogErrors:
     if not len(splats):
         raise BadInput(f"cannot write {path}: the model has no Gaussians, and SOG cannot say so.")
     ordered = splats.select(morton_order(splats.means))
-    textures, meta, errors = _encoded(ordered)
+    textures, meta, errors = _encode(ordered)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_STORED) as archive:
         for name, data in {"meta.json": json.dumps(meta).encode(), **{name: _webp(image) for name, image in textures.items()}}.items():
@@ -65,7 +65,7 @@ def save_sog(path: Path, splats: Splats) -> SogErrors:
     return errors
 
 
-def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any], SogErrors]:
+def _encode(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any], SogErrors]:
     count = len(splats)
     shape = _texture_shape(count)
     means = splats.means.astype(np.float64)
@@ -74,8 +74,8 @@ def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, An
     span = np.where(high > low, high - low, 1.0)
     steps = np.rint(65535 * (logs - low) / span).astype(np.uint16)
     stored = low + span * (steps / 65535)
-    scale_codes, scale_book = _quantized(splats.log_scales.astype(np.float64))
-    color_codes, color_book = _quantized(splats.sh0[:, 0].astype(np.float64))
+    scale_codes, scale_book = _quantize(splats.log_scales.astype(np.float64))
+    color_codes, color_book = _quantize(splats.sh0[:, 0].astype(np.float64))
     opacities = np.rint(255 * splats.opacities).astype(np.uint8)
     textures = {
         "means_l.webp": _texture(steps & 0xFF, shape),
@@ -109,7 +109,7 @@ def _add_harmonics(splats: Splats, shape: tuple[int, int], textures: dict[str, N
     bases = splats.shN.shape[1]
     flat = splats.shN.reshape(len(splats), 3 * bases)
     labels, rows = _row_palette(flat)
-    codes, book = _quantized(rows)
+    codes, book = _quantize(rows)
     lines = -(-len(rows) // ROWS_PER_LINE)
     palette = np.zeros((lines * ROWS_PER_LINE, bases, 3), np.uint8)
     palette[: len(rows)] = codes.reshape(len(rows), bases, 3)
@@ -157,7 +157,7 @@ def _quat_bytes(quats: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.column_stack([np.clip(np.rint(255 * (0.5 + kept / np.sqrt(2))), 0, 255), 252 + largest]).astype(np.uint8)
 
 
-def _quantized(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
+def _quantize(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
     """Codes and 256 rising values: Lloyd's iteration on a histogram, from a density ∝ f^⅓."""
     low, high = float(values.min()), float(values.max())
     if high <= low:

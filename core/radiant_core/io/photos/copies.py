@@ -15,8 +15,8 @@ MAX_NAMED = 3
 
 
 def sort_by_worth(names: Sequence[str]) -> list[int]:
-    """Indices of `names` in the order in which the first of several copies stays: as given, but first
-    val/ of a set with its own split, which it is compared on."""
+    """Indices of `names` in the order in which the first of several copies stays: as given, but
+    first val/ of a set with its own split, so that its copies in train/ go."""
     own_split = {name.split("/")[0] for name in names} == {"train", "val"}
     return sorted(range(len(names)), key=lambda index: (own_split and names[index].startswith("train/"), index))
 

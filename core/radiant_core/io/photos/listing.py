@@ -139,7 +139,7 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
     if not names:
         raise _no_photographs(folder, unread)
     photographs: list[Photograph] = []
-    for done, found in enumerate(_inspected(folder, names), start=1):
+    for done, found in enumerate(_inspect_all(folder, names), start=1):
         if isinstance(found, Photograph):
             photographs.append(found)
         else:
@@ -156,7 +156,7 @@ def unread_warning(unread: Mapping[str, int]) -> tuple[str, ...]:
     """The warning about files that cannot be read, by their kinds; none where there are none."""
     if not unread:
         return ()
-    return (f"{_listed(unread)} files are not read: {_SAVED}.",)
+    return (f"{_list_kinds(unread)} files are not read: {_SAVED}.",)
 
 
 def _no_photographs(folder: Path, unread: Mapping[str, int]) -> BadInput:
@@ -165,11 +165,11 @@ def _no_photographs(folder: Path, unread: Mapping[str, int]) -> BadInput:
     where = _SAVED if unread else "give the folder that holds the image files"
     if inner is not None:
         where = f"there are some in {inner}: give that folder"
-    other = f" but {_listed(unread)} files, which cannot be read" if unread else ""
+    other = f" but {_list_kinds(unread)} files, which cannot be read" if unread else ""
     return BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}){other}: {where}.")
 
 
-def _listed(unread: Mapping[str, int]) -> str:
+def _list_kinds(unread: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {suffix}" for suffix, count in sorted(unread.items()))
 
 
@@ -179,7 +179,7 @@ def unread_files(folder: Path) -> dict[str, int]:
 
 
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
-    """GPS position (degrees, degrees, metres or NaN) or None by file name, in `folder` alone, sorted.
+    """GPS (degrees, degrees, metres or NaN) or None by file name, directly in `folder`, sorted.
 
     Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where
     there is no such folder or no photograph.
@@ -273,7 +273,7 @@ def _is_jpeg(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES[:2] and path.is_file()
 
 
-def _inspected(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]:
+def _inspect_all(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]:
     """What each file is, in order; decoding releases the interpreter lock, so threads help."""
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
         yield from pool.map(lambda name: _inspect(folder / name, name), names)

@@ -1,17 +1,16 @@
 """What crosses tiers: named files with lengths and hashes in a signed record. Once per upload.
 
-        delivery.json   schema, version, run, sender, receiver, kind, attempt;
-                        files: name → bytes, sha256
+    delivery.json   schema, version, run, sender, receiver, kind, attempt;
+                    files: name → bytes, sha256
     delivery.sig    64 bytes: Ed25519 of "radiant.delivery 1\\0" and the bytes of delivery.json
 
-| kind         | files (in brackets: may be absent)                                   | way            |
-|--------------|----------------------------------------------------------------------|----------------|
-| device_model | model.safetensors, cameras.safetensors, (frame.json)                 | device to edge |
-| edge_model   | model.safetensors, (virtual_{cameras,views}.safetensors, frame.json) | edge to cloud  |
-| edge_task    | task.json                                                            | cloud to edge  |
-| device_task  | task.json, scene.safetensors, photos/, (masks/)                      | edge to device |
-| field_task   | task.json, (poses.safetensors), (poses/)                             | edge to device |
-| score_task   | task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)         | edge to device |
+kind          files (those in brackets may be absent)                               way
+device_model  model.safetensors, cameras.safetensors, (frame.json)                  device → edge
+edge_model    model.safetensors, (virtual_{cameras,views}.safetensors, frame.json)  edge → cloud
+edge_task     task.json                                                             cloud → edge
+device_task   task.json, scene.safetensors, photos/, (masks/)                       edge → device
+field_task    task.json, (poses.safetensors), (poses/)                              edge → device
+score_task    task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)          edge → device
 
 The signature covers run, receiver and attempt, so that a delivery is worth nothing in another run
 or elsewhere; which attempt counts is decided by `acceptance.py`. A folder counts as one file: the
@@ -62,7 +61,7 @@ _NODE = re.compile(r"[^\s/][^\n\0]{0,254}")
 
 @dataclass(frozen=True, kw_only=True)
 class SentFile:
-    """Length and SHA-256 of a file; of a folder the bytes of all its files and its `content_key`."""
+    """Length and SHA-256 of a file; of a folder its bytes in all and its `content_key`."""
 
     bytes: int
     sha256: str
@@ -122,8 +121,8 @@ def save_delivery(folder: Path, delivery: Delivery, identity: Path) -> list[str]
 
 
 def load_delivery(folder: Path, key: Ed25519PublicKey) -> Delivery:
-    """The delivery whose record and signature lie in `folder`; BadInput where either is missing, too
-    long, not signed by `key`, or no record of this schema."""
+    """The delivery whose record and signature lie in `folder`; BadInput where either is missing,
+    too long, not signed by `key`, or no record of this schema."""
     record = read_bounded(folder / RECORD_NAME, MAX_RECORD_BYTES)
     signature = read_bounded(folder / SIGNATURE_NAME, SIGNATURE_BYTES)
     return verify_delivery(record, signature, key, str(folder / RECORD_NAME))
@@ -134,7 +133,7 @@ def verify_delivery(record: bytes, signature: bytes, key: Ed25519PublicKey, wher
     if not is_signed_by(key, signature, _DOMAIN + record):
         raise BadInput(f"{where} is not signed by the key that is registered for its sender: send it again, or register the new key.")
     with name_file_in_errors(Path(where)):
-        return _parsed(parse_json(record))
+        return _parse_record(parse_json(record))
 
 
 def check_files(delivery: Delivery, folder: Path) -> None:
@@ -168,7 +167,7 @@ def _hash(path: Path) -> str:
     return content_key(path) if path.is_dir() else file_sha256(path)
 
 
-def _parsed(record: Any) -> Delivery:
+def _parse_record(record: Any) -> Delivery:
     fields = {"schema", "version", "run", "sender", "receiver", "kind", "attempt", "files"}
     if not isinstance(record, dict) or record.keys() != fields or (record["schema"], record["version"]) != (SCHEMA, VERSION):
         raise BadInput(f"it is no record of {SCHEMA} {VERSION}: use the same version of the software on both sides.")

@@ -52,8 +52,8 @@ def make_signing_key(folder: Path) -> bool:
 
 
 def load_signing_key(folder: Path) -> Ed25519PrivateKey:
-    """The private key of `make_signing_key`; BadInput where it is missing, no such key, or others may
-    read it, unless the file system keeps no modes."""
+    """The private key that `make_signing_key` left; BadInput where it is missing, no such key, or
+    others may read it, which only a file system without modes excuses."""
     path = folder / KEY_NAME
     data = read_bounded(path, MAX_KEY_BYTES)
     mode = stat.S_IMODE(path.stat().st_mode)

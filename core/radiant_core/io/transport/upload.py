@@ -1,10 +1,9 @@
 """A model as it is uploaded: exact, in 16 bits, or as SPZ. Once per model.
 
-| format  | means                                       | the rest         | bytes at degree 0, 1, 2, 3 |
-|---------|---------------------------------------------|------------------|----------------------------|
-| float32 | float32                                     | float32          | 56, 92, 152, 236           |
-| float16 | 3 × 21 bits of the bounding box, one uint64 | float16          | 30, 48, 78, 120            |
-| spz     | 3 × 24 bits around the middle               | 8 bits and fewer | compressed                 |
+format   means                                        the rest          bytes at degree 0, 1, 2, 3
+float32  float32                                      float32           56, 92, 152, 236
+float16  3 × 21 bits of the bounding box, one uint64  float16           30, 48, 78, 120
+spz      3 × 24 bits around the middle                8 bits and fewer  compressed
 
 Half precision for centres was measured and costs 35 dB (docs/experiments/uploads.md): 11 bits of a
 100 m scene are 5 cm. Read by what the file says of itself; every format is refused when its bytes

@@ -52,14 +52,14 @@ def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
         for number, feature in enumerate(features, start=1):
             if not isinstance(feature, dict) or feature.get("type") != "Feature":
                 raise BadInput(f'feature {number} is no object of type "Feature".')
-            yield from _opened(f"feature {number}", _feature_name(feature), feature.get("geometry"))
+            yield from _open_collections(f"feature {number}", _feature_name(feature), feature.get("geometry"))
     elif value["type"] == "Feature":
-        yield from _opened("the feature", _feature_name(value), value.get("geometry"))
+        yield from _open_collections("the feature", _feature_name(value), value.get("geometry"))
     else:
-        yield from _opened("the geometry", "", value)
+        yield from _open_collections("the geometry", "", value)
 
 
-def _opened(place: str, name: str, geometry: Any) -> Iterator[tuple[str, str, Any]]:
+def _open_collections(place: str, name: str, geometry: Any) -> Iterator[tuple[str, str, Any]]:
     waiting = [geometry]
     while waiting:
         inner = waiting.pop()

@@ -62,14 +62,14 @@ def read_waypoints(path: Path) -> FoundWaypoints:
         with _without_cycle_collection():
             rows = _rows(text, suffix)
         if not rows.names:
-            held = f" but {_listed_kinds(rows)}" if rows.ignored else ""
+            held = f" but {_list_kinds(rows)}" if rows.ignored else ""
             raise BadInput(f"it holds no waypoint{held}: give at least one point.")
         waypoints, warnings = clean_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude, rows.heading_pitch_deg)
         waypoints = replace(waypoints, absolute=rows.absolute)
     except BadInput as error:
         raise BadInput(f"cannot use {path}: {error}") from error
     if rows.ignored:
-        warnings = (*warnings, f"{_listed_kinds(rows)} ignored: only points and vertices of lines are waypoints.")
+        warnings = (*warnings, f"{_list_kinds(rows)} ignored: only points and vertices of lines are waypoints.")
     return FoundWaypoints(waypoints=waypoints, warnings=warnings)
 
 
@@ -142,7 +142,7 @@ def _without_cycle_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _listed_kinds(rows: WaypointRows) -> str:
+def _list_kinds(rows: WaypointRows) -> str:
     return ", ".join(f"{count} × {kind}" for kind, count in rows.ignored.items())
 
 

@@ -18,8 +18,9 @@ MAX_REGION_BYTES = 16_000_000
 
 
 def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
-    """Corners (V,2) m east and north of the origin, of the one simple polygon of the file's land, holes
-    left out. BadInput for a file too large or no GeoJSON, without polygons or with polygons apart."""
+    """Corners (V,2) m east and north of the origin of the one simple polygon of the file's land,
+    holes left out. BadInput for a file that is too large or no GeoJSON, or without polygons or
+    with some that do not touch."""
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give a GeoJSON file with a polygon, as 'radiant plan' writes.")
     with name_file_in_errors(path):
