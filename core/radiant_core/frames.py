@@ -107,7 +107,7 @@ class FrameUncertainty:
 
 
 def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
-    """Metres east, north, up (P,3) of (P,3) [deg, deg, m] about an origin, BadInput off Earth."""
+    """East, north, up (P,3) m of [deg, deg, m] (P,3) about an origin; BadInput off the globe."""
     positions = check_array("lat_lon_alt", lat_lon_alt, (None, 3))
     origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     _require_on_globe(positions)
@@ -165,7 +165,8 @@ def _ecef_from_geodetic(positions: FloatArray) -> FloatArray:
 
 
 def _geodetic_from_ecef(ecef: FloatArray) -> FloatArray:
-    """tan φ = (z + e'² b sin³ β) / (p − e² a cos³ β), tan β = (1 − f) tan φ: 1e-5 a round."""
+    """tan φ = (z + e'² b sin³ β) / (p − e² a cos³ β), tan β = (1 − f) tan φ: near the
+    ground each round shrinks the error to 1e-5."""
     eccentricity2 = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
     semi_minor_m = WGS84_SEMI_MAJOR_M * (1 - WGS84_FLATTENING)
     from_axis_m, z_m = np.hypot(ecef[:, 0], ecef[:, 1]), ecef[:, 2]

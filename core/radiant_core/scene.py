@@ -15,7 +15,7 @@ from radiant_core.numerics import FloatArray, check_array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SfmScene:
-    """C cameras and P points with who sees what.
+    """C cameras, P points and which camera sees which point.
 
     points (P,3) in the frame's unit, float64; colors (P,3) uint8; observations (T,2): point index,
     camera index. Raises BadInput when shapes disagree or an observation points outside.

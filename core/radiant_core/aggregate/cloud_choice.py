@@ -9,9 +9,11 @@ to aggregate its N_e Gaussians: a step of dense Adam touches all of them. 0.39 G
 its libraries and its inbox (three clouds of real sets held 356 to 383 MB beside the rest); seven
 copies are the models, their sum, the tensors with gradient and two moments, and the result; 500
 bytes are the rasterizer's; a view keeps 4 bytes a pixel, its step takes 100 and its loss 36, which
-may be kept (`StatisticsCache`) in what memory is left. tests/stress/test_cloud_memory.py compares.
+may be kept (`StatisticsCache`) in what memory is left. `python -m tests.stress.retrain_memory`
+measures it; tests/stress/test_cloud_memory.py compares.
 
-Views are never made smaller to fit: those of half the size teach as little as a cut leaves.
+Views are never made smaller to fit: pictures of half the size teach about as much as a cut leaves,
+smaller ones less (docs/experiments/aggregation.md).
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class AggregateConfig:
 def aggregate_preset(name: str) -> AggregateConfig:
     """The configuration of a preset; BadInput lists the names there are."""
     if name == "paper":
-        return AggregateConfig(preset="paper", num_epochs=10, edges="retrain", retrain_single=True, weight_by_alpha=False)
+        return AggregateConfig(preset="paper", num_epochs=10, edges="retrain", retrain_single=True, weight_by_alpha=False, cloud="retrain")
     if name != "default":
         raise BadInput(f"aggregate preset {name!r} is unknown: use one of {', '.join(get_args(AggregatePreset))}.")
     return AggregateConfig()

@@ -1,4 +1,4 @@
-"""Whose a place is: the region's owner's, unless another model saw it better. Once per join."""
+"""Which model owns a place: its region's, unless another one saw it better. Once per join."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Two tiers that both retrain lose: the cloud learns from an edge's model that itself only learnt from
 pictures. With the devices' pictures and all steps at the cloud the same work gives 0.2 to 0.5 dB
-more (docs/experiments/aggregation.md), for the pictures' way up and no Gaussian more.
+more (docs/experiments/aggregation.md). It costs the pictures' way up, and no Gaussian more.
 """
 
 from __future__ import annotations

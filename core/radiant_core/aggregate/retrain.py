@@ -56,7 +56,7 @@ class Joined:
     num_shown: int = 0
     """Those that something contested lies before."""
     contested_share: float = 1.0
-    """Of all Gaussians, those in places that a second model knows too."""
+    """Of all Gaussians, those in places that a second model covers too."""
     agreement_db: float | None = None
     """PSNR of the models' pictures and those of the cut, in the worst view; None: not measured."""
     balance: Balance | None = None

@@ -28,7 +28,7 @@ MAX_DISTANCES = 10_000
 def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> tuple[Cameras, NDArray[np.int64]]:
     """A virtual camera per camera (C) for a model of means (N,3) m; which (C,) each stands near.
 
-    `rng` must be seeded by what the cloud does not know. Size and focal length are those of the
+    `rng` must be seeded by what is hidden from the cloud. Size and focal length are those of the
     camera with the median angle of view. Raises BadInput without cameras or Gaussians.
     """
     count = len(cameras)

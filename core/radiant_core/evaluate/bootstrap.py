@@ -46,7 +46,7 @@ class PairedDifference:
     num_images: int
     """Over all scenes."""
     num_seeds: int
-    """The fewest of any scene; with 1 the bounds know nothing of other seeds."""
+    """The fewest of any scene; with 1 the bounds leave other seeds out."""
 
 
 def paired_bootstrap(

@@ -1,4 +1,4 @@
-"""What every image error asks of a render and its photograph. Once per image and figure."""
+"""What every image error requires of a render and its photograph. Once per image and figure."""
 
 from __future__ import annotations
 

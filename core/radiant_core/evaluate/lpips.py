@@ -151,9 +151,8 @@ def load_lpips(path: Path, network: LpipsNetwork) -> Lpips:
         found = _read_safetensors(path, network)
     else:
         raise BadInput(f"there are no LPIPS weights at {path}: give a folder with the .pth files or one safetensors file.")
-    return Lpips(
-        network=network, weights={name: _check_tensor(path, name, found.get(name), shape) for name, shape in _shapes(network).items()}
-    )
+    weights = {name: _check_tensor(path, name, found.get(name), shape) for name, shape in _shapes(network).items()}
+    return Lpips(network=network, weights=weights)
 
 
 def save_lpips(path: Path, lpips: Lpips) -> None:

@@ -140,7 +140,7 @@ def pooled_seam_error(sums: Iterable[FloatArray]) -> SeamError:
 def seam_sums(
     renders: Iterable[NDArray[np.floating]], photographs: Iterable[NDArray[np.floating]], masks: Iterable[SeamMask]
 ) -> FloatArray:
-    """(2,3): squared error, pixels, images of band and interior, over images that come singly."""
+    """(2,3): squared error, pixels, images of band and interior, of images (H,W,3) in turn."""
     band, interior = np.zeros(3), np.zeros(3)
     for render, photograph, mask in zip(renders, photographs, masks, strict=True):
         squared = squared_errors(render, photograph, mask)
@@ -207,7 +207,7 @@ def _rays(cameras: Cameras, index: int, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _places(cameras: Cameras, index: int, depth_m: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
-    """Horizontal place (H,W,2) of each pixel, NaN without depth, and its doubt (H,W) m."""
+    """Horizontal place (H,W,2) of each pixel, NaN without depth, and how unsure (H,W) m it is."""
     height, width = depth_m.shape
     depth, rays = _depth_or_nan(depth_m), _rays(cameras, index, depth_m.shape)
     places = ground_places(cameras, index, depth_m)

@@ -82,7 +82,7 @@ class BorderSteps:
 
     @property
     def limits(self) -> dict[Quantity, float]:
-        """The least step that would have been found, in its unit, for colour that of grey, or NaN.
+        """The least step that would have been found, in its unit (of colour that of grey); or NaN.
 
         A step blurs beyond its bands: a planted one has to be larger, of grey twice as large.
         """
@@ -90,7 +90,7 @@ class BorderSteps:
 
     @property
     def found(self) -> tuple[Quantity, ...]:
-        """In which quantities there is a seam; of none found see `limits`."""
+        """In which quantities there is a seam; none found does not exclude one, see `limits`."""
         return tuple(quantity for quantity in QUANTITIES if self.scores[quantity] > THRESHOLDS[quantity])
 
 

@@ -49,7 +49,8 @@ MAX_DEPTH_ERROR = 0.1
 """Largest difference of rendered depths, as a share, that is not an occlusion."""
 MAX_RMS_PX = 1.0
 MAX_POINT_ERROR = 0.03
-"""Standard deviation of a triangulated point, as a share of its distance: near-parallel rays."""
+"""Standard deviation of a triangulated point, as a share of its distance: rays that hardly differ
+in direction meet anywhere."""
 _Matched = tuple[FloatArray, FloatArray, FloatArray]
 IDENTITY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
@@ -65,7 +66,8 @@ class Overlap:
 
 
 def find_overlap(a_surface: FloatArray, a_cameras: Cameras, b_surface: FloatArray, b_cameras: Cameras) -> Overlap | None:
-    """What models with surface points (N,3), (M,3) m in one frame share; None under two cameras."""
+    """What models with surface points (N,3), (M,3) m in one frame have in common; None where under
+    two cameras of either see the other."""
     a_points, b_points = _thin(a_surface), _thin(b_surface)
     if not (len(a_points) and len(b_points) and len(a_cameras) and len(b_cameras)):
         return None
@@ -103,7 +105,8 @@ def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int) -> PairFit |
 
 
 def without_background(splats: Splats, cameras: Cameras) -> Splats:
-    """The Gaussians near enough to be the ground: a sky of 1 % would bend every mean depth."""
+    """The Gaussians near enough to the cameras to be the ground: a sky behind it would bend the
+    mean depth of every pixel through which a hundredth of it shines."""
     distances = KDTree(cameras.centers).query(splats.means)[0]
     return splats.select(distances <= MAX_GROUND_DISTANCES * np.median(distances))
 
@@ -145,7 +148,7 @@ def _at_own_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:
     own = ((a, overlap.a_cameras), (b, overlap.b_cameras))
     views = [ModelViews.of(model, _first(cameras, MAX_COARSE_VIEWS)) for model, cameras in own]
     features = [[_features(of_one, index) for index in range(len(of_one.cameras))] for of_one in views]
-    # `consensus` asks for a share of all pairs, which views without a common place would dilute.
+    # `consensus` requires a share of all pairs, which views without a common place would dilute.
     matched = [_match_features(one, other) for one in features[0] for other in features[1]]
     return sorted(matched, key=lambda pairs: -len(pairs[0]))[: 2 * MAX_COARSE_VIEWS]
 

@@ -1,6 +1,6 @@
 """Device models brought into one frame by what they show of common ground. Once per edge.
 
-1. Neighbours: models that know common ground (`frame_matches.find_overlap`), the best four of each.
+1. Neighbours: models that cover common ground (`frame_matches.find_overlap`), each with its four.
 2. Per pair: the similarity of both from points followed through renders (`frame_matches`), or by
    ICP (`surface_matches`). No photograph is read.
 3. A pair that disagrees with the GPS of both by more than four standard deviations contradicts;
@@ -37,10 +37,11 @@ BEND = np.array([0.3, 0.3, 0.3, 0.005, 0.005, 0.005, 0.005])
 """What models bend by (m, rad, 1) beyond the errors of their pairs: loops may stay open by this."""
 LENS_BEND = np.array([0.0, 0.0, 0.0, 0.01, 0.01, 0.01, 0.01])
 """Standard deviations (m, rad, 1) of common ground against the whole of a model: from few
-photographs a camera calibrates itself badly (brighton: focal lengths 3 % apart, strips as well)."""
+photographs a camera calibrates itself badly (brighton: two halves with focal lengths 3 % apart bent
+so that their common strip differed by 3 % of scale)."""
 MIN_SHARE = 0.05
 EXPECTED_SHARE = 0.35
-"""Models with so much known common ground match: in the town all from 0.36 on, not one of 0.10."""
+"""Models with so much common ground match: in the town all from 0.36 on, one of 0.10 not."""
 ALONE_MAX_SCALE = 0.05
 ALONE_MAX_ROTATION_RAD = np.radians(5.0)
 """A model that no neighbour holds is not merged when GPS fixes its frame to no better than this."""
@@ -55,7 +56,8 @@ Report = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlacedModel:
-    """A trained model and its cameras in the common frame (m, z up), fixed this well by GPS."""
+    """A trained model and its training cameras in the common frame (m, z up), and how well GPS or
+    poses fix that frame."""
 
     splats: Splats
     cameras: Cameras
@@ -137,7 +139,7 @@ def _middle(model: PlacedModel) -> FloatArray:
 
 
 def _neighbours(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray]) -> dict[tuple[int, int], Overlap]:
-    """Pairs (a < b) with common ground: the four best of each model, whoever chose them."""
+    """Pairs (a < b) with common ground: of each model the four best, and those chosen by others."""
     found: dict[tuple[int, int], Overlap] = {}
     for a, b in combinations(range(len(models)), 2):
         overlap = find_overlap(surfaces[a], models[a].cameras, surfaces[b], models[b].cameras)

@@ -38,7 +38,7 @@ _SETTINGS, _MESH = "settings.json", "mesh.safetensors"
 
 @dataclass(frozen=True, kw_only=True)
 class FusionSettings:
-    """voxel in the model's unit, coarser where `max_blocks` ask it unless `is_fixed`; max_depth."""
+    """voxel in the model's unit, coarser where its blocks exceed max_blocks, unless `is_fixed`."""
 
     voxel: float
     is_fixed: bool

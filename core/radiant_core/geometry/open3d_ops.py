@@ -31,7 +31,8 @@ BLOCK_VOXELS = 16
 MAX_BLOCKS = 160_000
 """Open3D numbers the three colours of each voxel with 32 bits: 3 · 16³ · 174,763 is beyond."""
 BLOCKS_AT_ONCE = 8_192
-"""Open3D counts a mesh voxel's 16 bytes with 32 bits: from 32,768 blocks on it writes outside."""
+"""Open3D counts 16 bytes for each voxel of a mesh with 32 bits: from 32,768 blocks on it writes
+outside of its memory."""
 RAYS_AT_ONCE = 1 << 20
 
 
@@ -100,7 +101,8 @@ class Mesh:
 def count_blocks(views: Iterable[DepthView], voxel: float, max_depth: float) -> int:
     """For how many blocks of 16³ voxels `fused_mesh` needs room; some 20 ms a view.
 
-    Those of all views, and once more of the largest: Open3D adds a view's before it looks for new.
+    These are all that views see, and once more those of the largest view: Open3D adds a view's
+    blocks to what it holds before it checks which of them are new.
     """
     import open3d as o3d
 
@@ -121,7 +123,8 @@ def fused_mesh(
     marching cubes, without pieces below a square of `MIN_PIECE_VOXELS`. May be empty. Source:
     Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
 
-    `num_blocks` of `count_blocks` spares the grid a doubling; `blocks_at_once` bound the mesh's.
+    `num_blocks` by `count_blocks` spares the grid to grow, which doubles it; the mesh is made of
+    `blocks_at_once` and less.
     """
     import open3d as o3d
 
@@ -147,7 +150,7 @@ def fused_mesh(
 def _tensor(values: NDArray[Any]) -> Any:
     import open3d as o3d
 
-    # Its stubs know no numpy arrays.
+    # Its stubs leave out numpy arrays.
     return cast(Any, o3d.core.Tensor)(np.ascontiguousarray(values))
 
 

@@ -1,4 +1,4 @@
-"""The only codec of what crosses between nodes. Once per node and message.
+"""The codec of messages: all that crosses between nodes is written and read here. Once per message.
 
     a task       task.json, and files of the arrays that its fields name (`in_file`)
     DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json
@@ -211,7 +211,7 @@ def load_device_model(place: Path) -> DeviceModel | str:
 
 
 def load_edge_model(place: Path, long_side_px: int) -> EdgeModel | str:
-    """The edge's model that arrived in a folder, with its pictures, or why not, one sentence."""
+    """The edge's model in a folder, its pictures of that long side, or why it cannot be used."""
     try:
         cameras = _cameras_in(place / VIRTUAL_CAMERAS)
         return EdgeModel(

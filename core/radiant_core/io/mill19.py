@@ -88,7 +88,7 @@ def _load(path: Path) -> dict[str, Any]:
         unpacked_bytes = _unpacked_bytes(path)
         if unpacked_bytes > MAX_METADATA_BYTES:
             raise BadInput(f"{path} unpacks to {unpacked_bytes} bytes, expected metadata of at most {MAX_METADATA_BYTES}.")
-        # A stranger's file: tensors only.
+        # The file comes from elsewhere: tensors only.
         loaded = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251
     except BadInput:
         raise
@@ -100,7 +100,7 @@ def _load(path: Path) -> dict[str, Any]:
 
 
 def _unpacked_bytes(path: Path) -> int:
-    """What all parts of a .pt file take unpacked; 0 for the older form, as long as the file."""
+    """What all parts of a .pt file take unpacked; 0 for the older form, which is never deflated."""
     if not is_zipfile(path):
         return 0
     with ZipFile(path) as parts:

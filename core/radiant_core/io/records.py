@@ -108,7 +108,7 @@ def save_plan(  # noqa: PLR0913
     content: Mapping[str, Any] | None = None,
 ) -> None:
     """Write both levels of a plan as JSON, atomically, with the waypoints that its indices point
-    into, what slacks would buy, warnings on its predictions, and `content_record`'s footprints;
+    into, what slacks would buy, its warnings, and what `content_record` says of footprints;
     BadInput when the waypoints' number is another, else raises as `write_atomic`."""
     record = plan_record(cloud, edges)
     if slack_curve:
@@ -242,7 +242,7 @@ def _plan_fields(plan_type: type[CloudPlan | EdgePlan], record: Any) -> dict[str
 
 
 def _parse_field(name: str, value: Any) -> Any:
-    """A field of a plan from JSON; arrays stay lists, empty polygons regain two columns."""
+    """A field of a plan from JSON; arrays stay lists for its checks, empty polygons are (0,2)."""
     if name in ("edge_ids", "device_ids"):
         return _ids(value)
     if name == "constrained":

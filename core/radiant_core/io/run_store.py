@@ -31,7 +31,8 @@ LOCK_NAME = ".lock"
 MAX_JSON_BYTES = 64 * 2**20
 """Default limit of a JSON file: a plan of 100,000 cameras takes some 2 MB."""
 FULL_BYTES = 1 << 20
-"""With less than this left a disk counts as full: libraries that write there fail silently."""
+"""With less than this left a disk counts as full: libraries that write there end their
+process, or half a file, without a word."""
 
 
 def disk_is_full(folder: Path) -> bool:
@@ -40,7 +41,7 @@ def disk_is_full(folder: Path) -> bool:
 
 
 def require_room(folder: Path) -> None:
-    """Raise CannotWrite on a full disk, after a library wrote there that would not say so."""
+    """Raise CannotWrite on a full disk, after a library wrote there that does not report it."""
     if disk_is_full(folder):
         raise CannotWrite(f"the disk of {folder} is full: free space or choose another output folder.")
 
@@ -90,7 +91,7 @@ def write_json(path: Path, obj: Any) -> None:
 
 
 def open_without_waiting(path: str, flags: int) -> int:
-    """Opener for `open`: without O_NONBLOCK a stranger's pipe would hold the reader for ever."""
+    """Opener for `open`: without O_NONBLOCK a pipe in a foreign folder would block the reader."""
     return os.open(path, flags | os.O_NONBLOCK)
 
 
@@ -126,7 +127,8 @@ def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BY
 
 
 def parse_json(data: bytes | str) -> Any:
-    """The value of a JSON text; ValueError or RecursionError unless sound, finite, keys unique."""
+    """The value of a JSON text; ValueError or RecursionError where it is malformed, a number
+    not finite, or a key there twice."""
     return json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
 
 

@@ -1,7 +1,7 @@
 """Synthetic views on disk. Once per view.
 
-`save_view`: one view, lossless, for who works beside: image and weight as the four channels of one
-PNG inside a file of arrays. 400 × 300 px: 275 kB instead of 480, 10 ms to write and 4 ms to read
+`save_view`: one view, lossless, for processes beside: image and weight as the four channels of a
+PNG in a file of arrays. 400 × 300 px: 275 kB instead of 480, 10 ms to write and 4 ms to read
 where rendering took 28 (docs/experiments/uploads.md).
 
 `save_views`: all views of an edge, on their way up, not lossless: images as JPEG, weights in 16
@@ -29,7 +29,7 @@ _VIEWS_DTYPES = {"images": "U8", "image_ends": "I64", "weights": "U8", "weight_e
 
 
 def save_view(path: Path, image: NDArray[np.uint8], weight: NDArray[np.uint8]) -> None:
-    """Write image (H,W,3) and weight (H,W) uint8, atomically; BadInput, or as `write_atomic`."""
+    """Write image (H,W,3) and weight (H,W) uint8, atomically; raises as `write_atomic`."""
     if image.dtype != np.uint8 or weight.dtype != np.uint8 or image.shape != (*weight.shape, 3) or not weight.size:
         raise BadInput(
             f"a view has image {image.shape} {image.dtype} and weight {weight.shape} {weight.dtype}, expected (H,W,3), (H,W) uint8."
@@ -57,7 +57,7 @@ def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], N
 
 
 def save_views(path: Path, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> None:
-    """Write images (H,W,3), weights (H,W) of V views, lossy, atomically; as `write_atomic`."""
+    """Write images (H,W,3), weights (H,W) of V views, with loss; raises as `write_atomic`."""
     images = [_encode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]) for image, _ in views]
     coarse = [(np.rint(weight / WEIGHT_STEP) * WEIGHT_STEP).astype(np.uint8) for _, weight in views]
     weights = [_encode(".png", weight, [cv2.IMWRITE_PNG_COMPRESSION, 6]) for weight in coarse]

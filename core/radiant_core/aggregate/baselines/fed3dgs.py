@@ -22,7 +22,7 @@ Once per client; one picture a step. What differs from the publication, and why:
 - G outside the frusta is drawn but fixed, so that the renders of G that are targets can be met.
 - Its appearance model (hash grid and image vectors → MLP → change of harmonics) is left out: the
   models that render the targets are free of exposures already, and a picture that was never taken
-  has no image vector, as nothing here is fitted to held-out photographs.
+  has no image vector: here nothing is fitted to held-out photographs before they are compared.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Fed3dgsResult:
 
 
 def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dgsConfig, options: FitOptions) -> Fed3dgsResult:
-    """Merge clients in order, each with its `cameras` at training size; without overlap they wait.
+    """Merge clients in order, each with its `cameras` (training size); one without overlap waits.
 
     BadInput when the counts differ, there is none, and for a client without Gaussians or cameras.
     """
@@ -138,7 +138,7 @@ def fed3dgs_merge(
     config: Fed3dgsConfig,
     options: FitOptions,
 ) -> Fed3dgsResult:
-    """Take a client into the global model, the first one as it is; `other_cameras`: clients before.
+    """Take one client into the global model, which the first one is; `other_cameras`: those before.
 
     BadInput for a client without Gaussians, cameras or overlap; StageFailed where a gradient is not
     finite.

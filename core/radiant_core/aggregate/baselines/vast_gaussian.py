@@ -132,7 +132,7 @@ def vast_cells(scene: SfmScene, m: int, n: int, config: VastGaussianConfig = Vas
 
 
 def scene_of_cell(scene: SfmScene, cell: VastCell) -> SfmScene:
-    """The cameras and points that a cell is trained with, and who of them sees which."""
+    """The cameras, points and observations that a cell is trained with."""
     new_point, new_camera = np.full(len(scene.points), -1), np.full(len(scene.cameras), -1)
     new_point[cell.points] = np.arange(len(cell.points))
     new_camera[cell.cameras] = np.arange(len(cell.cameras))
@@ -147,7 +147,7 @@ def scene_of_cell(scene: SfmScene, cell: VastCell) -> SfmScene:
 
 
 def crop_cells(models: Sequence[Splats], cells: Sequence[VastCell]) -> Splats:
-    """Of each model what its cell owns, in one. BadInput unless all cells have a filled model."""
+    """Of each model what its cell owns, in one. BadInput where a model is missing or empty."""
     if len(models) != len(cells) or not models:
         raise BadInput(f"{len(models)} models for {len(cells)} cells: give one model per cell, at least one.")
     for model, cell in zip(models, cells, strict=True):
@@ -157,7 +157,7 @@ def crop_cells(models: Sequence[Splats], cells: Sequence[VastCell]) -> Splats:
 
 
 def _equal_groups(members: NDArray[np.int64], places: FloatArray, count: int) -> tuple[list[NDArray[np.int64]], FloatArray]:
-    """`members` (K,) by `places` (K,) in `count` equal groups, and the edges (count + 1,)."""
+    """`members` (K,) in `count` equal groups by `places` (K,), and their edges (count + 1,)."""
     order = np.argsort(places, kind="stable")
     groups = np.array_split(order, count)
     inner = [(places[left[-1]] + places[right[0]]) / 2 for left, right in pairwise(groups)]

@@ -31,7 +31,7 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
 
 
 def parse_images(data: bytes, path: str) -> list[ColmapImage]:
-    """The records of images.txt, two lines each, the second may be empty; BadInput with line."""
+    """The records of images.txt, two lines each, the second may be empty; BadInput as above."""
     lines = _lines(data, path)
     images = []
     for place, line in _records(lines, path):

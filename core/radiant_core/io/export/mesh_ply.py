@@ -16,7 +16,7 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def save_mesh(path: Path, vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike) -> None:
-    """Write vertices (V,3), triangles (T,3), colors (V,3) uint8, atomically; BadInput on misfits."""
+    """Write vertices (V,3), triangles (T,3), colors (V,3) uint8, atomically; BadInput if unfit."""
     positions = check_array("vertices", vertices, (None, 3))
     corners = check_array("triangles", triangles, (None, 3), np.int64)
     shades = check_array("colors", colors, (len(positions), 3), np.uint8)

@@ -203,7 +203,7 @@ def _unwrap_ring(ring: FloatArray, origin: FloatArray) -> FloatArray:
 
 
 def _lon_lat(positions: FloatArray, origin: FloatArray) -> FloatArray:
-    """Longitude, latitude (V,2) of (V,2) m at the origin's altitude, which the plane leaves."""
+    """Longitude, latitude (V,2) of (V,2) m at the origin's altitude: the plane leaves the globe."""
     level = np.column_stack([positions, np.zeros(len(positions))])
     level[:, 2] = origin[2] - geodetic_from_enu(level, origin)[:, 2]
     return geodetic_from_enu(level, origin)[:, 1::-1]

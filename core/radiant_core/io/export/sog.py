@@ -4,7 +4,7 @@ Of Gaussian i of N, pixel i of each W × H texture, rows first:
     means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)),
                        m = sign(x) ln(|x| + 1) per axis
     quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z
-                       was largest and left out
+                       was the largest and is left out
     scales, sh0        per channel one of 256 values; alpha of sh0 is the opacity in 255 steps
     shN                16-bit label of one of 65,536 rows at most, of one of 256 values each
 The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until

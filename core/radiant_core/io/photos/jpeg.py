@@ -28,7 +28,7 @@ _RGB, _UNSPECIFIED = 2, 0
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH = 0x920A
 MAX_VALUE_BYTES = 1024
-"""Of one tag, more than any that is read here: a directory may name thousands of 64 KiB."""
+"""Of one tag, more than is needed here: a directory may name thousands of 64 KiB, all the same."""
 LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = range(1, 7)
 
 
@@ -98,7 +98,7 @@ def read_tiff_bits(tiff: bytes) -> int:
 
 
 def has_tiff_alpha(tiff: bytes) -> bool:
-    """Whether the first picture in a TIFF is RGB with alpha, not said to be something else."""
+    """Whether the first picture in a TIFF is RGB with a channel that may be alpha."""
     main = _first_directory(tiff)
     is_rgb_and_one = _number(main.get(PHOTOMETRIC)) == _RGB and _number(main.get(SAMPLES_PER_PIXEL)) == 4
     # Many write RGBA without a word on what the fourth is.

@@ -49,7 +49,8 @@ MAX_SIDE_RATIO = 100
 MAX_FILE_BYTES = 1 << 29
 MAX_PIXELS = 1 << 28
 JPEG_PIXELS_PER_BYTE, DEFLATE_RATIO = 512, 1032
-"""The most that can be: a JPEG spends a bit or more on 64 pixels; the bound of any zlib stream."""
+"""A file that promises more is none: a JPEG spends a bit or more on every 64 pixels, and no zlib
+stream packs better."""
 EXIF_HEAD_BYTES = 1 << 18
 """Where EXIF is found: its segment holds at most 64 KiB and comes among the first."""
 _SAVED = f"save photographs as {READ_KINDS}, and frames of films, to use them"
@@ -213,8 +214,8 @@ def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]
 
 
 def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
-    """The photograph (H,W,3) uint8 RGB of at most `long_side_px`, for a JPEG near what
-    `load_photograph` gives: it is decoded at an eighth where that is enough. Raises as that."""
+    """The photograph (H,W,3) uint8 RGB of at most `long_side_px`, raising as
+    `load_photograph`. A JPEG is decoded at an eighth of its size where that is large enough."""
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     size_wh = read_size_wh(data) or (1, 1)
     reduced = cv2.IMREAD_REDUCED_COLOR_8 if max(size_wh) >= 16 * long_side_px else cv2.IMREAD_COLOR

@@ -113,7 +113,8 @@ def describe_files(paths: Mapping[str, Path]) -> dict[str, SentFile]:
 
 
 def save_delivery(folder: Path, delivery: Delivery, identity: Path) -> list[str]:
-    """Write record and signature, by the key in `identity`; their names. As `load_signing_key`."""
+    """Write record and signature, by the key in `identity`; returns their names. Raises as
+    `load_signing_key`."""
     key = load_signing_key(identity)
     write_json(folder / RECORD_NAME, {"schema": SCHEMA, "version": VERSION, **asdict(delivery)})
     write_atomic(folder / SIGNATURE_NAME, key.sign(_DOMAIN + (folder / RECORD_NAME).read_bytes()))
@@ -152,7 +153,8 @@ def check_files(delivery: Delivery, folder: Path) -> None:
 
 
 def require_nothing_else(delivery: Delivery, folder: Path) -> None:
-    """Raise BadInput where a file lies in `folder` that such a delivery may have and has not."""
+    """Raise BadInput where a file lies in `folder` that such a delivery may have and that was not
+    sent: its receiver would take it for sent."""
     for name in sorted(FILES[delivery.kind][1] - set(delivery.files)):
         if (folder / name).exists():
             raise BadInput(f"{folder / name} was not sent with the {delivery.kind}: remove it.")

@@ -35,7 +35,8 @@ OTHERS = 0o077
 
 
 def make_signing_key(folder: Path) -> bool:
-    """Make a key pair in `folder` (then mode 0700); False where there is one. Else BadInput."""
+    """Make a key pair in `folder` (made with mode 0700); False where there is one, which stays.
+    BadInput when it cannot be written."""
     private, public = folder / KEY_NAME, folder / PUBLIC_NAME
     if private.exists():
         write_atomic(public, _public_pem(load_signing_key(folder)))
@@ -53,7 +54,7 @@ def make_signing_key(folder: Path) -> bool:
 
 def load_signing_key(folder: Path) -> Ed25519PrivateKey:
     """The private key that `make_signing_key` left; BadInput where it is missing, no such key, or
-    others may read it, which only a file system without modes excuses."""
+    others than its owner may read it, which only a file system without modes excuses."""
     path = folder / KEY_NAME
     data = read_bounded(path, MAX_KEY_BYTES)
     mode = stat.S_IMODE(path.stat().st_mode)
