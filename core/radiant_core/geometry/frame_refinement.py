@@ -1,6 +1,6 @@
 """Device models brought into one frame by what they show of common ground. Once per edge.
 
-1. Neighbours: models that cover common ground (`frame_matches.find_overlap`), each with its four.
+1. Neighbours: models with common ground (`frame_matches.find_overlap`), the best four of each.
 2. Per pair: the similarity of both from points followed through renders (`frame_matches`), or by
    ICP (`surface_matches`). No photograph is read.
 3. A pair that disagrees with the GPS of both by more than four standard deviations contradicts;

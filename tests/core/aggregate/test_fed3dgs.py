@@ -239,5 +239,5 @@ class TestClients:
 
 
 def test_cameras_keep_their_order_under_new_names() -> None:
-    twice: Cameras = module._numbered([WEST, EAST, WEST])
+    twice: Cameras = module._number_cameras([WEST, EAST, WEST])
     np.testing.assert_array_equal(twice.centers, np.concatenate([WEST.centers, EAST.centers, WEST.centers]))
