@@ -1,9 +1,5 @@
-"""Partitions side by side: the region of each camera by each method, and the time of each region.
-Once per comparison.
-
-One row of maps, each above its bars: one bar per region with its predicted time, so that an even
-row of bars is a balanced plan.
-"""
+"""Partitions side by side: the region of each camera by each method, above one bar per region with
+its predicted time; an even row of bars is a balanced plan. Once per comparison."""
 
 from __future__ import annotations
 
@@ -40,7 +36,7 @@ class Partition:
 def partitions_picture(
     positions: FloatArray, partitions: Sequence[Partition], edge_ids: Sequence[str], title: str, unit: str = "m"
 ) -> Image:
-    """Return maps and bars (H,W,3) of partitions of the same cameras (C,2); BadInput without any, or for other cameras or edges."""
+    """Draw partitions of cameras (C,2) as maps and bars (H,W,3); BadInput if none or unequal."""
     positions = check_array("positions", positions, (None, 2))
     if not partitions or not len(positions):
         raise BadInput("there is no partition to draw: give at least one method and one camera.")

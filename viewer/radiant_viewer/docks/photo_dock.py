@@ -1,5 +1,4 @@
-"""The photograph of the selected camera and, where it was held out, its render and their
-difference, compared by a wipe.
+"""The photograph of the selected camera; a held-out one's render and difference are wiped over it.
 
 Held-out photographs are visited worst first. For a photograph that is not on this machine, a
 sentence names its device. Needs the `desktop` extra.
@@ -114,7 +113,7 @@ class PhotoDock(QDockWidget):
         self._host.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
 
     def _comparison(self, name: str) -> tuple[dict[str, Image], str]:
-        """Return the three pictures by name, empty for a training camera; with a sentence where they are on another machine."""
+        """Return the pictures by name, {} for a training camera, and why they are not here."""
         if name not in (self._run.psnr_db or {}):
             return {}, ""
         try:
@@ -125,15 +124,13 @@ class PhotoDock(QDockWidget):
             return {}, f"{str(error)[0].upper()}{str(error)[1:]}" if self._run.in_field else ""
 
     def _reasons(self, index: int, apart: str) -> str:
-        """Return what the camera saw beside the other cameras, and what is missing here."""
         if index < len(self._run.scene.cameras):
             return reason_text(self._run.scene, index)
         return f"{apart} The place of its camera stayed with device {self._run.owner(index)}, too.".strip()
 
     def _show(self) -> None:
-        wanted = (
-            PAIRS[self.mode.currentIndex()] if self.mode.currentIndex() < len(PAIRS) else (SINGLES[self.mode.currentIndex() - len(PAIRS)],)
-        )
+        mode = self.mode.currentIndex()
+        wanted = PAIRS[mode] if mode < len(PAIRS) else (SINGLES[mode - len(PAIRS)],)
         pictures = self._pictures
         if not pictures:
             self.picture.show_picture(None, message=self.picture.message)

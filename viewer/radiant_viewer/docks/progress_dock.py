@@ -1,4 +1,4 @@
-"""Progress of a running run: a bar per stage, warnings, time left, polled once a second. Needs the `desktop` extra."""
+"""The progress of a run, polled once a second: stages and time left. Needs the `desktop` extra."""
 
 from __future__ import annotations
 

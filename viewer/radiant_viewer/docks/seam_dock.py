@@ -1,4 +1,4 @@
-"""The seam tour: all borders, worst first; each stop moves both views to its worst place. Needs the `desktop` extra."""
+"""The seam tour: each stop moves both views to its border's worst place. Needs `desktop` extra."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def make_seam_dock(host: Host, run: RunView) -> SeamDock | None:
 
 
 def _mark(stop: SeamStop, height: float) -> Layer:
-    """Return a disc at the worst place and white discs at both ends: a line would hide the colours of the seam."""
+    """Return discs at the worst place and both ends: a line would hide the seam's colours."""
     places = np.column_stack([[stop.worst, *stop.ends], np.full(3, height)])
     return Layer(
         name=MARK,
@@ -136,7 +136,6 @@ def _mark(stop: SeamStop, height: float) -> Layer:
 
 
 def _cells(stop: SeamStop, unit: str) -> tuple[str, ...]:
-    """Return the texts of one row after its number."""
     figures = stop.figures
     levels = (figures.step_levels, figures.texture_levels, figures.median_levels, stop.worst_levels)
     observed = observed_text(figures.observed_length, stop.length, unit)

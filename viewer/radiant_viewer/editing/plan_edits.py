@@ -1,9 +1,8 @@
-"""Edits of a plan on a map: small records that turn wishes into new wishes, which `plan_regions`
-solves.
+"""Edits of a plan on a map: records that turn wishes into new wishes for `plan_regions` to solve.
 
-    FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d, the others are solved again
+    FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d
     LockRegion  the edge keeps its cameras; FreeRegion removes lock and fixed weight
-    PinCameras  the cameras belong to one edge, whatever is optimal; without an edge the pins are removed
+    PinCameras  the cameras belong to one edge, or, without an edge, their pins are removed
     MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll, AdoptPlan
 
 `text` is the entry of the menu, `wishes` returns the new wishes. Locks and fixed weights refer to
@@ -16,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -38,7 +37,7 @@ from radiant_viewer.editing.edited_plan import (
 
 @dataclass(frozen=True, kw_only=True)
 class FixWeight:
-    """A dragged border: the edge owns exactly its cell with this weight (m²) in the reference plan."""
+    """A dragged border: the edge owns its cell with this weight (m²) in the reference plan."""
 
     edge: str
     weight_m2: float
@@ -145,7 +144,7 @@ class MoveEdge:
 
 @dataclass(frozen=True, kw_only=True)
 class AddEdge:
-    """Add an edge with machines like those of an existing one, named after it: <edge>-1, <edge>-2, …"""
+    """Add an edge with machines like those of edge `like`, named <edge>-1, <edge>-2, …"""
 
     edge: str
     position: tuple[float, float]
@@ -239,7 +238,7 @@ class RemoveDevice:
 
 @dataclass(frozen=True, kw_only=True)
 class SetSlack:
-    """Allow a makespan of `slack` times the shortest, for shorter distances; None: the shortest makespan."""
+    """Allow a makespan of `slack` times the shortest, for shorter distances; None: the shortest."""
 
     slack: float | None
 
@@ -276,17 +275,16 @@ class AdoptPlan:
         return f"load {self.name}"
 
 
-SOLVED = (FixWeight, LockRegion, FreeRegion, PinCameras, MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll)
 Solved = (
     FixWeight | LockRegion | FreeRegion | PinCameras | MoveEdge | AddEdge | RemoveEdge | AddDevice | RemoveDevice | SetSlack | ReleaseAll
 )
 """Edits that change wishes, so that the regions are solved again."""
 Edit = Solved | AdoptPlan
-EDITS: tuple[type[Any], ...] = (*SOLVED, AdoptPlan)
+EDITS: tuple[type[Any], ...] = get_args(Edit)
 
 
 def apply_edit(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: bool = True) -> EditedPlan:
-    """Return the plan after an edit, without strips during a drag; BadInput with one sentence where it is impossible."""
+    """Return the plan after an edit, without strips in a drag; BadInput where it is impossible."""
     if isinstance(edit, AdoptPlan):
         return initial_plan(subject, before.wishes.system, edit.cloud, edit.edges)
     after = solve_regions(subject, edit.wishes(before, subject), before.cloud)
@@ -305,7 +303,7 @@ def _replace_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanW
 
 
 def _without(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanConstraints:
-    """Return the constraints without lock and fixed weight of an edge, and without its pins if `pins`."""
+    """Return the constraints without lock, fixed weight and, if `pins`, pins of an edge."""
     return PlanConstraints(
         fixed_weights_m2={edge: weight for edge, weight in constraints.fixed_weights_m2.items() if edge != name},
         locked=tuple(edge for edge in constraints.locked if edge != name),

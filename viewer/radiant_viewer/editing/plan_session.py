@@ -1,5 +1,4 @@
-"""`PlanSession`: a `PlanEditor` whose plans are solved beside the window. Needs the `desktop`
-extra.
+"""`PlanSession`: a `PlanEditor` solving beside the window. Needs the `desktop` extra.
 
 One thread solves. Edits are solved in the order of their calls; of the frames of a drag only the
 latest waits, so a slow plan skips frames instead of queueing them. An edit that is unsolved when

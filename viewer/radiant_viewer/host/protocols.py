@@ -1,7 +1,6 @@
-"""What docks and tools see of the window that holds them; each asks for the least of these that
-serves it.
+"""What docks and tools see of the window that holds them; each asks for the least it needs.
 
-    StatusHost   a status bar and a way to read the files again: also the window of a run without a plan
+    StatusHost   a status bar and a way to read the files again: also the window without a plan
     Host         both views, the layers and marks in them, the selected camera and the theme
     PlanHost     for editing a plan: layers that change and a run that is replaced
 
@@ -29,11 +28,9 @@ class StatusHost(Protocol):
 
     def show_status(self, message: str) -> None:
         """Show one line in the status bar."""
-        ...
 
     def reload(self) -> None:
         """Read the files again and show what they hold now."""
-        ...
 
 
 class Host(StatusHost, Protocol):
@@ -52,12 +49,11 @@ class Host(StatusHost, Protocol):
         ...
 
     def attempt(self, action: Callable[[], _Result]) -> _Result | None:
-        """Return what `action` returns; where it raises a RadiantError, show its sentence and return None."""
+        """Return what `action` returns; None, and its sentence is shown, for a RadiantError."""
         ...
 
     def set_layer_visible(self, name: str, visible: bool) -> None:
         """Show or hide a layer in both views; BadInput for an unknown name."""
-        ...
 
     def visible_layers(self) -> list[Layer]:
         """Return the layers that are shown, from the ground up."""
@@ -65,23 +61,18 @@ class Host(StatusHost, Protocol):
 
     def draw_mark(self, layer: Layer) -> None:
         """Draw a layer over all others in both views, in place of the mark of its name."""
-        ...
 
     def remove_mark(self, name: str) -> None:
         """Remove the mark of this name, if there is one."""
-        ...
 
     def render_views(self, *, map_only: bool = False) -> None:
         """Draw both views, or the map alone; nothing before the window is shown."""
-        ...
 
     def select_camera(self, name: str) -> None:
         """Select a photograph and its camera everywhere; BadInput for an unknown name."""
-        ...
 
     def fly_to_selected(self) -> None:
         """Move the 3D view to the selected camera."""
-        ...
 
 
 class PlanHost(Host, Protocol):
@@ -89,8 +80,6 @@ class PlanHost(Host, Protocol):
 
     def replace_layer(self, layer: Layer, *, map_only: bool = False) -> None:
         """Draw a layer in place of the one of its name; on the map alone while a drag lasts."""
-        ...
 
     def show_run(self, run: RunView) -> None:
         """Show the same run with another plan."""
-        ...
