@@ -109,7 +109,7 @@ def time_unit(end_s: float) -> tuple[float, str]:
 
 
 def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, label: str, theme: Theme = LIGHT) -> None:
-    """Style a time axis from 0 to `end` with rows from the top down, each a name and whether it is bold."""
+    """Style a time axis from 0 to `end` with rows from the top down: name, whether it is bold."""
     ink, soft = hex_color(theme.ink), hex_color(theme.soft_text)
     axes.set(xlim=(0, end * 1.01), ylim=(len(rows) - 0.4, -0.6))
     axes.set_facecolor("none")

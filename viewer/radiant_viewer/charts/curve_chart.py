@@ -56,7 +56,7 @@ def curve_picture(
 
 
 def _spread_labels(values: Sequence[float]) -> list[float]:
-    """Return rounded values to label on a logarithmic axis, the smallest first, with space for their labels."""
+    """Return rounded values, the smallest first, with space for labels on a logarithmic axis."""
     rounded = sorted({float(f"{value:.2g}") for value in values})
     kept = rounded[:1]
     for value in rounded[1:]:

@@ -1,4 +1,4 @@
-"""The effect of slack: distance and border length against the makespan. Once per plan, on request."""
+"""The effect of slack: distance and border length over the makespan. Once per plan, on request."""
 
 from __future__ import annotations
 

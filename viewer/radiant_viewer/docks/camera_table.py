@@ -31,7 +31,6 @@ class CameraTable(QAbstractTableModel):
         more = [figure for figure in FIGURES[1:] if any(figure.key in row for row in (figures or {}).values())]
         names = ("Photograph", "Region", "Device", "Use", "PSNR (dB)", *(figure.heading for figure in more))
         self.headings = (*names, *axes, *(["File"] if run.files else []))
-        )
         self._keys, self._figures = [figure.key for figure in more], figures or {}
         self.rows = _rows(run, self._keys, self._figures)
 

@@ -29,12 +29,15 @@ class FrameSource(Protocol):
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
         """Call `ready` once `ask` may be called, `drawn` per frame, `failed` with a sentence."""
+        ...
 
     def ask(self, pose: ViewPose) -> None:
         """Draw one frame."""
+        ...
 
     def end(self) -> None:
         """Free its resources."""
+        ...
 
 
 class SplatFrames:
@@ -141,5 +144,3 @@ class FlightJob(QObject):
         self._is_over = True
         self._frames.end()
         self.ended.emit(message)
-
-

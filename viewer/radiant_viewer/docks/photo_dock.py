@@ -73,7 +73,7 @@ class PhotoDock(QDockWidget):
         self._set_enabled(False)
 
     def show_camera(self, index: int) -> None:
-        """Show photograph `index` of `RunView.photographs`, with its comparison where there is one."""
+        """Show photograph `index` of `RunView.photographs`, with its comparison if there is one."""
         name = self._run.photographs[index]
         self.at = name
         file = self._run.files.get(name)

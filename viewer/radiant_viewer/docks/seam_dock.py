@@ -114,7 +114,7 @@ class SeamDock(QDockWidget):
 
 
 def make_seam_dock(host: Host, run: RunView) -> SeamDock | None:
-    """Return the dock of a run with a model and two regions or more; None where there is no seam."""
+    """Return the dock of a run with a model and borders; None where there is no seam."""
     if run.splats is None or len(run.cloud_plan.edge_ids) < 2:
         return None
     stops = seam_stops(run.scene, run.cloud_plan, run.splats)

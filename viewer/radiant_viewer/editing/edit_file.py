@@ -33,7 +33,7 @@ class EditFile:
         return kept, sentence
 
     def save(self, kept: EditHistory) -> None:
-        """Write the edits, to `aside` in a conflict; remove the file without any. May BadInput."""
+        """Write the edits, to `aside` in a conflict; BadInput. Without edits the file goes."""
         self.has_foreign_edits()
         target = self.aside or self.path
         if kept.done or kept.undone:

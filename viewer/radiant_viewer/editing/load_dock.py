@@ -1,4 +1,4 @@
-"""The table of edges and their devices with a bar for the load of each. Needs the `desktop` extra."""
+"""The table of edges and their devices with a bar for each load. Needs the `desktop` extra."""
 
 from __future__ import annotations
 

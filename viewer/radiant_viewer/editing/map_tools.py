@@ -1,7 +1,7 @@
 """Mouse tools on the map while a plan is edited. Needs the `desktop` extra.
 
     drag an edge's square   moves the edge
-    drag a border           moves the rim of the grabbed region: it owns what is inside, the rest is solved
+    drag a border           moves the rim of the grabbed region: it owns what is inside
     Shift and drag          selects the cameras inside the box; with Ctrl adds them
     Escape while dragging   cancels the drag
 
@@ -52,7 +52,7 @@ class BorderGrip:
     outward: FloatArray
 
     def edit(self, place: FloatArray, cloud: CloudPlan) -> Edit:
-        """Return the edit for a drag to `place` (2,), applied to the plan at the time of the press."""
+        """Return the edit for a drag to `place` (2,) of the plan at the time of the press."""
         distance = float((place - self.place) @ self.outward)
         return FixWeight(edge=self.edge, weight_m2=border_weight_m2(cloud, self.edge, self.other, distance))
 

@@ -43,7 +43,7 @@ HEADLINE_PX = 14
 
 
 class PlanDock(QDockWidget):
-    """`region` and `device` are chosen here or in the table of loads; the buttons call `actions`."""
+    """`region` and `device` are chosen here or in the table of loads; buttons call `actions`."""
 
     def __init__(self, actions: PlanActions) -> None:
         super().__init__("Plan")

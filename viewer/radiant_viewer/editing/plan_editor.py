@@ -1,7 +1,7 @@
 """`PlanEditor`: a plan with undo and redo, its edits stored in a file. No window, no thread.
 
     editor.apply(edit)                                                   in one step
-    editor.begin(edit); plan = apply_edit(…); editor.finish(edit, plan)  the middle one on any thread
+    editor.begin(edit); plan = apply_edit(…); editor.finish(edit, plan)  the middle on any thread
 
 An impossible edit raises BadInput with one sentence and changes nothing. Earlier states are kept as
 objects, so undo restores them bit for bit.

@@ -147,7 +147,7 @@ def shift_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) 
 
 
 def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
-    """Return cameras on the globe as waypoints, and these's origin (2,) in the subject's frame."""
+    """Return cameras on the globe as waypoints, and their origin (2,) in the subject's frame."""
     if known is not None:
         return known, np.zeros(2)
     if subject.origin is None:

@@ -70,7 +70,7 @@ class PlanSession(QObject):
         self._step(self.editor.redo)
 
     def resolve_conflict(self, *, take_over: bool) -> None:
-        """Keep this window's edits or adopt those of the other window; emits `conflict_resolved`."""
+        """Keep this window's edits or adopt the other window's; emits `conflict_resolved`."""
         sentences: list[str] = []
         self._step(lambda: sentences.extend(self.editor.take_over() if take_over else self.editor.adopt_other()))
         if sentences:

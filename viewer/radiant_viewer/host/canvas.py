@@ -39,7 +39,7 @@ ClickTaker = Callable[["Canvas", tuple[int, int]], bool]
 
 
 class Canvas:
-    """A plotter in a frame with a heading; a click goes to the first of `click_takers` to use it."""
+    """A plotter with a heading; a click goes to the first of `click_takers` that uses it."""
 
     def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray, unit: str = "m") -> None:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
@@ -153,7 +153,7 @@ class Canvas:
         )
 
     def set_pose(self, pose: ViewPose) -> None:
-        """Move the camera; a map keeps looking straight down and is only centred on the focal point."""
+        """Move the camera; a map still looks straight down, centred on the focal point."""
         camera = self.plotter.camera
         if self.is_map:
             self.center_on(pose.focal_point[:2])
@@ -230,7 +230,7 @@ class _View(QtInteractor):
         self.iren.interactor.AddObserver(vtkCommand.RenderEvent, lambda *_: None if self._is_painting else self.update())
 
     def paintGL(self) -> None:
-        """Called by Qt where this version of pyvistaqt is an OpenGL widget; others draw as before."""
+        """Called by Qt where pyvistaqt's widget is an OpenGL one; others draw as before."""
         interactor = self.iren.interactor
         self._is_painting = True
         interactor.EnableRenderOn()

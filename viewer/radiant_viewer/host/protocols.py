@@ -28,9 +28,11 @@ class StatusHost(Protocol):
 
     def show_status(self, message: str) -> None:
         """Show one line in the status bar."""
+        ...
 
     def reload(self) -> None:
         """Read the files again and show what they hold now."""
+        ...
 
 
 class Host(StatusHost, Protocol):
@@ -54,6 +56,7 @@ class Host(StatusHost, Protocol):
 
     def set_layer_visible(self, name: str, visible: bool) -> None:
         """Show or hide a layer in both views; BadInput for an unknown name."""
+        ...
 
     def visible_layers(self) -> list[Layer]:
         """Return the layers that are shown, from the ground up."""
@@ -61,18 +64,23 @@ class Host(StatusHost, Protocol):
 
     def draw_mark(self, layer: Layer) -> None:
         """Draw a layer over all others in both views, in place of the mark of its name."""
+        ...
 
     def remove_mark(self, name: str) -> None:
         """Remove the mark of this name, if there is one."""
+        ...
 
     def render_views(self, *, map_only: bool = False) -> None:
         """Draw both views, or the map alone; nothing before the window is shown."""
+        ...
 
     def select_camera(self, name: str) -> None:
         """Select a photograph and its camera everywhere; BadInput for an unknown name."""
+        ...
 
     def fly_to_selected(self) -> None:
         """Move the 3D view to the selected camera."""
+        ...
 
 
 class PlanHost(Host, Protocol):
@@ -80,6 +88,8 @@ class PlanHost(Host, Protocol):
 
     def replace_layer(self, layer: Layer, *, map_only: bool = False) -> None:
         """Draw a layer in place of the one of its name; on the map alone while a drag lasts."""
+        ...
 
     def show_run(self, run: RunView) -> None:
         """Show the same run with another plan."""
+        ...

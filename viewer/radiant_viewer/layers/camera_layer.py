@@ -37,7 +37,7 @@ def camera_layer(
 
 
 def highlight_layer(cameras: Cameras, index: int) -> Layer:
-    """Return one camera, enlarged and in a colour that no region has, as the mark of a selection."""
+    """Return one camera, enlarged, in a colour that no region has, as the mark of a selection."""
     one = cameras.select([index])
     size = _pyramid_depth(cameras)
     segments = pyramid_segments(one, 2 * size)
@@ -54,7 +54,7 @@ def highlight_layer(cameras: Cameras, index: int) -> Layer:
 
 
 def pyramid_segments(cameras: Cameras, depth: float) -> FloatArray:
-    """Return eight lines per camera (8C,2,3): from its centre to the corners at `depth`, and around."""
+    """Return eight lines per camera (8C,2,3): centre to corners at `depth`, and around these."""
     widths, heights = cameras.sizes_wh.astype(np.float64).T
     zero = np.zeros_like(widths)
     corners_px = np.stack([np.stack([zero, widths, widths, zero]), np.stack([zero, zero, heights, heights]), np.ones((4, len(cameras)))])
@@ -137,7 +137,7 @@ def _split_legend(roles: CameraRoles) -> tuple[LegendEntry, ...]:
 
 
 def _pyramid_depth(cameras: Cameras) -> float:
-    """Half the median distance to the nearest other camera, so that pyramids do not hide each other."""
+    """Half the median distance to the nearest camera, so that pyramids do not hide each other."""
     if len(cameras) < 2:
         return 1.0
     from scipy.spatial import KDTree

@@ -31,10 +31,12 @@ _CHUNK = 1 << 18
 
 
 def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
-    """Return ascending indices (K,) of at most `limit` points (N,3), spread evenly over the occupied
-    space. A point's level is the first octree level at which it has its own cell along the Morton
-    curve, so the points up to level L are one per occupied cell of that level. BadInput for a limit
-    below 1 or a coordinate that is not finite."""
+    """Return ascending indices (K,) of at most `limit` points (N,3), evenly over occupied space.
+
+    A point's level is the first octree level at which it has its own cell along the Morton curve,
+    so the points up to level L are one per occupied cell of that level. BadInput for a limit below
+    1 or a coordinate that is not finite.
+    """
     if limit < 1:
         raise BadInput(f"{limit} points were asked for, expected at least 1.")
     if len(points) <= limit:

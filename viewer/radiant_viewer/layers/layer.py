@@ -23,7 +23,7 @@ CLOUD_SIZE = 100
 REACH_POINTS = 200_000
 """Larger clouds are subsampled for their extent."""
 MARGIN = 0.25
-"""Share of the longest side of borders and markers around them in which clouds count for a frame."""
+"""Margin around borders and markers in which clouds count for a frame, over their longest side."""
 STRAYS = 0.005
 """Share ignored at each end of x and y: in the sample town 0.3 % doubled the picture's width."""
 Marker = Literal["area", "line", "dot", "ring", "square"]

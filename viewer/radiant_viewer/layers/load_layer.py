@@ -11,7 +11,7 @@ from radiant_viewer.layers.palette import INK, WHITE, category_colors
 from radiant_viewer.layers.region_layer import duration_text, is_near_map
 
 WIDTH, FLATNESS, DROP = 0.13, 0.18, 0.06
-"""A bar's width over the regions' longer side, its height over its width, its drop over the side."""
+"""A bar's width over the regions' longer side, height over width, drop below its edge over side."""
 
 
 def load_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:

@@ -34,7 +34,7 @@ class CurveStyle:
 
 
 def curve_style(index: int) -> CurveStyle:
-    """Return the style of curve `index` ≥ 0; styles repeat after 308 curves, markers after eleven."""
+    """Return the style of curve `index` ≥ 0; styles repeat after 308 curves, markers after 11."""
     dash = DASHES[index // len(CURVE_COLORS) % len(DASHES)]
     return CurveStyle(color=unit_rgb(CURVE_COLORS[index % len(CURVE_COLORS)]), dash=dash, marker=MARKERS[index % len(MARKERS)])
 
@@ -56,7 +56,7 @@ def tint(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
 
 
 def category_colors(count: int) -> ColorArray:
-    """Return colours (count,3): seven hues, then lighter, then darker; they repeat from the 22nd."""
+    """Return colours (count,3): seven hues, then lighter, then darker ones; 22 begins again."""
     hues = np.array(CATEGORIES, np.uint8)
     shades = np.concatenate([hues, tint(hues, WHITE, 0.45), tint(hues, BLACK, 0.4)])
     return shades[np.arange(count) % len(shades)]

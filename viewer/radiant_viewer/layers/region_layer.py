@@ -102,7 +102,7 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 
 def is_near_map(cloud_plan: CloudPlan) -> np.ndarray:
-    """Return whether sites (E,) are within half a diagonal: others would shrink the map to a dot."""
+    """Return whether sites (E,) are within half a diagonal: others would make the map a dot."""
     corners: FloatArray = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if not len(corners):
         return np.ones(len(cloud_plan.edge_ids), bool)

@@ -143,7 +143,7 @@ def _visible_weights(splats: Splats, width: float) -> FloatArray:
 
 
 def _round_up(value: float) -> float:
-    """Round up to one digit, for the end of a colour bar: 36.8 gives 40; 1 for nothing above zero."""
+    """Round up to one digit, for the end of a colour bar: 36.8 gives 40; 1 for 0 and below."""
     if value <= 0:
         return 1.0
     step = 10.0 ** np.floor(np.log10(value))

@@ -1,5 +1,4 @@
-"""Where the photograph of a camera is on this machine, if it is here. Looked up when a camera is
-selected.
+"""Where the photograph of a camera is, if on this machine. Looked up when a camera is selected.
 
 Photographs stay with the device that trained on them: only `devices/<id>/photos` of the run's
 folder is searched, and for held-out photographs the files of the evaluation. For others the answer
@@ -51,7 +50,7 @@ def find_photograph(run: RunView, index: int) -> PhotoAnswer:
 
 
 def _find_in_field(run: RunView, index: int) -> PhotoAnswer:
-    """Find a photograph that stayed with its device, in the device's folder if that is inside the run's."""
+    """Find a photograph that stayed with its device, in its folder if that is inside the run's."""
     name, owner = run.photographs[index], run.owner(index)
     file = PurePosixPath(run.files.get(name, ""))
     if owner and file.name and not file.is_absolute() and ".." not in file.parts:

@@ -1,4 +1,4 @@
-"""`WindowState`: the user's arrangement of a window, carried over when its run is read again. Needs the `desktop` extra."""
+"""`WindowState`: the arrangement of a window, kept when its run is read again. Needs `desktop`."""
 
 from __future__ import annotations
 
