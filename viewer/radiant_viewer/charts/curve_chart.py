@@ -21,7 +21,7 @@ MIN_LABEL_GAP = 0.14
 
 @dataclass(frozen=True, kw_only=True)
 class CurvePoint:
-    """One trained model: CPU seconds, Gaussians, PSNR in dB; BadInput unless all are positive."""
+    """A trained model: CPU seconds, Gaussians, PSNR in dB; BadInput unless finite and positive."""
 
     cpu_s: float
     num_gaussians: float
@@ -35,7 +35,8 @@ class CurvePoint:
 def curve_picture(
     curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str, time_label: str = "CPU time of training (s)"
 ) -> Image:
-    """Return all points (H,W,3), lines through means at equal seconds; BadInput without points."""
+    """Return all points (H,W,3), with lines through the means of points of about equal seconds;
+    BadInput without points."""
     if not any(curves.values()):
         raise BadInput("there is no curve to draw: give at least one point.")
     figure = titled_figure((WIDTH_PX, HEIGHT_PX), title, detail)

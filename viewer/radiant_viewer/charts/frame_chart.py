@@ -18,7 +18,8 @@ FAR_SHARE = 0.1
 
 
 def frame_picture(gps_m: FloatArray, cameras_m: FloatArray, title: str, detail: str) -> Image:
-    """Draw GPS positions (P,3) m, joined to fitted camera centres (P,3); BadInput for P = 0."""
+    """Draw GPS positions (P,3) m east, north, up, joined to camera centres (P,3) after the fit;
+    BadInput without any."""
     gps_m = check_array("gps_m", gps_m, (None, 3))
     cameras_m = check_array("cameras_m", cameras_m, (len(gps_m), 3))
     if not len(gps_m):

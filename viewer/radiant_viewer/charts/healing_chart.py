@@ -1,4 +1,5 @@
-"""A border by several ways of joining, beside the photograph, above errors. Once per benchmark."""
+"""A border as several ways of joining leave it, beside the photograph, above their errors. Once per
+benchmark."""
 
 from __future__ import annotations
 

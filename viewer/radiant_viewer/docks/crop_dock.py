@@ -4,6 +4,7 @@ card clips the clouds, so dragging the box copies no points. Needs the `desktop`
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PySide6.QtWidgets import QCheckBox, QDockWidget, QDoubleSpinBox, QFileDialog, QGridLayout, QLabel, QPushButton, QWidget
@@ -92,7 +93,8 @@ class CropDock(QDockWidget):
                     mapper.AddClippingPlane(plane)
 
     def save_inside(self, path: Path) -> int:
-        """Write the Gaussians inside the box, return their number; BadInput where that fails."""
+        """Write the Gaussians inside the box and return their number; BadInput without any, or if
+        the file cannot be written."""
         if self._splats is None:
             raise BadInput("this run has no model yet: there is nothing to export.")
         inside = np.flatnonzero(inside_box(self._splats.means, self.box.tolist()))
@@ -152,8 +154,8 @@ class CropDock(QDockWidget):
                 interaction_event="end",
             )
 
-    def _on_dragged(self, shape: object) -> None:
-        bounds = np.array(shape.bounds).reshape(3, 2).T + self._host.origin  # type: ignore[attr-defined]
+    def _on_dragged(self, shape: Any) -> None:
+        bounds = np.array(shape.bounds).reshape(3, 2).T + self._host.origin
         if self._widget_box is not None and not np.allclose(bounds, self._widget_box, atol=1e-3):
             # The widget is in place: creating it again under the pointer would end the drag.
             self._widget_box = bounds

@@ -1,4 +1,5 @@
-"""Writes a film frame by frame through Qt's event loop; its frames. Needs the `desktop` extra."""
+"""Writes a film frame by frame through Qt's event loop, and the two sources of its frames. Needs
+the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ class FrameSource(Protocol):
     """Draws frames one at a time."""
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """Call `ready` once `ask` may be called, `drawn` per frame, `failed` with a sentence."""
+        """Call `ready` once `ask` may be called, `drawn` per frame, `failed` with the reason."""
         ...
 
     def ask(self, pose: ViewPose) -> None:

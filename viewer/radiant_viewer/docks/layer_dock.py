@@ -1,4 +1,5 @@
-"""The layer tree: each layer's box, its box for solo, its legend. Needs the `desktop` extra."""
+"""The layer tree: per layer a box to show it, a box to show it alone, and its legend. Needs the
+`desktop` extra."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The photograph of the selected camera; a held-out one's render and difference are wiped over it.
+"""The photograph of the selected camera, by a wipe over its render if it was held out.
 
 Held-out photographs are visited worst first. For a photograph that is not on this machine, a
 sentence names its device. Needs the `desktop` extra.
@@ -113,7 +113,8 @@ class PhotoDock(QDockWidget):
         self._host.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
 
     def _comparison(self, name: str) -> tuple[dict[str, Image], str]:
-        """Return the pictures by name, {} for a training camera, and why they are not here."""
+        """Return the three pictures by name, none for a training camera; with a sentence where they
+        are on another machine."""
         if name not in (self._run.psnr_db or {}):
             return {}, ""
         try:

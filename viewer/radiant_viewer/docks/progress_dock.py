@@ -1,4 +1,5 @@
-"""The progress of a run, polled once a second: stages and time left. Needs the `desktop` extra."""
+"""Progress of a run: a bar per stage, warnings, time left, read once a second. Needs the `desktop`
+extra."""
 
 from __future__ import annotations
 

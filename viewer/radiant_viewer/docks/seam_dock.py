@@ -1,4 +1,5 @@
-"""The seam tour: each stop moves both views to its border's worst place. Needs `desktop` extra."""
+"""The seam tour: all borders, worst first; a stop moves both views to its worst place. Needs the
+`desktop` extra."""
 
 from __future__ import annotations
 
@@ -122,7 +123,7 @@ def make_seam_dock(host: Host, run: RunView) -> SeamDock | None:
 
 
 def _mark(stop: SeamStop, height: float) -> Layer:
-    """Return discs at the worst place and both ends: a line would hide the seam's colours."""
+    """Return a disc at the worst place and white ones at the ends: a line would hide the seam."""
     places = np.column_stack([[stop.worst, *stop.ends], np.full(3, height)])
     return Layer(
         name=MARK,

@@ -1,4 +1,5 @@
-"""`EditedPlan`: a plan with the wishes it fulfils, solved. Once per edit and frame of a drag."""
+"""`EditedPlan`: a plan with the wishes it fulfils, and how wishes become regions and strips. Once
+per edit and frame of a drag."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ from radiant_core.plan.system import System
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSubject:
     """The cameras to plan: names (C) unique, positions (C,3) finite, in `unit`; origin (3,) lat lon
-    alt if they are on the globe; ground: its height in the positions' z, if known."""
+    alt if they are on the globe; ground: its height in the positions' z, if known. BadInput without
+    cameras, or where these do not hold."""
 
     names: tuple[str, ...]
     positions: FloatArray
@@ -64,7 +66,8 @@ class EditedPlan:
 
 
 def initial_plan(subject: PlanSubject, system: System, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> EditedPlan:
-    """Return an existing plan, its edges at its sites; BadInput where cameras or system differ."""
+    """Return an existing plan unchanged, with its edges at its own sites; BadInput where plan,
+    cameras and system do not fit."""
     require_plan_of(len(subject.names), cloud, edges)
     require_same_system(edges, system)
     wishes = PlanWishes(
@@ -77,7 +80,8 @@ def initial_plan(subject: PlanSubject, system: System, cloud: CloudPlan, edges: 
 
 
 def solve_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) -> EditedPlan:
-    """Solve the regions for the wishes from a similar plan; BadInput with the planner's reason."""
+    """Solve the regions for the wishes, starting from a similar plan; BadInput with the planner's
+    sentence where there are none."""
     if wishes.slack is not None and wishes.constraints:
         raise BadInput("slack is for a plan in which nothing is fixed, locked or pinned: free these first, or take the slack back.")
     constraints = wishes.constraints or None
@@ -99,7 +103,8 @@ def add_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
 
 
 def border_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -> float:
-    """Return the weight that moves the border of `edge` outwards, to `other`, by `distance`."""
+    """Return the weight that moves the border of `edge` towards `other` outwards by `distance`,
+    inwards where negative."""
     first, second = cloud.edge_ids.index(edge), cloud.edge_ids.index(other)
     return float(cloud.weights[first] + 2 * np.linalg.norm(cloud.sites[first] - cloud.sites[second]) * distance)
 

@@ -1,7 +1,7 @@
 """Mouse tools on the map while a plan is edited. Needs the `desktop` extra.
 
     drag an edge's square   moves the edge
-    drag a border           moves the rim of the grabbed region: it owns what is inside
+    drag a border           moves the grabbed region's rim: it owns the inside, others are replanned
     Shift and drag          selects the cameras inside the box; with Ctrl adds them
     Escape while dragging   cancels the drag
 
@@ -52,7 +52,7 @@ class BorderGrip:
     outward: FloatArray
 
     def edit(self, place: FloatArray, cloud: CloudPlan) -> Edit:
-        """Return the edit for a drag to `place` (2,) of the plan at the time of the press."""
+        """Return the edit for a drag to `place` (2,), given the plan at the time of the press."""
         distance = float((place - self.place) @ self.outward)
         return FixWeight(edge=self.edge, weight_m2=border_weight_m2(cloud, self.edge, self.other, distance))
 
@@ -215,7 +215,7 @@ class MapTools(QObject):
         return grip_at(self._place(position), state.cloud, state.wishes.constraints, self._borders[1], per_px)
 
     def _place(self, position: QPointF) -> FloatArray:
-        """Return the place (2,) of the world under a position in device-independent pixels."""
+        """Return the place (2,) of the world under a device-independent pixel of the widget."""
         width, height = max(self._widget.width(), 1), max(self._widget.height(), 1)
         camera = self._canvas.plotter.camera
         per_px = 2 * camera.parallel_scale / height

@@ -53,7 +53,7 @@ class PlanActions(QObject):
         self.reason = self._open_session()
 
     def do(self, edit: Edit) -> None:
-        """Solve an edit beside the window; the status bar says where plans cannot be changed."""
+        """Solve an edit beside the window; if plans cannot be changed, say so in the status bar."""
         if self.session is None:
             self.host.show_status(NO_SYSTEM)
         else:
@@ -148,7 +148,7 @@ class PlanActions(QObject):
 
     @property
     def likely_target(self) -> str | None:
-        """The edge with the fewest selected cameras, then the least time; None without any."""
+        """Of the edges with the fewest selected cameras, the first to finish; None without any."""
         rows = self._selected_rows()
         if not rows:
             return None
@@ -157,7 +157,8 @@ class PlanActions(QObject):
         return cloud.edge_ids[int(np.lexsort((cloud.edge_time_s, own))[0])]
 
     def save(self, path: Path) -> None:
-        """Write plan, system and constraints; BadInput where that fails or an edit is solved."""
+        """Write the plan with its system and constraints; BadInput where it cannot be written or is
+        being solved."""
         if self.session is None or self.setting is None:
             raise BadInput(NO_SYSTEM)
         if self.session.is_busy:
@@ -196,7 +197,7 @@ class PlanActions(QObject):
         return found
 
     def save_regions(self, path: Path) -> None:
-        """Write regions, strips and cameras as GeoJSON; BadInput where they are off the globe."""
+        """Write regions, strips and cameras as GeoJSON; BadInput if they are not on the globe."""
         save_plan_geojson(path, plan_subject(self.run), (self.run.cloud_plan, self.run.edge_plans), self.setting)
         self.host.show_status(f"Saved {path}")
 

@@ -83,7 +83,7 @@ class PlanEditor:
         return plan_difference((before.cloud, before.edges), (self.state.cloud, self.state.edges))
 
     def preview(self, edit: Edit) -> EditedPlan:
-        """Return the regions after an edit, not done, without strips. BadInput as `apply`."""
+        """Return the regions of an edit without doing it, without strips. BadInput as `apply`."""
         return apply_edit(self.subject, self.state, edit, strips=False)
 
     def apply(self, edit: Edit) -> EditedPlan:
@@ -148,7 +148,8 @@ class PlanEditor:
         return tuple(told)
 
     def _replay(self, edit: Edit, steps: list[_Step]) -> list[str]:
-        """Append the step of a stored edit without strips, or return a sentence why not."""
+        """Append the step of a stored edit, or return a sentence why not. Regions only: strips are
+        added to what is shown."""
         try:
             after = apply_edit(self.subject, steps[-1].after if steps else self.state, edit, strips=False)
         except BadInput as error:
@@ -170,7 +171,8 @@ class PlanEditor:
         return self.conflict
 
     def take_over(self) -> tuple[str, ...]:
-        """Give the file this window's edits; sentences and BadInput as `EditFile.take_over`."""
+        """Store this window's edits in the file and the other's beside it; return sentences about
+        it. BadInput as `EditFile.save`."""
         return () if self._file is None else (self._file.take_over(self._history()),)
 
     def adopt_other(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
     FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d
     LockRegion  the edge keeps its cameras; FreeRegion removes lock and fixed weight
-    PinCameras  the cameras belong to one edge, or, without an edge, their pins are removed
+    PinCameras  the cameras belong to one edge, whatever is optimal; without one they are unpinned
     MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll, AdoptPlan
 
 `text` is the entry of the menu, `wishes` returns the new wishes. Locks and fixed weights refer to

@@ -69,7 +69,8 @@ def plan_subject(run: RunView) -> PlanSubject:
 
 
 def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting: PlanSetting) -> tuple[Path, ...]:
-    """Write plan, system, lists and constraints, and return the files; BadInput unless a .json."""
+    """Write a plan with its system, lists and constraints; return the files. BadInput for a name
+    without .json."""
     if path.suffix != ".json":
         raise BadInput(f"{path.name} is no name for a plan: choose one that ends in .json.")
     waypoints, shift = _geo_waypoints(subject, setting.waypoints)
@@ -97,7 +98,8 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
 def save_plan_geojson(
     path: Path, subject: PlanSubject, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], setting: PlanSetting | None = None
 ) -> None:
-    """Write regions, strips, cameras as GeoJSON; BadInput off the globe or as `write_features`."""
+    """Write regions, strips and cameras as GeoJSON; BadInput where they are not on the globe, and
+    as `write_features`."""
     if path.suffix.lower() not in (".geojson", ".json"):
         raise BadInput(f"{path.name} is no name for regions: choose one that ends in .geojson.")
     waypoints, shift = _geo_waypoints(subject, None if setting is None else setting.waypoints)
@@ -147,7 +149,8 @@ def shift_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) 
 
 
 def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
-    """Return cameras on the globe as waypoints, and their origin (2,) in the subject's frame."""
+    """Return the cameras as waypoints if they are on the globe, and the waypoints' origin (2,) in
+    the subject's frame."""
     if known is not None:
         return known, np.zeros(2)
     if subject.origin is None:

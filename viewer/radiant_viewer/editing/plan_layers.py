@@ -24,7 +24,7 @@ PYRAMIDS_IN_DRAGS = 500
 
 
 def edited_layers(run: RunView, subject: PlanSubject, plan: EditedPlan, base: EditedPlan) -> list[Layer]:
-    """Return the layers that depend on a plan; without strips, as in a drag, none of devices."""
+    """Return the layers that depend on a plan; those of devices only where it has strips."""
     ground = ground_height(run.scene)
     cloud = plan.cloud
     roles = edited_roles(run, plan)

@@ -87,7 +87,7 @@ class Planning:
                 self._host.show_status("Drag an edge's square or a border; Shift and drag selects cameras; E ends.")
 
     def end(self) -> None:
-        """Close the session: a drag is released, and an edit being solved stays in the file."""
+        """Close the session: a drag counts as released; an edit being solved stays in the file."""
         edit = self.tools.end_drag()
         self.tools.close()
         if self.session is not None:

@@ -1,1 +1,2 @@
-"""What docks and tools see of the window: protocols and its two views. Needs `desktop` extra."""
+"""What the window offers its docks and tools: protocols, the two views, a picture label. Needs the
+`desktop` extra."""

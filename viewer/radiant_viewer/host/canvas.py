@@ -191,7 +191,8 @@ class Canvas:
         self.plotter.renderer.reset_camera_clipping_range()
 
     def pixels_of(self, positions: FloatArray) -> FloatArray:
-        """Project positions (K,3) of the world to pixels (K,2) from lower left; NaN if behind."""
+        """Project positions (K,3) of the world to pixels (K,2) from the lower left; NaN behind the
+        camera."""
         width, height = self.size_wh
         matrix = self.plotter.camera.GetCompositeProjectionTransformMatrix(width / max(height, 1), -1, 1)
         projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
@@ -221,7 +222,7 @@ class Canvas:
 
 
 class _View(QtInteractor):
-    """Draws only when Qt paints: pyvistaqt 0.13 draws once for VTK and again for Qt."""
+    """Draws a frame only when Qt paints it: pyvistaqt 0.13 draws for VTK and again for Qt."""
 
     _is_painting = False
 

@@ -22,7 +22,7 @@ Coloring = Literal["region", "device", "split", "psnr"]
 def camera_layer(
     cameras: Cameras, roles: CameraRoles, coloring: Coloring, psnr_db: Mapping[str, float] | None = None, *, pyramids: bool = True
 ) -> Layer:
-    """Return all C cameras as dots with pyramids, by region without where `pyramids` is False;
+    """Return all C cameras as dots with pyramids; "region" can leave these out by `pyramids`.
     BadInput for an unknown colouring, or "psnr" without figures."""
     if coloring == "region":
         return _layer(cameras, "Cameras by region", _region_colors(roles), _held_out_legend(roles), pyramids=pyramids)
@@ -54,7 +54,8 @@ def highlight_layer(cameras: Cameras, index: int) -> Layer:
 
 
 def pyramid_segments(cameras: Cameras, depth: float) -> FloatArray:
-    """Return eight lines per camera (8C,2,3): centre to corners at `depth`, and around these."""
+    """Return eight lines per camera (8C,2,3): from the centre to the image corners at `depth`, and
+    around them."""
     widths, heights = cameras.sizes_wh.astype(np.float64).T
     zero = np.zeros_like(widths)
     corners_px = np.stack([np.stack([zero, widths, widths, zero]), np.stack([zero, zero, heights, heights]), np.ones((4, len(cameras)))])

@@ -34,7 +34,8 @@ def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
 
 
 def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: PlanConstraints, height: float = 0.0) -> Layer:
-    """Return squares on pinned cameras (C,3), rims in locked (dark) and dragged (red) regions."""
+    """Return squares on pinned cameras (C,3), and rims just inside locked regions (dark) and
+    dragged ones (vermillion)."""
     pinned = positions[sorted(constraints.pinned)] if constraints.pinned else np.zeros((0, 3))
     segments, colors, legend = [np.zeros((0, 2, 3))], [np.zeros((0, 3), np.uint8)], []
     for ids, color, text in (

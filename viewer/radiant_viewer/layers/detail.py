@@ -1,7 +1,8 @@
 """Level of detail of a large cloud: few points while a view moves, every visible one at rest.
 
-    moving:  at most 50,000, one per cell of the finest octree level that fits, and some of the next
-    at rest: of all N points the nearest to the camera in each cell of the picture; it covers others
+    moving:  at most 50,000: one per occupied cell of the finest octree level with so few cells, the
+             rest from the next level
+    at rest: of all N points the nearest to the camera in each cell of the picture
 
 The first is chosen once per cloud, O(N log N), 0.27 to 0.36 s of CPU for a million points and 0.3
 to 0.5 s for five; the second once per view, O(N), 0.10 to 0.16 s per million (`radiant bench
@@ -84,7 +85,8 @@ def _spread_bits(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _first_levels(sorted_codes: NDArray[np.uint64]) -> NDArray[np.int64]:
-    """Return the level (N,) at which a code differs from the previous: 0 first, 17 if equal."""
+    """Return the level (N,) at which each code first differs from the previous one: 0 for the
+    first, 17 for equal codes."""
     differing = sorted_codes[1:] ^ sorted_codes[:-1]
     # Bit lengths up to 48 are exact in float64.
     lengths = np.frexp(differing.astype(np.float64))[1].astype(np.int64)

@@ -25,9 +25,9 @@ REACH_POINTS = 200_000
 MARGIN = 0.25
 """Margin around borders and markers in which clouds count for a frame, over their longest side."""
 STRAYS = 0.005
-"""Share ignored at each end of x and y: in the sample town 0.3 % doubled the picture's width."""
+"""Share of strays at each end of x and y: 0.3 % doubled the width of the sample town's picture."""
 Marker = Literal["area", "line", "dot", "ring", "square"]
-"""A filled box, a stroke, a filled dot, and a dot and a small square with a dark rim."""
+"""In a legend: a filled box, a stroke, a filled dot, a dot or small square with a dark rim."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,14 +76,14 @@ class Layer:
     in_front: bool = False
     """Whether a 3D view draws it in front of everything, as borders below a model need."""
     behind: bool = False
-    """Whether a 3D view draws it slightly farther away, below a mark at the same place."""
+    """Whether a 3D view draws it slightly farther away, so that a mark covers its middle."""
     segments: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
     segment_colors: ColorArray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     line_width_px: float = 1.5
     polygons: tuple[FloatArray, ...] = ()
     polygon_colors: ColorArray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     pale_fills: bool = False
-    """Whether fills are mixed with the ground, white or dark; other fills are data and stay."""
+    """Whether fills are mixed with white, in a dark theme with its ground; other fills are data."""
     labels: tuple[Label, ...] = ()
     legend: tuple[LegendEntry, ...] = ()
     heat: HeatScale | None = None

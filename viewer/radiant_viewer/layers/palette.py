@@ -56,7 +56,8 @@ def tint(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
 
 
 def category_colors(count: int) -> ColorArray:
-    """Return colours (count,3): seven hues, then lighter, then darker ones; 22 begins again."""
+    """Return colours (count,3) of regions: seven hues, then lighter, then darker ones; they repeat
+    from the 22nd on."""
     hues = np.array(CATEGORIES, np.uint8)
     shades = np.concatenate([hues, tint(hues, WHITE, 0.45), tint(hues, BLACK, 0.4)])
     return shades[np.arange(count) % len(shades)]

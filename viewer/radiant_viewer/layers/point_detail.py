@@ -70,7 +70,7 @@ def local_cloud(layer: Layer, origin: FloatArray) -> LocalCloud:
 
 @dataclass(eq=False)
 class _Cloud:
-    """A large cloud in one view; height on a map, None for its own ones; colours (N,3)."""
+    """A large cloud in one view; height: on a map, None for its own heights; colours (N,3)."""
 
     local: LocalCloud
     height: float | None

@@ -135,7 +135,8 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
 
 
 def _visible_weights(splats: Splats, width: float) -> FloatArray:
-    """Return opacity times area (N,), the longer axes' product, at most a quarter of the band's."""
+    """Return opacity times covered area (N,): the product of the two longer axes, at most a quarter
+    of the band's square."""
     opacities = splats.opacities
     log_areas = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
     # Relative to the band: neither a tiny nor a huge scene under- or overflows.
@@ -143,7 +144,7 @@ def _visible_weights(splats: Splats, width: float) -> FloatArray:
 
 
 def _round_up(value: float) -> float:
-    """Round up to one digit, for the end of a colour bar: 36.8 gives 40; 1 for 0 and below."""
+    """Round up to one digit, for the end of a colour bar: 36.8 gives 40; 1 for a value ≤ 0."""
     if value <= 0:
         return 1.0
     step = 10.0 ** np.floor(np.log10(value))

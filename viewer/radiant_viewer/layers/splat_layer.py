@@ -16,7 +16,7 @@ from radiant_viewer.layers.palette import GREY
 
 _BLOCK = 1 << 16
 MAX_POINTS = 10_000_000
-"""Most points kept, 60 bytes each, as the legend says; `detail.py` chooses the drawn ones."""
+"""Most points kept, 60 bytes each; the legend counts them. `detail.py` chooses the drawn ones."""
 
 
 def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
@@ -59,7 +59,8 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
 
 
 def base_colors(sh0: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return view-independent colours (N,3) uint8 of coefficients (N,1,3), in cached blocks."""
+    """Return view-independent colours (N,3) uint8 of coefficients (N,1,3), in blocks that stay in
+    the cache."""
     colors = np.empty((len(sh0), 3), np.uint8)
     for start in range(0, len(sh0), _BLOCK):
         part = slice(start, start + _BLOCK)

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from radiant_viewer.layers.layer import HeatScale, Layer
-from radiant_viewer.layers.palette import BLUE, INK, SKY, WHITE, ColorArray, tint, trim_heat_colors
+from radiant_viewer.layers.palette import BLUE, INK, SKY, WHITE, ColorArray, rgb, tint, trim_heat_colors
 
 ThemeName = Literal["light", "dark"]
 DARK_HEAT_START = 0.4
@@ -90,7 +90,7 @@ def style_sheet(theme: Theme) -> str:
     panel, field, line, text, soft, accent = (
         hex_color(color) for color in (theme.panel, theme.field, theme.line, theme.text, theme.soft_text, theme.accent)
     )
-    chosen = hex_color(tuple(tint(theme.accent, theme.field, 0.72).tolist()))  # type: ignore[arg-type]
+    chosen = hex_color(rgb(tint(theme.accent, theme.field, 0.72)))
     return f"""
 QMainWindow::separator {{ background: {panel}; width: 5px; height: 5px; }}
 QDockWidget {{ font-weight: 600; }}

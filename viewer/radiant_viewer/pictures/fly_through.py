@@ -17,7 +17,8 @@ MAX_FRAMES = 20_000
 
 
 def flight_poses(keyframes: Sequence[ViewPose], seconds_per_leg: float, frames_per_s: float) -> list[ViewPose]:
-    """Return the poses of a flight through the keyframes; BadInput for less than two, bad times."""
+    """Return the poses of a flight, from the first to the last keyframe; BadInput for fewer than
+    two keyframes or bad times."""
     if len(keyframes) < 2:
         raise BadInput(f"a flight goes through two keyframes or more, {len(keyframes)} came: move the view and add another.")
     if not (np.isfinite(seconds_per_leg) and seconds_per_leg > 0 and np.isfinite(frames_per_s) and 0 < frames_per_s <= 120):

@@ -29,7 +29,7 @@ MAX_SIDE_PX = 4096
 
 
 def render_map(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), text: PageText | None = None) -> Image:
-    """Return a finished map (H,W,3) with axes, legend and labels; BadInput for nothing to draw."""
+    """Return a finished map (H,W,3) with axes, legend and labels; BadInput without any geometry."""
     page = text or PageText()
     return compose_page(draw_map(layers, drawing_size_wh(size_wh, is_map=True)), layers, size_wh, page)
 
@@ -91,7 +91,7 @@ def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[
 
 
 def fit_distance(positions: FloatArray, toward: FloatArray, slopes: Sequence[tuple[FloatArray, float]]) -> tuple[float, FloatArray]:
-    """Return the least distance with all positions (K,3) in view, and the target (3,) of the look.
+    """Return the least distance with all positions (K,3) in view, and the target (3,) to look at.
 
     `toward` (3,) points at the viewer; `slopes` holds per image axis (3,) the tangent k of half its
     angle. A position with coordinates x along the axis and t towards the viewer is in view for |x −
@@ -126,7 +126,7 @@ def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
 
 @contextmanager
 def egl_rendering() -> Iterator[None]:
-    """Let VTK render by EGL, by a variable that it reads per window; else it tries an X server."""
+    """Let VTK render by EGL: a new window reads this variable, and else tries an X server first."""
     name = "VTK_DEFAULT_OPENGL_WINDOW"
     before = os.environ.get(name)
     os.environ[name] = before or "vtkEGLRenderWindow"

@@ -57,7 +57,8 @@ class ViewPose:
 
 
 def camera_pose(cameras: Cameras, index: int, distance: float) -> ViewPose:
-    """Return the view of camera `index` at full height, its focal point `distance` ahead."""
+    """Return the view of camera `index` with its focal point `distance` ahead and its picture's
+    full height in view."""
     rotation = cameras.cam_from_world[index, :3, :3]
     position = cameras.centers[index]
     height = float(cameras.sizes_wh[index, 1])

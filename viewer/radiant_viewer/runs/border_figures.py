@@ -116,7 +116,8 @@ class BorderFigures:
 
 
 def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[BorderFigures, ...]:
-    """Return all borders, with a verdict first, then by falling step; BadInput for one region."""
+    """Return all borders, those with a verdict first, then by falling step; BadInput for a plan of
+    one region."""
     width = seam_band_width(cloud_plan)
     pieces = seam_pieces(cloud_plan, width)
     if not len(pieces.ends):
@@ -147,14 +148,16 @@ def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tu
 
 
 def _shares(scene: SfmScene, pieces: SeamPieces, width: float) -> FloatArray:
-    """Return the share (S,) of the usual coverage on each piece's less observed side."""
+    """Return the share (S,) of the usual coverage of each piece on its less observed side: a step
+    needs both."""
     middles, aside = pieces.ends.mean(axis=1), 0.5 * width * piece_normals(pieces)
     sides = observed_coverage(np.concatenate([middles + aside, middles - aside]), scene, width)
     return sides.reshape(2, -1).min(axis=0)
 
 
 def seam_band_width(cloud_plan: CloudPlan) -> float:
-    """Return a band's width: the regions' diagonal / 20, at most the deepest site's depth / 3."""
+    """Return the width of the bands beside a border: a twentieth of the regions' diagonal, at most
+    a third of the deepest site."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if len(corners) < 3:
         raise BadInput("the plan has no regions: there is no border and no seam to look at.")

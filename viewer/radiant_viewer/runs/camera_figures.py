@@ -1,6 +1,6 @@
 """The figures of a scene's cameras as a table that can be sorted and filtered. Pure; once per plan.
 
-psnr < 22 and region = north    a filter: all conditions hold; =, != and ~ (a part) take names
+psnr < 22 and region = north    a filter: all conditions hold; names: =, != and ~ (finds a part)
 """
 
 from __future__ import annotations
@@ -103,7 +103,8 @@ def count_overlaps(footprints: Footprints) -> FloatArray:
 
 
 def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) -> NDArray[np.int64]:
-    """Return the rows (C,) by a column, stable; cameras without the figure always come last."""
+    """Return the rows (C,) in the order of a column, stable; cameras without the figure come last
+    in both directions."""
     values = figures.column(name)
     if values.dtype.kind == "f":
         unknown = np.isnan(values)

@@ -1,4 +1,4 @@
-"""File names of photographs that have numbers for names, where a device's folder is here.
+"""File names of photographs in the field, named by numbers, where a device's folder is here.
 
 A device sends neither file names nor the poses of held-out photographs: `edge-1-1/0003` is its
 fourth training photograph, `edge-1-1/held-out-0000` the first held-out one. The device's own

@@ -18,7 +18,8 @@ def tilts_deg(scene: SfmScene) -> FloatArray:
 
 
 def reason_text(scene: SfmScene, index: int) -> str:
-    """Return points and tilt of camera `index` with the medians, and the nearest camera."""
+    """Return points seen and tilt of camera `index`, each with the median, and the distance to the
+    nearest camera."""
     count = len(scene.cameras)
     points = np.bincount(scene.observations[:, 1], minlength=count)
     tilts = tilts_deg(scene)

@@ -87,7 +87,8 @@ def estimate_ground_m(waypoints: Waypoints, optics: Optics) -> float:
 
 
 def _cameras_along(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:
-    """Return cameras at (P,3) whose corners, clockwise from the upper left, see along (P,4,3)."""
+    """Return cameras at positions (P,3) whose corners, clockwise from the upper left, see along the
+    rays (P,4,3)."""
     left_up, right_up, right_down, left_down = (corner_rays[:, corner] for corner in range(4))
     forward = _unit(corner_rays.sum(axis=1))
     right = _unit(right_up + right_down - left_up - left_down)

@@ -36,7 +36,8 @@ FIGURES = (
 
 
 def image_figures(folder: Path) -> ImageFigures:
-    """Return the finite figures by photograph, {} before evaluation; StoreDamaged if broken."""
+    """Return the finite figures by photograph, empty before evaluation. StoreDamaged for a broken
+    metrics.json."""
     path = folder / METRICS_NAME
     if not path.is_file():
         return {}

@@ -69,7 +69,8 @@ def color_step_layer(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> 
 
 
 def figures_layer(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[BorderFigures]) -> Layer:
-    """Return the layer of these figures; its scale ends at `VISIBLE_LEVELS` × 2 or higher."""
+    """Return the layer of borders whose figures are known; its scale ends at twice the visible
+    levels or higher."""
     pieces = SeamPieces(
         ends=np.concatenate([one.ends for one in figures]),
         edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),

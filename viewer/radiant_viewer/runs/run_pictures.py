@@ -1,6 +1,8 @@
 """The named views of a run as finished pictures, for `radiant inspect --view` and the report.
 
-Each view is a list of layers and a page. Once per picture, 0.5 to 2 s.
+Each view is a list of layers and a page. regions: the plan; cameras: held-out error or split;
+seams: colour steps along borders; splats: the model in 3D; compare: held-out photographs beside
+their renders, worst, middle and best. Once per picture, 0.5 to 2 s.
 """
 
 from __future__ import annotations
@@ -169,7 +171,7 @@ def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_w
 
 def worst_border(run: RunView) -> Border:
     """Return the observed part of the border with the largest colour step of a run's model, without
-    a verdict of the longest one; BadInput without any border."""
+    a verdict the longest border; BadInput without any border."""
     figures = border_figures(run.scene, run.cloud_plan, require_splats(run))
     worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)
     return replace(worst.border, ends=worst.observed_ends)
@@ -187,7 +189,8 @@ def _finding_label(finding: SeamFinding, ground: float) -> Label:
 def splats_picture(
     scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None
 ) -> Image:
-    """Return the model, from above or one of its cameras, with the borders on the ground."""
+    """Return the model by our renderer, from obliquely above or from one of its cameras, with the
+    regions' borders on the ground."""
     ground = ground_height(scene)
     has_regions = any(len(border) for border in cloud_plan.borders)
     layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)] if has_regions else []

@@ -161,7 +161,8 @@ def is_planned(folder: Path) -> bool:
 
 
 def file_stamps(path: Path) -> FileStamps:
-    """Return name, time and length of the files of `load_run_view`, or of the file `path`."""
+    """Return name, time and length of the files that `load_run_view` reads, or of the file `path`;
+    equal stamps mean equal content."""
     delivered = (f"{DELIVERED}/{PLAN_NAME}", f"{DELIVERED}/scene.safetensors")
     names = (SCENE_NAME, "scene.safetensors", PLAN_NAME, PLY_NAME, METRICS_NAME, *delivered)
     stamps = []
@@ -185,7 +186,8 @@ def require_splats(run: RunView) -> Splats:
 
 
 def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
-    """Return the files of photograph, render, difference; BadInput where the run has none."""
+    """Return the files of photograph, render and difference of a held-out photograph; BadInput
+    where the run has none."""
     paths = tuple(run.folder / "pictures" / kind / f"{name}.png" for kind in COMPARISON_KINDS)
     missing = [path for path in paths if not path.is_file()]
     if missing and run.in_field:

@@ -50,7 +50,8 @@ def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_ex
 
 
 def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
-    """Return the verdict on all borders, their observed length, and the largest step."""
+    """Return the verdict on all borders with their observed length, and the largest step beside its
+    texture."""
     told = [finding.figures for finding in findings if finding.figures.has_verdict]
     if not told:
         return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"

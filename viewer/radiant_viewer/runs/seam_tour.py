@@ -54,7 +54,8 @@ class SeamStop:
         return self.figures.title
 
     def view(self, height: float) -> ViewPose:
-        """Return an oblique view at ground `height` of the worst place, a third of the border."""
+        """Return an oblique view along the border on its worst place, at ground height `height`,
+        with a third of the border in view."""
         along = (self.ends[1] - self.ends[0]) / max(float(np.linalg.norm(self.ends[1] - self.ends[0])), 1e-12)
         elevation = np.radians(ELEVATION_DEG)
         target = np.array([*self.worst, height])

@@ -29,7 +29,8 @@ class Frame:
 
 
 class SplatProcess(QObject):
-    """Draws one picture at a time, not while `is_busy`; `failed` carries why the process ended."""
+    """Draws one picture at a time: do not call `ask` while `is_busy`. `failed` carries why the
+    process ended by itself."""
 
     ready = Signal()
     drawn = Signal(object)

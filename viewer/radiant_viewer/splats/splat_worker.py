@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     import open3d as o3d
 
 NEAR_SHARE = 1e-3
-"""Near plane over the distance of the farthest Gaussian; Open3D's own choice cuts close ones."""
+"""Near plane as a share of the distance to the farthest Gaussian: the one that Open3D chooses cuts
+what lies close to the camera."""
 
 
 class Renderer(Protocol):

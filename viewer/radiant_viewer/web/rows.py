@@ -101,7 +101,8 @@ def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
 
 
 def camera_pictures(run: RunView, index: int) -> Row:
-    """Return photograph, render, difference of a camera as data URLs, "" and a reason if absent."""
+    """Return photograph, render and difference of a camera as data URLs, "" with a reason where a
+    picture is not here."""
     name = run.scene.cameras.names[index]
     shown = {"photograph": "", "render": "", "difference": "", "reason": ""}
     if run.roles.held_out[index]:

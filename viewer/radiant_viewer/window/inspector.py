@@ -48,7 +48,7 @@ def open_window(
     Args:
         path: a run folder, a plan, or a .ply file; a running run without a plan is waited for.
         feeds: the application's progress and timeline of the run.
-            setting: returns the machines with which the plan can be edited; called per reading.
+        setting: returns the machines with which the plan can be edited; called per reading.
         scene: the cameras of a plan without waypoints.
 
     Returns: the exit code.
@@ -116,14 +116,15 @@ class _WindowOwner:
         self.window: InspectorWindow | WaitingWindow | None = None
 
     def read(self) -> _Reading | None:
-        """Return what to show; None while a run has no plan. Raises as `load_subject`, setting."""
+        """Return what to show; None while a running run has no plan. Raises as `load_subject` and
+        the setting."""
         setting = None if self._setting is None else self._setting()
         if self._path.is_dir() and not is_planned(self._path) and self._feeds.progress().is_running:
             return None
         return _Reading(subject=load_subject(self._path, self._scene), setting=setting)
 
     def show(self, reading: _Reading | None, theme: ThemeName) -> None:
-        """Open a window, then close the previous one, or the application would end in between."""
+        """Open a window, then close the previous one: else the application would end between."""
         from PySide6.QtCore import Qt
 
         from radiant_viewer.window.waiting_window import WaitingWindow

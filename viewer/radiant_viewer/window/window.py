@@ -292,7 +292,7 @@ class InspectorWindow(QMainWindow):
                 self._restore(self)
 
     def _on_polled(self) -> None:
-        """Request a reload once files have changed, but not in the middle of a user's action."""
+        """Request a reload once the files have changed, unless the user is busy in the window."""
         stamps = file_stamps(self.subject.path)
         if stamps == self._tried or self._is_busy():
             return
