@@ -78,7 +78,8 @@ def _draw_map(axes: Axes, positions: FloatArray, partition: Partition, num_edges
     orphans = int((partition.edge_of_camera < 0).sum())
     if orphans:
         axes.scatter(*dots[~owned].T, s=size * 1.5, c="black", marker="x", linewidths=0.8)
-        text, patch = f"× {orphans} in no region", {"facecolor": "white", "alpha": 0.85, "pad": 1.5, "linewidth": 0}
+        patch = {"facecolor": "white", "alpha": 0.85, "pad": 1.5, "linewidth": 0}
+        text = f"× {orphans} in no region"
         axes.text(0.99, 0.01, text, transform=axes.transAxes, size=8, ha="right", va="bottom", color="black", bbox=patch)
     low, high = box
     margin = 0.04 * max(float((high - low).max()), 1e-9)

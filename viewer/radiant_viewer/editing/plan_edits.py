@@ -90,7 +90,7 @@ class FreeRegion:
         old = before.wishes.constraints
         if self.edge not in old.locked and self.edge not in old.fixed_weights_m2:
             raise BadInput(f"the region of {self.edge!r} is free already: nothing of it is locked or was dragged.")
-        return replace(before.wishes, constraints=_without(old, self.edge, pins=False))
+        return replace(before.wishes, constraints=_release_edge(old, self.edge, pins=False))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +181,7 @@ class RemoveEdge:
         _require_edge(system, self.edge)
         if len(system.edges) == 1:
             raise BadInput(f"{self.edge!r} is the only edge: add another before it is removed.")
-        constraints = _without(before.wishes.constraints, self.edge, pins=True)
+        constraints = _release_edge(before.wishes.constraints, self.edge, pins=True)
         return replace(
             before.wishes,
             system=replace(system, edges=tuple(edge for edge in system.edges if edge.id != self.edge)),
@@ -208,7 +208,9 @@ class AddDevice:
             raise BadInput(f"edge {self.edge!r} is known by its curve alone: its devices are its own matter.")
         like = [device for device in system.devices if device.id == self.like]
         if not like:
-            raise BadInput(f"there is no device {self.like!r} to take the new one after: there are {_some(d.id for d in system.devices)}.")
+            raise BadInput(
+                f"there is no device {self.like!r} to take the new one after: there are {_list_names(d.id for d in system.devices)}."
+            )
         new = replace(like[0], id=self.device)
         return _replace_edges(before.wishes, lambda edge: replace(edge, devices=(*edge.devices, new)) if edge.id == self.edge else edge)
 
@@ -226,7 +228,7 @@ class RemoveDevice:
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
         owner = [edge for edge in before.wishes.system.edges if any(device.id == self.device for device in edge.devices)]
         if not owner:
-            raise BadInput(f"there is no device {self.device!r}: there are {_some(d.id for d in before.wishes.system.devices)}.")
+            raise BadInput(f"there is no device {self.device!r}: there are {_list_names(d.id for d in before.wishes.system.devices)}.")
         if len(owner[0].devices) == 1:
             raise BadInput(f"{self.device!r} is the only device of edge {owner[0].id!r}: remove the edge instead.")
 
@@ -294,7 +296,7 @@ def apply_edit(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: 
 def _require_edge(system: System, name: str) -> Edge:
     found = [edge for edge in system.edges if edge.id == name]
     if not found:
-        raise BadInput(f"there is no edge {name!r}: there are {_some(edge.id for edge in system.edges)}.")
+        raise BadInput(f"there is no edge {name!r}: there are {_list_names(edge.id for edge in system.edges)}.")
     return found[0]
 
 
@@ -302,7 +304,7 @@ def _replace_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanW
     return replace(wishes, system=replace(wishes.system, edges=tuple(changed(edge) for edge in wishes.system.edges)))
 
 
-def _without(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanConstraints:
+def _release_edge(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanConstraints:
     """Return the constraints without lock, fixed weight and, if `pins`, pins of an edge."""
     return PlanConstraints(
         fixed_weights_m2={edge: weight for edge, weight in constraints.fixed_weights_m2.items() if edge != name},
@@ -311,6 +313,6 @@ def _without(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanCons
     )
 
 
-def _some(names: Iterable[str]) -> str:
+def _list_names(names: Iterable[str]) -> str:
     listed = list(names)
     return ", ".join(listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")

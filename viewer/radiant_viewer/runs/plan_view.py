@@ -90,8 +90,8 @@ def _cameras_along(names: Sequence[str], positions: FloatArray, corner_rays: Flo
     """Return cameras at positions (P,3) whose corners, clockwise from the upper left, see along the
     rays (P,4,3)."""
     left_up, right_up, right_down, left_down = (corner_rays[:, corner] for corner in range(4))
-    forward = _unit(corner_rays.sum(axis=1))
-    right = _unit(right_up + right_down - left_up - left_down)
+    forward = _normalize(corner_rays.sum(axis=1))
+    right = _normalize(right_up + right_down - left_up - left_down)
     rotations = np.stack([right, np.cross(forward, right), forward], axis=1)
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, :3, :3] = rotations
@@ -103,5 +103,5 @@ def _cameras_along(names: Sequence[str], positions: FloatArray, corner_rays: Flo
     return Cameras(names=tuple(names), Ks=np.tile(K, (count, 1, 1)), cam_from_world=poses, sizes_wh=np.tile([width, height], (count, 1)))
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def _normalize(vectors: FloatArray) -> FloatArray:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

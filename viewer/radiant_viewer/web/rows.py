@@ -70,7 +70,7 @@ def camera_rows(figures: CameraFigures) -> list[Row]:
     """Return one row per camera in the scene's order, numbers as shown; `index` is the camera's."""
     decimals = {figure.key: figure.decimals for figure in FIGURES} | {"points": 0}
     columns = {
-        key: [_shown(value, decimals.get(key, 2)) for value in values.tolist()] if values.dtype.kind == "f" else values.tolist()
+        key: [_number_text(value, decimals.get(key, 2)) for value in values.tolist()] if values.dtype.kind == "f" else values.tolist()
         for key, values in figures.columns.items()
     }
     return [{"index": index, **{key: column[index] for key, column in columns.items()}} for index in range(len(figures))]
@@ -90,9 +90,9 @@ def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
         {
             "index": index,
             "title": stop.title,
-            "step": _shown(stop.figures.step_levels, 1) or "–",
-            "texture": _shown(stop.figures.texture_levels, 1) or "–",
-            "worst": _shown(stop.worst_levels, 1) or "–",
+            "step": _number_text(stop.figures.step_levels, 1) or "–",
+            "texture": _number_text(stop.figures.texture_levels, 1) or "–",
+            "worst": _number_text(stop.worst_levels, 1) or "–",
             "observed": observed_text(stop.figures.observed_length, stop.length, unit),
             "verdict": stop.figures.verdict,
         }
@@ -138,5 +138,5 @@ def data_url(image: Image) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def _shown(value: float, decimals: int) -> str:
+def _number_text(value: float, decimals: int) -> str:
     return f"{value:,.{decimals}f}".replace("-", "−") if np.isfinite(value) else ""
