@@ -1,4 +1,5 @@
-"""Small made-up scenes for tests of training and aggregation: a bumpy coloured ground seen by a few cameras from above."""
+"""Small made-up scenes for tests of training and aggregation: a bumpy coloured ground seen by a few
+cameras from above."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The native module: cells of a power diagram against a plain numpy twin, what importing it leaves alone, and building it."""
+"""The native module: cells of a power diagram against a plain numpy twin, what importing it leaves
+alone, and building it."""
 
 from __future__ import annotations
 

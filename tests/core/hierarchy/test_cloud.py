@@ -1,4 +1,5 @@
-"""The cloud: it retrains where limits and memory allow, else cuts with a warning that says whose limit it was."""
+"""The cloud: it retrains where limits and memory allow, else cuts with a warning that says whose
+limit it was."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""An edge: who is refused costs the others no bit, a lone model stays, and who joins is decided by outlook and memory."""
+"""An edge: who is refused costs the others no bit, a lone model stays, and who joins is decided by
+outlook and memory."""
 
 from __future__ import annotations
 

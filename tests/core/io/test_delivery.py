@@ -1,4 +1,5 @@
-"""Signed deliveries: what was sent arrives, everything else is refused; keys are only their owner's to read."""
+"""Signed deliveries: what was sent arrives, everything else is refused; keys are only their owner's
+to read."""
 
 from __future__ import annotations
 
@@ -56,7 +57,8 @@ def sent(folder: Path, name: str = "north-1", run: str = RUN, attempt: int = 1, 
 
 
 def taken(folder: Path, public: Path, state: Acceptance) -> tuple[Acceptance, str]:
-    """What a receiver does: signature, files, protocol. The next state, and the status or why it was refused before."""
+    """What a receiver does: signature, files, protocol. The next state, and the status or why it
+    was refused before."""
     try:
         delivery = load_delivery(folder, load_public_key(public))
         check_files(delivery, folder)
@@ -241,7 +243,8 @@ def test_no_tampered_or_replayed_upload_is_accepted() -> None:
 
 
 def tampered_uploads(folder: Path, count: int, seed: int) -> list[str]:
-    """Offer `count` uploads that an attacker without the sender's key can make to a receiver; those that were accepted."""
+    """Offer `count` uploads that an attacker without the sender's key can make to a receiver; those
+    that were accepted."""
     place = sent(folder)
     public = folder / "north-1-identity" / PUBLIC_NAME
     other_run = sent(folder, run="f" * 32)

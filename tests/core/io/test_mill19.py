@@ -1,4 +1,5 @@
-"""Mill 19 / Mega-NeRF folders: the axes come out right on generated folders, and strange files are refused."""
+"""Mill 19 / Mega-NeRF folders: the axes come out right on generated folders, and strange files are
+refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What is wrong with an array is told under the name of the argument it came as, in every function that takes one."""
+"""What is wrong with an array is told under the name of the argument it came as, in every function
+that takes one."""
 
 from __future__ import annotations
 

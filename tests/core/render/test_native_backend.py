@@ -1,4 +1,5 @@
-"""The native rasterizer below its contract: what its Python border refuses, and what it does not compute unasked."""
+"""The native rasterizer below its contract: what its Python border refuses, and what it does not
+compute unasked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Masks through structure from motion, on the hamlet: no feature, no point and no pixel of what is ignored."""
+"""Masks through structure from motion, on the hamlet: no feature, no point and no pixel of what is
+ignored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Structure from motion within a limit of memory: threads go first, then pixels, and features; what cannot be done is said."""
+"""Structure from motion within a limit of memory: threads go first, then pixels, and features; what
+cannot be done is said."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What a user says of up and of a length: obeyed, before GPS too, and refused in one sentence where it makes no sense."""
+"""What a user says of up and of a length: obeyed, before GPS too, and refused in one sentence where
+it makes no sense."""
 
 from __future__ import annotations
 

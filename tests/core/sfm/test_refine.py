@@ -1,4 +1,5 @@
-"""The last bundle adjustment: wrong matches no longer bend the model, and a lens that nothing fixes stays as it is."""
+"""The last bundle adjustment: wrong matches no longer bend the model, and a lens that nothing fixes
+stays as it is."""
 
 from __future__ import annotations
 
