@@ -136,8 +136,7 @@ def test_metres_to_degrees_and_back_are_the_same_metres(origin: tuple[float, flo
 
 
 def enu_in_fifty_digits(position: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """East, north, up written out anew in mpmath: geocentric differences projected on the three
-    directions."""
+    """East, north, up anew in mpmath: geocentric differences projected on the three directions."""
     with mpmath.workdps(50):
         a, f = mpmath.mpf(6378137), 1 / mpmath.mpf("298.257223563")
 

@@ -28,8 +28,7 @@ DROP_LOGIT = np.float32(np.log(0.005 / 0.995))
 
 
 def halves() -> tuple[Splats, Splats]:
-    """Two models of one ground, each right as far as 1 m beyond the middle and haze of a wrong
-    colour from there on."""
+    """Two models of one ground, each right to 1 m beyond the middle and wrong haze from there."""
     truth = ground_splats()
     parts = []
     for sign in (-1, 1):

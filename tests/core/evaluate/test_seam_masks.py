@@ -1,5 +1,4 @@
-"""The same masks for all methods: per border, both levels, hidden ground, and the headline against
-planted errors."""
+"""The same masks for all methods: per border, both levels, hidden ground, and planted errors."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Similarities of pairs with errors, their predicted covariance, their joint solution, and ICP that
-says when it is lost."""
+"""Similarities of pairs with errors, their covariance and joint solution, and failures of ICP."""
 
 from __future__ import annotations
 

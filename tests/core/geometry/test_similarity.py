@@ -24,8 +24,7 @@ def some_sim3(seed: int, *, scale: float = 1.7, far_m: float = 30.0) -> Sim3:
 
 
 def some_splats(degree: int, count: int = 200, seed: int = 0) -> Splats:
-    """Oblong Gaussians on bumpy ground with colours that depend on the direction and quaternions of
-    any length."""
+    """Oblong Gaussians on bumpy ground, of view-dependent colour, quaternions of any length."""
     rng = np.random.default_rng(seed)
     ground = ground_splats(count, seed=seed)
     return Splats(

@@ -1,8 +1,8 @@
 """A job of several sealed stages on a disk that fails: every k-th call that writes, or a real file
 system that is full.
 
-job = Job(folder); job.run()          makes what is not sealed; raises BadInput where the disk refuses
-job.problem()                         None where every file that is sealed or was written over is whole
+job = Job(folder); job.run()    makes what is not sealed; raises BadInput where the disk refuses
+job.problem()                   None where every file that is sealed or written over is whole
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ class Job:
 
 @dataclass
 class FailingDisk:
-    """From the k-th call that writes on, the disk is full; `calls` counts them. A disk without
-    `first` only counts."""
+    """From the k-th writing call on, the disk is full; `calls` counts them. Without `first` it only
+    counts."""
 
     first: int | None = None
     calls: int = 0

@@ -28,8 +28,7 @@ NUM_MUTATIONS = 1000
 
 @pytest.fixture(scope="module")
 def text_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small model of every kind of record: two camera models, a name in a subfolder, an image
-    without points."""
+    """A small model: two camera models, a name in a subfolder, an image without points."""
     folder = tmp_path_factory.mktemp("text")
     (folder / "cameras.txt").write_text("# cameras\n1 PINHOLE 640 480 500 501 320 240\n4 SIMPLE_RADIAL 320 240 300 160 120 -0.01\n")
     (folder / "images.txt").write_text(
@@ -218,8 +217,7 @@ def test_every_camera_model_has_as_many_parameters_as_in_colmap(model: str) -> N
 
 
 def test_a_focal_length_is_positive_and_a_centre_may_lie_anywhere(text_model: Path, tmp_path: Path) -> None:
-    """Cropped pictures have their principal point outside; which parameters are focal lengths
-    depends on the model."""
+    """Cropped pictures have their principal point outside; focal parameters depend on the model."""
     folder = copied(text_model, tmp_path / "cropped")
     cameras = folder / "cameras.txt"
     whole = cameras.read_text()

@@ -1,5 +1,4 @@
-"""Exported plans: what a flight planner reads is what was planned, polygon for polygon and waypoint
-for waypoint."""
+"""Exported plans: flight planners read the same polygons and waypoints as were planned."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""PLY files: nothing is lost, other programs read the same, and no file of a stranger does more
-than raise BadInput."""
+"""PLY files: nothing is lost, other programs read the same, any file raises BadInput at most."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Exports as other programs read them: PLY and SPZ by Open3D, COLMAP by pycolmap, GeoJSON by json
-and shapely."""
+"""Exports as others read them: PLY and SPZ by Open3D, COLMAP by pycolmap, GeoJSON by shapely."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""SOG as another program reads it: a decoder written from the specification alone, with OpenCV for
-the textures."""
+"""SOG as another program reads it: a decoder from the specification alone, textures by OpenCV."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Uploads: what comes back after each format, against float64; extremes, mutated bytes, and what a
-format cannot hold."""
+"""Uploads: the result of each format against float64; extremes, mutated bytes, and limits."""
 
 from __future__ import annotations
 
@@ -171,8 +170,7 @@ def test_how_a_model_was_trained_to_be_drawn_comes_back(tmp_path: Path, name: Up
 
 
 def test_a_model_of_any_size_is_brought_to_the_steps_of_spz(tmp_path: Path) -> None:
-    """Ten orders of magnitude about a far centre, as float32 allows; beyond 2^±40 the steps stay
-    and the file says so."""
+    """Ten orders of magnitude about a far centre in float32; beyond 2^±40 the steps stay."""
     splats, errors = trained_like(50), []
     for factor in (1e-3, 1.0, 1e3, 1e6):
         scaled = replace(splats, means=(splats.means - splats.means.mean(axis=0)) * factor, log_scales=splats.log_scales + np.log(factor))

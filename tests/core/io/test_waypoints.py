@@ -327,8 +327,7 @@ def test_photographs_give_the_positions_that_decoding_them_gives() -> None:
 
 
 def without_exif(path: Path, target: Path) -> None:
-    """The photograph saved anew, with its name at the end: files of the same bytes are copies of
-    one photograph."""
+    """The photograph saved anew, its name at the end: files of the same bytes are copies of one."""
     import cv2
 
     image = cv2.imread(str(path))

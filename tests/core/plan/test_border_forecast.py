@@ -189,8 +189,7 @@ def test_risk_follows_the_images_of_a_spot() -> None:
 
 @pytest.mark.parametrize(("heading", "forward", "side"), [(90.0, 0.6, 0.5), (0.0, 0.0, 0.8)])
 def test_forward_is_along_the_flight_whatever_its_direction(heading: float, forward: float, side: float) -> None:
-    """Pictures of 20 m across and 10 m along the flight, every 4 m to the east and every 10 m to
-    the north."""
+    """Pictures of 20 m across and 10 m along the flight, every 4 m east and every 10 m north."""
     east, north = np.meshgrid(np.arange(2, 100, 4.0), np.arange(5, 100, 10.0))
     positions = np.column_stack([east.ravel(), north.ravel()])
     plan = plan_regions(positions, system())

@@ -1,5 +1,4 @@
-"""Plans after capture: the same photographs give the same plan, missing and added ones change
-counts and times alone."""
+"""Plans after capture: the same photographs give the same plan, others change counts and times."""
 
 from __future__ import annotations
 

@@ -167,8 +167,7 @@ def test_a_cell_has_a_side(cell_m: float) -> None:
 
 
 def test_the_status_of_what_edges_make_of_it_is_by_the_bound_and_by_who_was_handed_over() -> None:
-    """Fifty to fifty is the best of 100 cameras; 52 is within a twentieth, 53 is not; who hands
-    over is never optimal."""
+    """Fifty to fifty is the best of 100 cameras; 52 is within a twentieth, 53 is not."""
     system = linear_system(np.array([[25.0, 0.0], [75.0, 0.0]]), np.ones(2))
     positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
     regions, _ = planned(positions, system, 1.0)

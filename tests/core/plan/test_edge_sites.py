@@ -1,5 +1,4 @@
-"""Edges find a place among the cameras: the same for the same seed, inside their box, given ones
-untouched."""
+"""Sites of edges among the cameras: the same for a seed, inside their box, given ones untouched."""
 
 from __future__ import annotations
 

@@ -35,8 +35,7 @@ def test_a_camera_straight_down_sees_a_rectangle() -> None:
 
 
 def test_footprints_are_the_ground_whose_rays_fall_into_the_image() -> None:
-    """Monte Carlo: a spot is inside exactly when it projects into the image and lies within the
-    horizon's box."""
+    """Monte Carlo: a spot is inside if it projects into the image and lies in the horizon's box."""
     rng = np.random.default_rng(1)
     optics = Optics(field_of_view_deg=60, aspect=0.75)
     for heading, pitch in ((0, -90), (30, -60), (200, -25), (310, 0), (90, 20)):

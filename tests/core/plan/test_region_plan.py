@@ -435,8 +435,7 @@ def test_options_that_exclude_each_other_are_told(options: dict, told: str | Non
 
 
 def test_statuses_follow_the_bound_and_the_threshold() -> None:
-    """A hundred cameras on a line: the border in the middle is the best, one elsewhere within or
-    beyond 5 %."""
+    """A hundred cameras on a line: the middle border is the best, another within 5 % or beyond."""
     positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
     for shift, status in ((0.0, "optimal"), (2.0, "converged"), (3.0, "stopped")):
         system = linear_system(np.array([[24.5 + shift, 0.0], [74.5 + shift, 0.0]]), np.ones(2))

@@ -268,8 +268,7 @@ def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
 
 
 def test_those_that_move_are_the_nearest_for_one_and_for_several_that_lose() -> None:
-    """Against every choice of who goes where with the same quotas: Σ of squared distances to the
-    devices' centres."""
+    """Against every assignment with the same quotas: Σ of squared distances to devices' centres."""
     for seed, change in enumerate(
         [FleetChange(slow={"w1": 3.0}), FleetChange(slow={"w1": 4.0, "e1": 4.0}), FleetChange(dead=frozenset({"w2"}))] * 4
     ):

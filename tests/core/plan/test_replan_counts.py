@@ -25,8 +25,7 @@ def machine(name: str, seconds: float, now: int, fixed: int = 0, most: int = 99,
 
 
 def edge(name: str, *machines: MachineLoad, distance_m: float = 0.0, aggregate: float = 0.5, finished: bool = False) -> EdgeLoad:
-    """An edge whose time is that of its slowest device and half a second per position, a quarter to
-    send it."""
+    """An edge whose time is its slowest device's and 0.5 s per position, a quarter to send it."""
     made = Edge(
         id=name,
         position=(0.0, 0.0),
@@ -54,8 +53,7 @@ def leaving(load: EdgeLoad, quotas: tuple[int, ...]) -> int:
 
 
 def all_choices(loads: list[EdgeLoad], total: int) -> list[tuple[float, int, tuple[tuple[int, ...], ...]]]:
-    """Makespan, positions that leave and quotas of every way to deal `total` positions that the
-    machines allow."""
+    """Makespan, leaving positions and quotas of every allowed way to deal `total` positions."""
     ranges = [
         range(one.fixed, (one.fixed if one.closed or load.finished else min(one.most, total)) + 1)
         for load in loads
@@ -116,8 +114,7 @@ def test_of_equally_good_edges_the_nearer_one_takes_more() -> None:
 
 
 def forced(distances: tuple[float, float]) -> list[EdgeLoad]:
-    """A busy machine must give two away; each of the others can take one only if it gives one
-    up."""
+    """A busy machine must give two away; each other can take one only if it gives one up."""
     giving = edge("g", machine("g", 1.0, 4, most=2, busy_s=5.0))
     takers = [edge(f"t{i}", machine(f"a{i}", 1.0, 3, most=3), machine(f"b{i}", 1.0, 0, most=2), distance_m=distances[i]) for i in range(2)]
     return [giving, *takers]

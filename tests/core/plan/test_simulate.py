@@ -1,5 +1,4 @@
-"""The vectorised timeline against simpy, which plays every machine by itself, second by second of
-the trace."""
+"""The vectorised timeline against simpy, which plays every machine, second by second."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The order of devices along the strips: against all permutations, and the lengths of cuts against
-shapely."""
+"""The order of devices along the strips: against all permutations; cuts against shapely."""
 
 from __future__ import annotations
 
@@ -51,8 +50,7 @@ def test_no_permutation_has_shorter_seams(seed: int) -> None:
 
 
 def test_twelve_devices_with_quotas_of_their_own_are_ordered_exactly() -> None:
-    """One cut is far shorter than all others: of twelve quotas, exactly the order that cuts there
-    after six of them pays."""
+    """One cut is far shorter: of twelve quotas, the order that cuts there after six is best."""
     quotas = 2 ** np.arange(12)
     chords_m = np.full(int(quotas.sum()) + 1, 100.0)
     inside = [0, 3, 4, 7, 8, 11]

@@ -182,8 +182,7 @@ def test_quotas_of_the_guess_are_near_the_best_and_sum_to_all(seed: int) -> None
 
 @for_seeds(60)
 def test_any_window_gives_the_optimum_or_nothing(seed: int) -> None:
-    """Windows about the best quotas, too narrow, shifted or as wide as all: what is said to be
-    proved is the optimum."""
+    """Windows about the best quotas, narrow, shifted or complete: what is proved is the optimum."""
     system, fleet = some_fleet(seed % 12, 150)
     tables = edge_tables(system, 150)
     if sum(table.capacity for table in tables) < 150:

@@ -87,8 +87,7 @@ def separating_weights(cost: FloatArray, edge_of_camera: Indices) -> FloatArray:
 
 
 def largest_violation(cost: FloatArray, weights: FloatArray, edge_of_camera: Indices) -> float:
-    """How far the worst camera is from its own power cell, in units of cost: max_c (own − min_e) of
-    cost[c, e] − w[e], ≥ 0."""
+    """How far the worst camera is outside its cell: max_c (own − min_e) of cost[c, e] − w[e]."""
     power = cost - weights
     return float((power[np.arange(len(cost)), edge_of_camera] - power.min(axis=1)).max(initial=0.0))
 

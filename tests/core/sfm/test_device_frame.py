@@ -1,5 +1,4 @@
-"""A device's frame from the GPS of its photographs: right, with an honest uncertainty, or refused
-with the figures."""
+"""A device's frame from its photographs' GPS: right, with an honest uncertainty, or refused."""
 
 from __future__ import annotations
 
@@ -22,8 +21,7 @@ def gps_of(names: tuple[str, ...], positions_m: np.ndarray) -> dict[str, tuple[f
 
 
 def exact_m(names: tuple[str, ...], positions_m: np.ndarray) -> np.ndarray:
-    """What the GPS of `positions_m` reads in metres about ORIGIN; the test's degrees per metre are
-    only nearly right."""
+    """The GPS of `positions_m` in metres about ORIGIN, by approximate degrees per metre."""
     gps = gps_of(names, positions_m)
     return enu_from_geodetic([gps[name] for name in names], ORIGIN)
 

@@ -1,5 +1,4 @@
-"""GPS as cameras and editors write it: without altitude, with altitude on some photographs, and far
-off on others."""
+"""GPS as cameras and editors write it: altitude on all, some or no photographs, and outliers."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Structure from motion on real pixels: the sample hamlet with its exact truth, and the brighton
-photographs."""
+"""Structure from motion on real pixels: the hamlet with its truth, and the brighton photographs."""
 
 from __future__ import annotations
 

@@ -33,8 +33,7 @@ HORIZON_PX = {
     "img_4264.jpg": ((20, 26), (1116, 241)),
     "img_4344.jpg": ((20, 236), (748, 6)),
 }
-"""Lewis: two points each on the line between land and sky, as columns and rows of the photographs;
-they look to all sides."""
+"""Lewis: two points per photograph between land and sky (column, row), to all sides."""
 
 
 def posed(positions: FloatArray, yaw_deg: FloatArray | float, pitch_deg: FloatArray | float, roll_deg: FloatArray | float) -> Cameras:
@@ -285,8 +284,7 @@ def test_the_horizon_says_that_the_estimate_is_right_where_drifting_altitudes_ti
 
 
 def _horizon(image: pycolmap.Image, line_px: tuple[tuple[int, int], tuple[int, int]]) -> FloatArray:
-    """Up by the line between land and sky in one photograph: the normal of the plane through its
-    centre and that line."""
+    """Up from the horizon in one photograph: the normal of the plane through its centre and it."""
     assert image.camera is not None
     rays = np.column_stack([np.asarray(image.camera.cam_from_img(np.array(line_px, float))), np.ones(2)])
     normal = np.cross(rays[0], rays[1])

@@ -1,5 +1,4 @@
-"""Checkpoints: every bit comes back, damage and strangers are recognised, writing is whole or not
-at all and stays cheap."""
+"""Checkpoints: every bit comes back, damage is recognised, writing is atomic and cheap."""
 
 from __future__ import annotations
 

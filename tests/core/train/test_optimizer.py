@@ -1,5 +1,4 @@
-"""Adam over visible rows: torch's Adam is the twin, dense or on the steps that saw a row; poison
-changes nothing."""
+"""Adam over visible rows, against torch's, dense or on the steps that saw a row; poison."""
 
 from __future__ import annotations
 
@@ -275,8 +274,7 @@ def test_presets_that_promise_plain_3dgs_are_dense_and_so_is_what_was_best() -> 
 
 
 def test_rows_that_are_chosen_keep_moments_and_counts_and_fresh_ones_begin_anew() -> None:
-    """After a selection, each old row goes on as in a run that always had it there, each fresh one
-    as in a new run."""
+    """After a selection each old row goes on as if always there, each fresh one as in a new run."""
     whole = tensors()
     adam = SelectiveAdam(whole, RATES)
     for step in range(5):
