@@ -1,4 +1,4 @@
-"""The photograph of the selected camera, by a wipe over its render if it was held out.
+"""The photograph of the selected camera; if held out, with render and difference under a wipe.
 
 Held-out photographs are visited worst first. For a photograph that is not on this machine, a
 sentence names its device. Needs the `desktop` extra.

@@ -1,5 +1,5 @@
-"""Progress of a run: a bar per stage, warnings, time left, read once a second. Needs the `desktop`
-extra."""
+"""Progress of a run: a bar per stage, warnings, time left, polled once a second. Needs the
+`desktop` extra."""
 
 from __future__ import annotations
 

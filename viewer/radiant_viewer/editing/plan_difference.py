@@ -1,4 +1,4 @@
-"""The difference of two plans: cameras that change hands, times. Once per edit or comparison."""
+"""The difference of two plans: moved cameras, makespan and times. Once per edit or comparison."""
 
 from __future__ import annotations
 

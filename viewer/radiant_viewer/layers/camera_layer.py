@@ -22,7 +22,7 @@ Coloring = Literal["region", "device", "split", "psnr"]
 def camera_layer(
     cameras: Cameras, roles: CameraRoles, coloring: Coloring, psnr_db: Mapping[str, float] | None = None, *, pyramids: bool = True
 ) -> Layer:
-    """Return all C cameras as dots with pyramids; "region" can leave these out by `pyramids`.
+    """Return all C cameras as dots with pyramids; by region as dots alone if `pyramids` is False.
     BadInput for an unknown colouring, or "psnr" without figures."""
     if coloring == "region":
         return _layer(cameras, "Cameras by region", _region_colors(roles), _held_out_legend(roles), pyramids=pyramids)

@@ -99,7 +99,7 @@ class PointDetail:
         self._clouds.append(cloud)
 
     def coarsen(self) -> None:
-        """Draw the next frames with few points though the view is at rest, as in a drag."""
+        """Draw the next frames with few points although the view is at rest, as during a drag."""
         self._seen = None
 
     def refine(self) -> None:

@@ -1,8 +1,12 @@
 """The named views of a run as finished pictures, for `radiant inspect --view` and the report.
 
-Each view is a list of layers and a page. regions: the plan; cameras: held-out error or split;
-seams: colour steps along borders; splats: the model in 3D; compare: held-out photographs beside
-their renders, worst, middle and best. Once per picture, 0.5 to 2 s.
+Each view is a list of layers and a page. Once per picture, 0.5 to 2 s.
+
+    regions   the plan
+    cameras   held-out error or split
+    seams     colour steps along borders
+    splats    the model in 3D
+    compare   held-out photographs beside their renders: worst, middle and best
 """
 
 from __future__ import annotations

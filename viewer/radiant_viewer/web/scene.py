@@ -1,6 +1,6 @@
 """`WebScene`: map and 3D view of the web page, rendered offscreen, without browser or server.
 
-Both hold the same layers relative to one float64 origin. Drawn when the page asks for a frame.
+Both hold the same layers relative to one float64 origin. Frames are drawn when the page asks.
 """
 
 from __future__ import annotations

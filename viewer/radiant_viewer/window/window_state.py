@@ -1,4 +1,5 @@
-"""`WindowState`: the arrangement of a window, kept when its run is read again. Needs `desktop`."""
+"""`WindowState`: the user's arrangement of a window, carried over when its run is read again. Needs
+the `desktop` extra."""
 
 from __future__ import annotations
 
