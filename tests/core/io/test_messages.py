@@ -1,4 +1,5 @@
-"""The codec: what is written comes back, anything else is one sentence, and a key holds all that decides a bit and nothing more."""
+"""The codec: what is written comes back, anything else is one sentence, and a key holds all that
+decides a bit and nothing more."""
 
 from __future__ import annotations
 

@@ -47,7 +47,8 @@ def test_the_makespan_is_that_of_whole_tables(seed: int) -> None:
     _, bound_s = fastest_counts(tables, num_cameras)
     found = fastest_edge_counts(system, num_cameras)
     assert found.counts.sum() == num_cameras
-    assert found.edge_time_s.max() == pytest.approx(bound_s, rel=1e-12)  # bytes are added up from another start
+    # Bytes are added up from another start.
+    assert found.edge_time_s.max() == pytest.approx(bound_s, rel=1e-12)
     np.testing.assert_allclose(times_of_counts(system, found.counts), found.edge_time_s, rtol=1e-12)
 
 
@@ -181,7 +182,7 @@ def test_quotas_of_the_guess_are_near_the_best_and_sum_to_all(seed: int) -> None
 
 @for_seeds(60)
 def test_any_window_gives_the_optimum_or_nothing(seed: int) -> None:
-    """Windows about the best quotas, too narrow, shifted or as wide as all: what is said to be proved is the optimum."""
+    """Windows about the best quotas, narrow, shifted or complete: what is proved is the optimum."""
     system, fleet = some_fleet(seed % 12, 150)
     tables = edge_tables(system, 150)
     if sum(table.capacity for table in tables) < 150:
