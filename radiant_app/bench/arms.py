@@ -1,10 +1,8 @@
-"""Arms of `radiant bench methods` and `paper`: each one way of making the model of a cell, cached
-with its scores. Once per (cell, arm).
+"""Arms of `radiant bench methods` and `paper`: each one way of making the model of a cell.
 
-Models and scores are stored in the output folder under the hash of their inputs, so that an
-interrupted benchmark resumes, and an arm that several sections show is made once. The bands along
-borders are the same for all arms of a cell: surfaces are those of the first cell's centralised
-model.
+Models and scores are stored in the output folder under the hash of their inputs: an interrupted
+benchmark resumes, and an arm that several sections show is made once per cell. The bands along
+borders are the same for all arms: surfaces are those of the first cell's centralised model.
 """
 
 from __future__ import annotations
@@ -57,8 +55,7 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRow:
-    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph; band and interior in
-    dB over all borders.
+    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph.
 
     Band and interior are None where too few pixels show a border. CPU seconds and training pixels
     exclude the devices' trainings.
@@ -117,7 +114,7 @@ class Arms:
         return dealt_cell(self.scene, self.first.cache, settings, layout, placement, speeds)
 
     def row(self, cell: Cell, arm: Arm, max_gaussians: int | None = None) -> ArmRow:
-        """The arm's figures, from the cache where it has them; of its model reduced to so many Gaussians, where given."""
+        """The arm's figures, cached; of its model reduced to `max_gaussians`, where given."""
         model = self._model_file(cell, arm)
         record = model.with_suffix(".json" if max_gaussians is None else f".{max_gaussians}.json")
         if model.is_file() and record.is_file():
@@ -181,11 +178,9 @@ class Arms:
 
 
 def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings) -> Arms:
-    """Arms of a scene that is dealt to a layout or, without one, of a run under its own plan and
-    settings.
+    """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings.
 
-    Raises:
-        BadInput: the scene has too few photographs, is not of a run, or `out` is a file.
+    BadInput: the scene has too few photographs or is not of a run, or `out` is a file.
     """
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file: name a folder for the page, its pictures and the models.")

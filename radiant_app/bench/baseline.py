@@ -1,5 +1,4 @@
-"""Committed figures of the quick benchmarks that no machine changes, and whether new ones are
-worse.
+"""Committed figures of the quick benchmarks that no machine changes, to compare new ones with.
 
 Errors, ratios and counts; neither times nor memory, and nothing that only informs. A figure may be
 worse than its baseline by the tolerance that its benchmark states. One file for all benchmarks;
@@ -20,13 +19,12 @@ _OF_THE_MACHINE = ("_s", "_ms", ".seconds", "_bytes", "_scaling", "_fraction")
 
 
 def machine_independent(metrics: Sequence[Metric]) -> list[Metric]:
-    """Those that any machine reproduces within their tolerance, and that have a better and a worse."""
+    """Those that any machine reproduces within their tolerance and that can be better or worse."""
     return [metric for metric in metrics if metric.direction != "info" and not metric.key.endswith(_OF_THE_MACHINE)]
 
 
 def check_against_baseline(file: Path, name: str, metrics: Sequence[Metric]) -> int:
-    """Compare the figures of the benchmark `name` with its part of `file` and return how many there
-    are.
+    """Compare the figures of the benchmark `name` with its part of `file`; the number of those.
 
     Raises:
         StageFailed: Figures are worse or missing; the message names each.

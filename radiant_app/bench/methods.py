@@ -1,13 +1,12 @@
-"""Benchmark of joining: every method on the same device models, rasterizer, split and seams. Once
-per (layout, placement, seed).
+"""Benchmark of joining: every method on the same devices, split and seams. Once per (layout, seed).
 
-    centralised     one model of all photographs, with the steps of all devices together; the reference of every seam
+    centralised     one model of all photographs, with all devices' steps; reference of the seams
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each
     ours            the default of `radiant run`; in a run's own cell, the run's settings
     ours edges      the same, the cloud only cuts
     even            ours on even counts of photographs
-    photographs     all device models retrained on the photographs: what the paper calls its upper bound
+    photographs     device models retrained on the photographs: the paper's upper bound
     vastgaussian    its own cells, cameras and crop, its own models
     fed3dgs         its sequential server on our device models
 
@@ -61,7 +60,7 @@ class MethodBench:
     scene: Path
     out: Path
     layout: Layout | None = TWO_BY_TWO
-    """None: the plan, the settings and the seed of the run that `scene` is; the fields of training below do not count."""
+    """None: plan, settings and seed of the run `scene`; the training fields below do not count."""
     methods: tuple[str, ...] = ()
     """Names from the list above; empty for all."""
     num_placements: int = 1
@@ -72,19 +71,17 @@ class MethodBench:
     upload: UploadFormat = "float16"
     """What devices and edges send."""
     max_gaussians: int | None = None
-    """As many as any method's model may have: of a larger one those are left that show most to the
-    training cameras, and nothing is fitted again. None: as many as a method makes."""
+    """Of a larger model those are kept that training cameras see most; nothing is refitted."""
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.methods) - set(METHODS))
-        if unknown:
+        if unknown := sorted(set(self.methods) - set(METHODS)):
             raise BadInput(f"method {unknown[0]!r} is unknown: use {', '.join(METHODS)}.")
         if self.max_gaussians is not None and self.max_gaussians < 1:
             raise BadInput(f"max_gaussians is {self.max_gaussians}, expected at least 1.")
 
 
 def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
-    """All rows, and per scene and method their means with the paired difference to the paper's preset."""
+    """All rows; per scene and method, means with the paired difference to the paper's preset."""
     arms = load_arms(bench.scene, bench.out, bench.layout, bench_settings(bench.long_side_px, bench.num_steps, bench.upload))
     cells = [arms.first]
     if bench.layout is not None:
@@ -124,7 +121,6 @@ def _received(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
 
 
 def _timed(work: Callable[[], tuple[Splats, float]]) -> Made:
-    """The product of `work` with its pixels and CPU seconds."""
     begun_s = time.process_time()
     splats, pixels = work()
     return Made(splats=splats, cpu_s=time.process_time() - begun_s, training_px=pixels)
@@ -189,7 +185,6 @@ def _fed3dgs(cell: Cell, recipe: Recipe) -> Made:
 
 
 def _joined_as(name: str, **changes: Any) -> Arm:
-    """The hierarchy with some settings of joining changed."""
     return Arm(name=name, make=joined, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
 
 
@@ -215,7 +210,7 @@ METHODS: Mapping[str, Arm] = {
 
 
 def epochs_arm(name: str, num_epochs: int) -> Arm:
-    """`ours` or `paper` with another number of epochs at both tiers; 0 is the plain cut for both."""
+    """`ours` or `paper` with other epochs at both tiers; 0 is the plain cut for both."""
     if num_epochs == 0:
         return METHODS["crop"]
     if num_epochs == aggregate_preset({"ours": "default", "paper": "paper"}[name]).num_epochs:
@@ -225,7 +220,7 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:
-    """Scene by scene a line per method: means over cells of PSNR, Gaussians, CPU seconds, pixels and the seams' excess."""
+    """A line per scene and method: means over cells."""
     lines = ["| scene | method | PSNR dB | seam excess dB | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|---|"]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
     for (scene, method), group in _grouped(rows).items():
@@ -241,13 +236,13 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
 
 
 def seam_excess_db(row: ArmRow, reference: ArmRow) -> float | None:
-    """(band − interior) of an arm minus that of the centralised model of its cell; None where too little of the seams is seen."""
+    """(band − interior) of an arm minus the reference's; None where too few seams are seen."""
     gaps_db = [of.band_db - of.interior_db for of in (row, reference) if of.band_db is not None and of.interior_db is not None]
     return gaps_db[0] - gaps_db[1] if len(gaps_db) == 2 else None
 
 
 def curves_of(rows: Sequence[ArmRow]) -> dict[str, list[CurvePoint]]:
-    """The rows by method, for a picture of quality against CPU seconds; a tenth of a second at least, since the axis is logarithmic."""
+    """The rows by method, each with at least 0.1 CPU seconds: the axis is logarithmic."""
     curves: dict[str, list[CurvePoint]] = {}
     for row in rows:
         point = CurvePoint(cpu_s=max(row.cpu_s, 0.1), num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)

@@ -1,5 +1,4 @@
-"""Even against balanced regions: training time of each device and quality of the joined scene. Once
-per `radiant bench paper`.
+"""Even against balanced regions: time of each device, quality of the joined scene. Once per page.
 
 Here every device takes equally many steps per photograph, so that its time follows the number of
 its photographs as the plan assumes; all devices together take the steps of the other sections.
@@ -33,7 +32,7 @@ NAMES = ("even", "balanced")
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceTime:
-    """A device: its speed relative to this machine, its photographs, and CPU seconds of training here, mean over seeds."""
+    """A device: its speed relative to this machine, and CPU seconds here, mean over seeds."""
 
     device: str
     speed: float
@@ -48,7 +47,7 @@ class DeviceTime:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Side:
-    """Devices and joined scene of one plan; photograph_s: mean CPU seconds per photograph over both plans."""
+    """Devices and joined scene of one plan; photograph_s: mean CPU seconds over both plans."""
 
     name: str
     devices: list[DeviceTime]

@@ -2,9 +2,9 @@
 
     main      every method there is here, on one layout; `fed3dgs` adds that one to its table
     border    one border as the cut, `paper` and ours show it
-    regions   merge against retrain on 2, 4 and 8 regions of devices, beside the length of all borders
+    regions   merge against retrain on 2, 4 and 8 regions of devices, beside the borders' length
     epochs    quality beside borders and elsewhere against the epochs of retraining at both tiers
-    fusion    cut at both tiers, retrain at the edges alone, at the cloud alone, at both; on two systems
+    fusion    cut at both tiers, retrain at edges alone, at the cloud alone, at both; two systems
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
 
 An arm that several sections show is made once (`arms.py`).
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from radiant_app.bench.arms import Arm, ArmRow, Arms
 from radiant_app.bench.cells import DEVICE_SPEEDS, Cell, Layout
-from radiant_app.bench.methods import METHODS, epochs_arm
+from radiant_app.bench.methods import METHODS, curves_of, epochs_arm
 from radiant_app.report.progress import tracked
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.seam_error import MIN_IMAGES
@@ -53,7 +53,7 @@ NAMES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
-    """A section of the page: Markdown below its title, pictures by the name of their file, and its figures for the JSON."""
+    """A section of the page: Markdown below its title, pictures by file name, figures for JSON."""
 
     title: str
     text: str
@@ -68,12 +68,12 @@ def main_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def fed3dgs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The same with Fed3DGS, which takes twice the time of any other method; a quick run omits it."""
+    """The same with Fed3DGS, which takes twice the time of any other; a quick run omits it."""
     return main_part(arms, seeds, quick) if quick else _main_table(arms, seeds, [name for name in METHODS if name != "ours edges"])
 
 
 def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Part:
-    from radiant_viewer.charts.curve_chart import CurvePoint, curve_picture
+    from radiant_viewer.charts.curve_chart import curve_picture
 
     rows = _rows(arms, [(arms.cell(arms.layout, seed), METHODS[name]) for name in methods for seed in seeds], "main")
     lines = ["| method | PSNR dB | SSIM | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|"]
@@ -90,14 +90,7 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
         f"Seconds and pixels come on top of the devices' trainings, {cpu_s:.0f} s and {pixels / 1e6:.0f} Mpx, which all methods but the",
         "centralised model and VastGaussian share; those two train models of their own, which are counted.",
     ]
-    curves = {
-        _called(name): [
-            CurvePoint(cpu_s=max(row.cpu_s, 0.1), num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
-            for row in rows
-            if row.arm == name
-        ]
-        for name in methods
-    }
+    curves = {_called(name): points for name, points in curves_of(rows).items()}
     picture = curve_picture(curves, "Every method on the same devices' models", _data(arms), "CPU time after the devices' trainings (s)")
     return Part(title="Main table", text="\n".join(lines), pictures={"main.png": picture}, figures=_records(rows))
 
@@ -157,7 +150,7 @@ def _region_panels(table: Mapping[str, list[tuple[float, float, float, float]]],
 
 
 def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """Quality in the band and in the interior against epochs; of whole photographs where the band is insufficient."""
+    """Quality in band and interior against epochs; of whole photographs if bands are too small."""
     from radiant_viewer.charts.line_chart import line_picture
 
     epochs = QUICK_EPOCHS if quick else EPOCHS
@@ -228,7 +221,7 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The place at a border where the plain cut falls most behind the centralised model, rendered by each method."""
+    """Where the plain cut falls most behind the centralised model at a border, by each method."""
     from radiant_viewer.charts.healing_chart import Healed, healing_picture
 
     del quick
@@ -256,7 +249,7 @@ def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def _worst_window(errors: Sequence[NDArray[np.floating]]) -> tuple[int, tuple[slice, slice]]:
-    """Of images (H,W) of errors the one, and in it the rows and columns of the window, in whose middle half their sum is largest."""
+    """Index of the image (H,W) of errors and its window whose middle half has the largest sum."""
     best, found = -np.inf, (0, (slice(None), slice(None)))
     for index, error in enumerate(errors):
         size = [max(1, round(WINDOW_SHARE * side)) for side in error.shape]
@@ -276,7 +269,7 @@ def _worst_window(errors: Sequence[NDArray[np.floating]]) -> tuple[int, tuple[sl
 
 
 def border_length_m(plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> float:
-    """Metres of all borders between edges, and between devices of one edge, inside the plan's outline."""
+    """Metres of the borders between edges and between devices of one edge, inside the outline."""
     between_edges = sum(border.length_m for border in shared_borders(plan))
     # A cut is part of the outlines of two strips, the region's outline of one.
     cuts = sum(

@@ -1,11 +1,11 @@
-"""The planning section of `radiant bench paper`: what training costs, how the paper's loops
-converge, and what methods make of one scene.
+"""The planning section of `radiant bench paper`: cost, convergence, and what methods make.
 
-    costs.png        training time and model size against photographs, with the fitted curves; trained on the scene of the page
-    convergence.png  max|T − T̄| / T̄ before each iteration of the paper's loops, and of the exact plan
+    costs.png        training time and model size against photographs, with the fitted curves
+    convergence.png  max|T − T̄| / T̄ before each iteration of the paper's loops; the exact plan's
     partitions.png   all methods' regions with the latency of each
 
-The last two are of synthetic cameras in five clusters with six unequal edges.
+The first is trained on the scene of the page; the others are of synthetic cameras in five clusters
+with six unequal edges.
 """
 
 from __future__ import annotations

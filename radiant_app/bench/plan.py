@@ -1,5 +1,4 @@
-"""Benchmark of the planner: makespan over the lower bound beside its time, large plans, drags, and
-the paper's systems.
+"""Benchmark of the planner: makespan over bound beside time, large plans, drags, paper's systems.
 
 Each instance is drawn from a fixed seed: edges placed among the cameras, two to four devices per
 edge with speeds from 0.5 to 2 and uplinks from 10 to 100 Mbit/s. Times of methods are the best of
@@ -47,8 +46,7 @@ _SCENES = {"rubble": 1678, "building": 1940}
 
 
 def bench_plan(quick: bool) -> list[Metric]:
-    """Measure every method, plans from nothing and from an earlier plan, drags, and systems 1 and
-    2.
+    """Measure every method, plans from nothing and from an earlier plan, drags, and systems 1 and 2.
 
     Keys: `plan.<cameras>x<edges>.<kind>.<method>.<makespan_over_bound|time_ms>`,
     `….exact.<cold|warm>_…`, `plan.2000x64.[weight_]drag_…` and
@@ -149,7 +147,7 @@ def _method_metrics(key: str, make_plan: Callable[[], CloudPlan]) -> list[Metric
 
 
 def _scale_metrics(num_cameras: int, num_edges: int, kind: LayoutKind) -> list[Metric]:
-    """A plan from nothing (cold), and one from it (warm) after the devices of one edge became half as fast."""
+    """A plan from nothing (cold), and one from it (warm) with one edge's devices half as fast."""
     rng = np.random.default_rng(num_cameras + num_edges)
     positions = camera_layout(kind, num_cameras, rng)
     system = place_edges(unequal_system(num_edges, rng), positions[:: max(1, num_cameras // 20_000)], None, seed=0)
@@ -171,7 +169,7 @@ def _scale_metrics(num_cameras: int, num_edges: int, kind: LayoutKind) -> list[M
 
 
 def drag_metrics(num_moves: int) -> list[Metric]:
-    """One of 64 edges pulled across 2,000 cameras, each plan from the last; and one weight pulled over ±800 m², each from the first."""
+    """One of 64 edges pulled across 2,000 cameras, and one weight over ±800 m² from the first plan."""
     rng = np.random.default_rng(0)
     positions = camera_layout("uniform", 2000, rng)
     system = place_edges(unequal_system(64, rng), positions, None, seed=0)
@@ -199,7 +197,7 @@ def drag_metrics(num_moves: int) -> list[Metric]:
 
 
 def system_metrics() -> list[Metric]:
-    """Simulated seconds of the paper's systems 1 and 2: planned exactly, by Alg. 1, and with equally many photographs per device."""
+    """Simulated seconds of the paper's two systems: planned exactly, by Alg. 1, and evenly."""
     folder = Path(radiant_app.__file__).parent / "systems"
     metrics: list[Metric] = []
     for number, (scene, num_cameras) in product((1, 2), _SCENES.items()):

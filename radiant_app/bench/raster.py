@@ -1,12 +1,10 @@
-"""Benchmark of the rasterizer: CPU milliseconds of forward, forward + backward and a whole training
-step, beside errors against float64.
+"""Benchmark of the rasterizer: CPU milliseconds of forward, backward and steps beside errors.
 
 Equal for all cases of a size: Gaussians, camera, SH degree 3, threads. Every round runs each case
 once, so that a slow minute of the machine affects all of them; figures are medians over the rounds.
 The peak rate of fused multiply-adds is measured in the same rounds. A pair is a pixel and a
-Gaussian that reaches its 4 × 4 block. With several threads each round also runs on one thread: the
-speed-up of the rasterizer is divided by that of the peak. Seconds with `quick` (S only), one or two
-minutes without.
+Gaussian that reaches its 4 × 4 block. With several threads each round also runs on one: the speed-up
+of the rasterizer is divided by that of the peak. Minutes; seconds with `quick` (S only).
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ from radiant_core.train.optimizer import SelectiveAdam
 
 NUM_ROUNDS = {"S": 15, "M": 9, "L": 5}
 FMA_PER_PAIR = 17 + 31
-"""Multiplications, additions and fused multiply-adds per pair of pixel and Gaussian, forward and backward."""
+"""Multiplications, additions and fused multiply-adds per pair, forward and backward."""
 # Forward (raster_blend.h, blend_block): u 2, v 1, log₂ α 2, polynomial of 2ᶠ 5, weight 1,
 # transmittance 1, sums of colour, depth and weight 5. Backward (raster_blend_backward.h,
 # instance_moments): u 2, v 1, log₂ α 2, polynomial 5, 1 − α 1, Newton step of its inverse 2,
@@ -46,7 +44,7 @@ FMA_PER_PAIR = 17 + 31
 _TIME_TOLERANCE = 0.3
 """Share by which a time may differ between runs on a machine that does other work."""
 _ERROR_TOLERANCE = 0.7
-"""Share of an error by which it may exceed an earlier one: instruction sets and other tiles change it by a factor of up to 1.7."""
+"""Share by which an error may exceed an earlier one: instruction sets and tiles change it ≤ 1.7×."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +66,7 @@ class Case:
 
 
 def bench_raster(quick: bool, threads: int | None = None) -> list[Metric]:
-    """`raster.<S|M|L>.<random|morton>.native.<…>` and `raster.peak_fma_per_s` (16 lanes, per thread)."""
+    """`raster.<S|M|L>.<random|morton>.native.<…>`, `raster.peak_fma_per_s` (16 lanes, per thread)."""
     before = torch.get_num_threads()
     torch.set_num_threads(threads or before)
     try:
@@ -124,7 +122,7 @@ def _run(case: Case, peak_gain: float) -> None:
 
 
 def _run_step(case: Case) -> None:
-    """One training step of a device: render, fused loss, backward, Adam on the visible Gaussians. The target is a darker image."""
+    """One training step of a device, from render to Adam. The target is a darker image."""
     leaves = SplatTensors.from_splats(case.splats)
     with torch.no_grad():
         target = TargetStatistics.of(render(leaves, case.cameras).images[0] * 0.9)
@@ -156,16 +154,14 @@ def _timed(work: Callable[[], object]) -> tuple[float, float]:
 
 
 def peak_fma_per_s(threads: int = 1, rounds: int = 2_000_000) -> float:
-    """16-lane fused multiply-adds per second in a loop of nothing else: per CPU second of one thread, per wall second of several."""
+    """16-lane multiply-adds per second: per CPU second of one thread, per wall second of several."""
     instruction_set = _native.instruction_sets()[0]
     if threads == 1:
-        # The clock of this thread alone: OpenMP's threads go on spinning after a parallel operation
-        # of torch.
+        # The clock of this thread: OpenMP's go on spinning after a parallel operation of torch.
         start_s = time.thread_time()
         return _native.multiply_adds(instruction_set, rounds) / (time.thread_time() - start_s)
     with ThreadPoolExecutor(threads) as pool:
-        # A short round starts the threads; in the long one their uneven starts and ends do not
-        # matter.
+        # A short round starts the threads; uneven starts and ends do not matter in the long one.
         for factor in (0.1, 4):
             start_s = time.perf_counter()
             done = sum(pool.map(lambda _, n=int(factor * rounds): _native.multiply_adds(instruction_set, n), range(threads)))
@@ -204,7 +200,7 @@ def _metrics(case: Case, peak: float) -> list[Metric]:
 
 
 def peak_rss_bytes(splats: Splats, key: str) -> int:
-    """Peak memory, less that of the imports, of a new process that loads the model and renders it forward and backward three times."""
+    """Peak memory, less that of the imports, of a process that renders the model three times."""
     with TemporaryDirectory(prefix="radiant-bench-raster-") as folder:
         file = Path(folder) / "model.npz"
         np.savez(file, allow_pickle=False, **splats.arrays())

@@ -1,4 +1,4 @@
-"""Errors of the rasterizer's image and gradients against float64 on the benchmark's scene, and how many pairs the scene has."""
+"""Errors of the rasterizer's image and gradients against float64 on the benchmark's scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TILE_PX = 16
 SEED = zlib.crc32(__version__.encode())
 """Selects the tiles on which errors are measured; it changes with the version of the project."""
 UNDECIDED = 1e-5
-"""A pair whose ln α is this close to α_min, or to the cut of transmittance, may fall on either side of it."""
+"""A pair whose ln α is this close to α_min or the cut of transmittance is on either side of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +112,7 @@ def _random_tiles(cameras: Cameras) -> Tensor:
 
 
 def _touching(output: RenderOutput, keep: Tensor) -> np.ndarray:
-    """Mask (N,) of Gaussians whose box of half side `radii_px`, a pixel wider, covers a kept pixel."""
+    """Mask (N,) of Gaussians whose box of half side `radii_px` + 1 covers a kept pixel."""
     height, width = keep.shape
     counts = torch.zeros(height + 1, width + 1, dtype=torch.int64)
     counts[1:, 1:] = keep.long().cumsum(0).cumsum(1)

@@ -1,4 +1,4 @@
-"""`radiant bench NAME`: run one benchmark, print its figures as a table, write and compare them. The one entry to the benchmarks."""
+"""`radiant bench NAME`: run one benchmark, print its figures, write and compare them."""
 
 from __future__ import annotations
 

@@ -1,13 +1,11 @@
-"""Calibration of the step detector: thresholds, false alarms and power on virtual borders inside
-centralised models.
+"""Calibration of the step detector: thresholds, false alarms and power on virtual borders.
 
 `python -m radiant_app.bench.step_detector [--borders 40] MODEL.ply…` draws as many random straight
 lines through each model, where nothing was joined. Thresholds are the quantiles of the scores at
 which 5 % of all lines raise an alarm in any quantity, with the same share α for each quantity.
-False alarms are cross-validated: counted on one half of the lines with the thresholds of the other
-half. Power is that of the printed thresholds on every fourth line, with a step planted in the
-model: the Gaussians left of the line become brighter, higher or fewer, or those at the line are
-removed.
+False alarms are cross-validated: counted on one half of the lines with the thresholds of the other.
+Power is that of the printed thresholds on every fourth line, with a step planted in the model: the
+Gaussians left of the line become brighter, higher or fewer, or those at the line are removed.
 """
 
 from __future__ import annotations
@@ -67,7 +65,7 @@ def virtual_borders(splats: Splats, count: int, seed: int = 0) -> list[FloatArra
 
 
 def thresholds_of(scores: FloatArray) -> FloatArray:
-    """Thresholds (Q,) that 5 % of the lines (L,Q) exceed in any quantity, each quantity on the same share of lines; NaN is no alarm."""
+    """Thresholds (Q,) that 5 % of lines (L,Q) exceed, each on the same share; NaN is no alarm."""
     scores = np.nan_to_num(scores, nan=0.0)
     low, high = 0.0, FALSE_ALARMS
     for _ in range(30):

@@ -1,15 +1,13 @@
-"""Benchmark of training: held-out PSNR against CPU seconds and Gaussians, presets against each
-other at budgets of CPU time.
+"""Benchmark of training: held-out PSNR against CPU seconds and Gaussians, presets at equal budgets.
 
 One model of all training photographs of a scene, without tiers. Budgets are CPU seconds of the
 whole process, which do not depend on the load of the machine. Equal for all presets: scene,
 photographs, size, budgets, seeds, held-out photographs; every row states its number of Gaussians.
 Each preset is also trained with half of each budget, and its difference to the reference at the
 full budget is stated with the 95 % bounds of a bootstrap over images and seeds. More `splits` hold
-out other photographs, each with its own models, so that a single photograph weighs less; the
-bootstrap draws from the images of all splits, and with one seed it does not cover how a split's
-model varies. `ablations`: the first preset with one part switched off at a time, at the first
-budget, paired. With a folder for its rows an interrupted benchmark resumes.
+out other photographs, each with its own models; the bootstrap draws from the images of all splits,
+and with one seed it does not cover how a split's model varies. `ablations`: the first preset with
+one part switched off at a time, at the first budget, paired. Rows in a folder are not made again.
 """
 
 from __future__ import annotations
@@ -157,11 +155,9 @@ class _Split:
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
-    """All rows, and
-    `train.<scene>.<variant>.<budget>s.<psnr_db|psnr_cc_db|cpu_s|num_gaussians|num_steps>` with the
-    differences.
+    """All rows, and the metrics `train.<scene>.<variant>.<budget>s.<…>` with the differences.
 
-    `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs.
+    `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs;
     BadInput where nothing can be held out.
     """
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
@@ -174,8 +170,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
             (split, preset, _config(preset, bench.long_side_px), budget_s, seed)
             for split in splits
             for budget_s in sorted({*bench.budgets_s, *halves})
-            # The reference first: once its largest budget is done, each further row completes a
-            # difference at half the time.
+            # The reference first: every row after its largest budget completes a difference.
             for preset in sorted(bench.presets, key=lambda preset: preset != REFERENCE)
             for seed in bench.seeds
             if budget_s in bench.budgets_s or preset != REFERENCE
@@ -191,7 +186,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
 
 
 def bench_of(options: BenchOptions) -> TrainBench:
-    """The benchmark that the options ask for; `quick` has two budgets of seconds at a small size."""
+    """The benchmark by the options; `quick` has two budgets of seconds at a small size."""
     ablations = options.ablations
     budgets_s = options.budgets_s or ((4.0, 8.0) if options.quick else (ABLATION_BUDGET_S,) if ablations else BUDGETS_S)
     num_seeds = options.num_seeds or (len(ABLATION_SEEDS) if ablations and not options.quick else 1)
@@ -362,7 +357,7 @@ def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, fl
 
 
 def _by_seed_and_image(rows: Sequence[TrainedRow], figure: str) -> FloatArray:
-    """A figure (S,I) of every seed's models, over the held-out images of all splits one after the other."""
+    """A figure (S,I) per seed, over the held-out images of all splits one after the other."""
     seeds = sorted({row.seed for row in rows})
     of_seed = [sorted((row for row in rows if row.seed == seed), key=lambda row: row.split) for seed in seeds]
     return np.array([np.concatenate([getattr(row, figure) for row in own]) for own in of_seed])

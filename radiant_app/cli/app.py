@@ -1,4 +1,4 @@
-"""The command `radiant`. Heavy libraries are imported inside the commands, so that `radiant --help` answers at once."""
+"""The command `radiant`; heavy libraries are imported in the commands, so that `--help` is quick."""
 
 from __future__ import annotations
 
@@ -33,7 +33,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
 _INSPECTED_HELP = "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window also a 3DGS .ply."
@@ -114,7 +113,7 @@ def evaluate(
     out: Annotated[Path | None, typer.Option("--out", help="JSON file for all figures; must not exist.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """PSNR, SSIM (both also after colour correction), FLIP and LPIPS on the photographs that a scene holds out."""
+    """PSNR, SSIM (both also after colour correction), FLIP and LPIPS on held-out photographs."""
     from radiant_app.commands.evaluate import EvaluateRequest
     from radiant_app.commands.evaluate import evaluate as score
     from radiant_app.report.progress import terminal_display
@@ -148,7 +147,7 @@ def inspect(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
-    """Regions, cameras, seams and splats of a run, or a plan to be changed: in a window, as a picture, or as a page for a browser."""
+    """Show a run, or a plan to be changed: in a window, as a picture, or as a page for a browser."""
     if web and screenshot is not None:
         raise BadInput("--web serves a page and --screenshot writes a picture: ask for one of them.")
     if web:
@@ -181,7 +180,7 @@ def doctor(as_json: AsJson = False) -> None:
 
 
 def main() -> NoReturn:
-    """Entry point: one sentence for what a user can mend, exit code 2 for bad input, 130 for Ctrl-C."""
+    """Entry point: one sentence for what a user can mend; exit code 2: bad input, 130: Ctrl-C."""
     make_streams_last()
     interrupt_on_signals()
     try:
@@ -211,7 +210,7 @@ def main() -> NoReturn:
 
 
 def _require_working_folder() -> None:
-    """Raise BadInput where the folder that a relative path begins in is gone: libraries die there of what they cannot find."""
+    """Raise BadInput where the working folder is gone: libraries fail there in obscure ways."""
     try:
         Path.cwd()
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Options that several commands have; those of a run are its fields' own, the others stand here alone."""
+"""Options that several commands have; those of a run are its fields' own, the others stand here."""
 
 from __future__ import annotations
 

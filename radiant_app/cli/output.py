@@ -1,4 +1,4 @@
-"""The options of `radiant render` and `radiant export`: what leaves a run as pictures, films and files of other programs."""
+"""The options of `radiant render` and `radiant export`: what leaves a run as other files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def render(
     long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the pictures, at most as given.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Pictures or a film of a model: from given cameras, around the scene, along a border, or through keyframes."""
+    """Pictures or a film of a model: from cameras, around it, along a border, or by keyframes."""
     from radiant_app.commands.render import RenderRequest
     from radiant_app.commands.render import render as render_pictures
     from radiant_app.quantities import size_wh_of
@@ -71,7 +71,7 @@ def export(
     long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the depth pictures of mesh and dsm.")] = 640,
     as_json: AsJson = False,
 ) -> None:
-    """A model, its plan, its cameras or its surface in the files of other programs; says what a format rounds or cannot hold."""
+    """A model, its plan, cameras or surface in the files of other programs; says what is lost."""
     from radiant_app.commands.export import ExportRequest
     from radiant_app.commands.export import export as write_export
     from radiant_app.report.progress import terminal_display

@@ -51,7 +51,7 @@ def plan(
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
+    """Regions per edge and waypoints or photographs per device, from positions; before capture too."""
     from rich.console import Console
 
     from radiant_app.commands.plan import PlanRequest

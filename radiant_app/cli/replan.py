@@ -25,7 +25,7 @@ def replan_plan(
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """A plan after a device died, became slow or finished, or others joined: least makespan, then fewest positions that move."""
+    """A plan after a device died, slowed down or finished, or others joined; few positions move."""
     from rich.console import Console
 
     from radiant_app.commands.replan import ReplanRequest, parse_values, replan_files, replan_table

@@ -51,7 +51,7 @@ def train(
     checkpoint_every: Annotated[str, option("execution.checkpoint_every_s", help="Time between two checkpoints.")] = "10s",
     as_json: AsJson = False,
 ) -> None:
-    """One model from all photographs of a scene but every 8th, without regions; scored on those that were held out."""
+    """One model from all photographs of a scene but every 8th, without regions; scored on those."""
     from radiant_app.commands.train import TrainRequest
     from radiant_app.commands.train import train as run_training
     from radiant_app.report.progress import terminal_display

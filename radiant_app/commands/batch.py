@@ -1,5 +1,4 @@
 """A batch: the jobs of a job file one after the other, going on after a failure, with a summary.
-Nothing is computed here.
 
 Each job is a process of its own that runs the pipeline (worker kind "run") and streams its events
 here: a segmentation fault or a full memory ends one job and not the night, and its memory is free
@@ -98,7 +97,7 @@ def run_batch(path: Path, out: Path | None, display: Display, *, resume: bool = 
 
     Raises BadInput before anything starts when the file or a folder cannot be used. A job's failure
     is in the result. After Ctrl-C the running job is stopped and the summary written; the result
-    then says what was interrupted and what never started.
+    says what was interrupted and what never started.
     """
     folder = batch_folder(path, out)
     jobs = load_jobs(path, folder)
@@ -151,7 +150,6 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
 
 @contextmanager
 def _open_batch(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[None]:
-    """Make or reopen the batch's folder and hold its lock."""
     if resume and folder.is_dir() and any(folder.iterdir()):
         if not (folder / "summary.json").is_file():
             raise BadInput(f"{folder} holds no summary.json, so it is no batch to resume: choose another folder.")
@@ -169,7 +167,7 @@ def _open_batch(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[Non
 
 
 def _write_summary(folder: Path, results: Sequence[JobResult]) -> None:
-    """summary.json and the page; whole after every job, so that a killed batch leaves what it knew."""
+    """summary.json and the page; written after every job, so that a killed batch leaves both."""
     result = BatchResult(folder=folder, jobs=tuple(results))
     write_json(folder / "summary.json", result.record)
     template = jinja2.Environment(

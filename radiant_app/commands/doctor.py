@@ -1,4 +1,4 @@
-"""What this machine has: versions, native module, GPU, display, memory, disk, sample scenes. Once per call of `radiant doctor`."""
+"""What this machine has and what it lacks. Once per call of `radiant doctor`."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""`radiant export`: a run or a model in the files of other programs, and its surface for surveyors.
-Once per call.
+"""`radiant export`: a run or a model in the files of other programs, and its surface. Once per call.
 
-Every loss of a format is reported with its figure, for example that SOG keeps 16 bits of a
-position.
+Every loss of a format is reported with its figure, such as the 16 bits of a position in SOG.
 """
 
 from __future__ import annotations
@@ -44,15 +42,13 @@ _WANTED = {
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
-
 _LEVEL = "the middle of the scene's points, not from the sea"
-
 _ADVICE = "what was seen lies scattered: look at it before anything is measured, and try a coarser --resolution, which closes gaps."
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """What `radiant export` was asked for; resolution in the model's unit and long_side_px are of mesh and surface model."""
+    """What to export; resolution (model's unit) and long_side_px are of mesh and surface model."""
 
     model: Path
     out: Path
@@ -62,7 +58,7 @@ class ExportRequest:
 
 
 def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write what was asked for and return figures of it; BadInput names what is missing, and an existing file is not overwritten."""
+    """Write the file and return its figures; BadInput names what is missing or already exists."""
     kind = _format_of(request)
     if request.out.exists():
         raise BadInput(f"{request.out} exists: choose another name.")
@@ -158,7 +154,7 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
-    """The scene, of a training or of structure from motion without copies of photographs, as training takes it."""
+    """The scene, if not of a run without copies of photographs, as training takes it."""
     from radiant_core.sfm.copies import without_repeats
     from radiant_viewer.runs.unplanned import unplanned_photographs
 

@@ -1,4 +1,4 @@
-"""`radiant inspect`: what is to be looked at, a run or a plan without one, and with which machines its plan may be changed."""
+"""`radiant inspect`: what is looked at, and with which machines its plan may be changed."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ EDITS = "_edits.json"
 
 
 def plan_file_of(source: Path) -> Path | None:
-    """The plan file where `source` is one, or a folder without a run that holds exactly one plan;
-    None for a run, and for anything else.
+    """The plan file that `source` is, or the only plan in that folder; None for a run or else.
 
     Raises BadInput for a folder with several plans, and for a run that lost its manifest.
     """
@@ -47,7 +46,7 @@ def plan_file_of(source: Path) -> Path | None:
 
 
 def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None) -> int:
-    """Show a run or a plan until its window is closed; returns the exit code. BadInput as `plan_file_of` and the readers."""
+    """Show a run or a plan; returns the exit code. BadInput as `plan_file_of` and the readers."""
     from radiant_app.commands.inspect_feeds import feeds_of
     from radiant_viewer.window.inspector import open_window
 
@@ -61,7 +60,7 @@ def open_inspector(source: Path, system: Path | None = None, scene: Path | None 
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """How a view is drawn: size (width, height) px, the photograph it is about, and the scene of a plan that has no waypoints."""
+    """A view's size (width, height) px, photograph, and scene where a plan has no waypoints."""
 
     size_wh: tuple[int, int] = (1280, 900)
     camera: str | None = None
@@ -69,8 +68,7 @@ class Picture:
 
 
 def save_picture(source: Path, view: str | None, path: Path, picture: Picture = Picture()) -> str:
-    """Write one view of a run, a training, a scene or a plan as PNG, without `view` the usual one;
-    BadInput where there is no such view of it, and where the file exists."""
+    """Write one view (else the usual one) as PNG; BadInput if there is no such view, or `path` is."""
     if source.suffix.lower() == ".ply" and source.is_file():
         raise BadInput(
             f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "
@@ -120,8 +118,7 @@ def plan_setting(plan: Path, system: Path | None = None) -> PlanSetting:
 
 
 def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[System | None, str]:
-    """The system that was named, else the first that stands in `places`, else None and why:
-    `reason`, or what is wrong with the file.
+    """The system that was named, else the first that stands in `places`, else None and why.
 
     Only a named file raises an error if it is broken: without machines everything but editing the
     plan works.

@@ -1,9 +1,7 @@
-"""`radiant profile`: cost curves of this machine, from a short real run or from the stage times of
-a finished one, as a curve file.
+"""`radiant profile`: cost curves of this machine, from a short real run or a finished one's times.
 
 Without photographs the sample town is trained. A count of photographs in the middle is predicted
-from the others and compared with what was measured there; the curves that are written are fitted on
-all.
+from the others and compared with its measurement; the written curves are fitted on all.
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ class ProfileRequest:
     out: Path
     """The curve file to write, .toml or .json."""
     source: Path | None = None
-    """Photographs, a COLMAP project, the folder of `radiant sfm` or of a run; None: the sample town."""
+    """Photographs, a COLMAP project, a folder of `radiant sfm` or a run; None: the sample town."""
     preset: Preset = "default"
     overrides: Overrides = Overrides()
     time_s: float = DEFAULT_TIME_S
@@ -108,8 +106,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
 
 
 def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str, Any]:
-    """Write the curve file of a finished run on this machine from its stage times; returns what the
-    command line prints.
+    """As `profile`, of a finished run on this machine from its stage times.
 
     BadInput for an emulated run, whose times are played, and for one without a trained device.
     """
@@ -175,11 +172,8 @@ def machine_label(num_threads: int | None) -> str:
     import torch
 
     info = Path("/proc/cpuinfo")
-    models = (
-        [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
-        if info.is_file()
-        else []
-    )
+    text = info.read_text() if info.is_file() else ""
+    models = [line.partition(":")[2].strip() for line in text.splitlines() if line.startswith("model name")]
     parts = [models[0] if models else platform.processor() or platform.machine()]
     if torch.cuda.is_available():
         parts.append(torch.cuda.get_device_name(0))
@@ -194,7 +188,7 @@ def _require_place(out: Path) -> None:
 
 
 def _scene(source: Path | None, work: Path, listen: Listener) -> tuple[SfmScene, Path]:
-    """The scene and the folder of its photographs; structure from motion in `work` where there is none yet."""
+    """The scene and its photographs' folder; made in `work` by structure from motion if need be."""
     if source is not None and has_scene(source):
         return load_scene_of(source), images_folder_of(source)
     if source is None:
@@ -259,7 +253,7 @@ def _edge_curve(samples: Sequence[EdgeSample]) -> FittedCurve:
 
 
 def _check(measured: Measured, joined: Sequence[EdgeSample]) -> list[dict[str, Any]]:
-    """One row per quantity for the samples at the held-out count, predicted by curves of all others."""
+    """A row per quantity for the samples at the held-out count, predicted by curves of the others."""
     count = measured.held_out
     held = [sample for sample in measured.devices if sample.num_cameras == count]
     rest = [sample for sample in measured.devices if sample.num_cameras != count]

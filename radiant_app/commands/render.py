@@ -1,4 +1,4 @@
-"""`radiant render`: pictures or a film of a model from given cameras, around it, along a border, or through keyframes. Once per call."""
+"""`radiant render`: pictures or a film of a model, from cameras or along a path. Once per call."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MIN_OPAQUE = 0.1
 ORBIT_ELEVATION_DEG, ORBIT_RADII = 35.0, 0.9
 """Distance of an orbit, in diagonals of the regions."""
 FLIGHT_HEIGHTS = 0.5
-"""Height of a flight along a border, as a share of the cameras' own above the ground; never under a twentieth of the border."""
+"""Height of a flight along a border over the cameras' own; at least a twentieth of the border."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +60,10 @@ class RenderRequest:
 
 
 def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write PNG pictures into the new folder `out`, or a film; returns what was written. BadInput
-    before anything is rendered, and where a picture does not fit into memory."""
+    """Write PNG pictures into the new folder `out`, or a film; returns what was written.
+
+    BadInput before anything is rendered, and where a picture does not fit into memory.
+    """
     is_film = request.out.suffix.lower() in ENDINGS
     if request.out.suffix.lower() in OTHER_FILMS:
         raise BadInput(f"{request.out.name} is a film of a kind that is not written here: let its name end in {', '.join(ENDINGS)}.")
@@ -135,7 +137,7 @@ def _cameras(request: RenderRequest) -> Cameras:
 
 
 def held_out_of_training(run: RunView) -> Cameras:
-    """The cameras whose photographs a training held out, as evaluating scores them: at most 1600 px long."""
+    """The cameras whose photographs a training held out, as they are scored: at most 1600 px long."""
     held_out = [index for index, name in enumerate(run.scene.cameras.names) if name in run.held_out]
     return run.scene.cameras.select(held_out).scaled(DEFAULT_LONG_SIDE_PX)
 
@@ -213,8 +215,7 @@ class _Keyframes(BaseModel):
 
 
 def keyframe_cameras(path: Path, fps: float, size_wh: tuple[int, int]) -> Cameras:
-    """The frames of a flight written down as JSON: field_of_view_deg (60) and keyframes with
-    time_s, position and target in the world.
+    """The frames of a flight in JSON: field_of_view_deg (60), keyframes of time_s, position, target.
 
     BadInput names the first place in the file that is not so.
     """

@@ -1,7 +1,6 @@
-"""The fields of `RunConfig` by dotted path, such as train.num_steps: the one list behind options,
-run and job files, `--set` and manifests.
+"""The fields of `RunConfig` by dotted path (train.num_steps), for options, files and manifests.
 
-    values of paths  ─config_of→  RunConfig  ─tables_of→  tables, as a run file has them  ─values_of→  values of paths
+    values of paths  ─config_of→  RunConfig  ─tables_of→  tables of a run file  ─values_of→  values
 
 Fields of `TrainConfig` and `AggregateConfig` belong to the sections train and aggregate, where they
 are settings beside a preset.
@@ -74,7 +73,7 @@ class ConfigField:
         return self.option.parse(value) if self.option is not None and self.option.parse is not None else value
 
     def read(self, value: Any, kind: str | None = None) -> Any:
-        """The value in a `kind` of file, or the text given to `--set`; "none" is None. BadInput names the place and what is expected."""
+        """The value in a `kind` of file, or the text of `--set`; BadInput names what is expected."""
         from pydantic import ConfigDict, TypeAdapter, ValidationError
 
         if isinstance(value, str) and value.strip().lower() == "none" and type(None) in get_args(self.kind):
@@ -115,7 +114,7 @@ def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
 
 @cache
 def _sentences_under_fields() -> dict[str, str]:
-    """Class.field of `radiant_app.config.run_config` → the text that stands under it in the source, on one line."""
+    """Class.field of `run_config` → the text under it in the source, on one line."""
     classes = [node for node in ast.parse(inspect.getsource(config_module)).body if isinstance(node, ast.ClassDef)]
     return {
         f"{defined.name}.{field.target.id}": " ".join(text.value.value.split())
@@ -144,7 +143,7 @@ def config_of(values: Mapping[str, Any]) -> RunConfig:
 
 
 def train_options(values: Mapping[str, Any]) -> TrainOptions:
-    """The training that is asked for by values of paths in the section train; BadInput as `config_of`."""
+    """The training that values of paths in the section train ask for; BadInput as `config_of`."""
     return _arguments(values)["train"]
 
 
@@ -165,7 +164,7 @@ def _arguments(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tables_of(config: Any) -> dict[str, Any]:
-    """All fields of a configuration as nested tables that JSON can hold, its settings among them; paths become absolute."""
+    """All fields of a configuration as nested tables for JSON, with settings and absolute paths."""
     tables: dict[str, Any] = {}
     for each in fields(config):
         value = getattr(config, each.name)
@@ -182,7 +181,7 @@ def tables_of(config: Any) -> dict[str, Any]:
 
 
 def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[str, Any]:
-    """The values in the tables of a file, by path; BadInput with one sentence that names the place and the `kind` of file."""
+    """The values in a file's tables, by path; BadInput names the place and the `kind` of file."""
     values: dict[str, Any] = {}
     for key, value in tables.items():
         path = f"{prefix}{key}"
@@ -222,7 +221,7 @@ def _unknown_key(path: str, value: Any, kind: str) -> str:
 
 
 def _instead(path: str, section: str = "", expected: str = "expected PATH=VALUE with") -> str:
-    """What to write in place of an unknown path: the whole path where a bare name is meant, else what there is."""
+    """What to write in place of an unknown path: the path of a bare name, else what there is."""
     paths = [known for known in config_fields() if known.startswith(section)]
     if path in paths:
         return f"expected {path}=VALUE"

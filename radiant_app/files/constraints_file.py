@@ -1,8 +1,7 @@
-"""The constraints file of `radiant plan --constraints`: what is decided before the planner, in
-TOML.
+"""The constraints file of `radiant plan --constraints`: what is decided before the planner.
 
-plan = "before.json"                 # the plan to start from, beside this file; needed for locked regions
-locked = ["north"]                   # these edges keep their photographs or waypoints and get no others
+plan = "before.json"                 # the plan to start from, beside this file; for locked regions
+locked = ["north"]                   # edges that keep their photographs and get no others
 
 [fixed_weights_m2]                   # on the scale of the plan to start from, or of the exact plan
 south = 120.0
@@ -44,7 +43,7 @@ class _File(Strict):
 
 
 def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
-    """The constraints in a TOML file for cameras with these names; BadInput names the file, what came and what is expected."""
+    """The constraints in a TOML file for cameras with these names; BadInput names the place."""
     tables = load_toml(path, "constraints file")
     index_of = {name: index for index, name in enumerate(names)}
     try:
@@ -71,7 +70,7 @@ def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
 
 
 def dump_constraints(constraints: PlanConstraints, names: Sequence[str], plan: str) -> str:
-    """Constraints on cameras with these names as TOML text that `load_constraints` reads back; `plan`: the file they refer to, beside."""
+    """TOML text that `load_constraints` reads back; `plan`: the file beside that it refers to."""
     lines = [f"plan = {_quoted(plan)}", f"locked = [{', '.join(map(_quoted, constraints.locked))}]"]
     if constraints.fixed_weights_m2:
         lines += ["", "[fixed_weights_m2]"]

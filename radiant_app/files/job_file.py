@@ -1,5 +1,4 @@
-"""Files that `radiant run` starts from, written by a user in TOML and checked as a whole before
-anything starts.
+"""TOML files that `radiant run` starts from, checked as a whole before anything starts.
 
 A run file has the sections of `RunConfig`:
 
@@ -72,7 +71,7 @@ def is_job_file(path: Path) -> bool:
 
 
 def load_run_file(path: Path) -> dict[str, Any]:
-    """The values of a run file by the paths of `config_fields`, files and folders absolute; BadInput names file and place."""
+    """Path of `config_fields` → value in a run file, paths absolute; BadInput names the place."""
     try:
         return _absolute(values_of(load_toml(path, "run file"), "run file"), path.resolve().parent)
     except BadInput as error:
@@ -82,9 +81,8 @@ def load_run_file(path: Path) -> dict[str, Any]:
 def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
     """The jobs of a file for the batch in `folder`, in order.
 
-    Raises BadInput naming file and place for an unknown key, a value of the wrong kind, options
-    that contradict, a name twice, a source or file that is not there, or an `out` that is
-    another's, lies in or around it, or is the batch's own.
+    BadInput names file and place: an unknown key, a wrong value, options that contradict, a name
+    twice, a missing source or file, an `out` in or around another's or the batch's own.
     """
     tables = load_toml(path, "job file")
     try:

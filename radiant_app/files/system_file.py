@@ -1,12 +1,11 @@
-"""The system file: edges, their devices and their costs, written by a user in TOML and checked
-here.
+"""The system file: edges, their devices and their costs, written by a user in TOML.
 
     [[edge]]
     id = "north"
-    position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54], or neither: placed among the cameras
+    position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54]; else among the cameras
     uplink_mbit_per_s = 100.0
     aggregate_s = { constant = 5.0, linear = 0.5 }
-    memory_gb = 4.0                      # what joining may hold; beyond it models are cut at their borders, with a warning
+    memory_gb = 4.0                      # what joining may hold; beyond it models are only cut
 
     [[edge.device]]
     id = "north-1"
@@ -15,15 +14,15 @@ here.
     model_mb = { linear = 0.5 }
     uplink_mbit_per_s = 50.0
     max_cameras = 400                    # left out: no limit
-    memory_gb = 8.0                      # what its training may hold: limits its Gaussians and, without max_cameras, its cameras
+    memory_gb = 8.0                      # of training: limits Gaussians and, else, cameras
     relative_speed = 2.0                 # divides init_s and train_s
-    speed = 0.5                          # of an edge too: share of one core under `radiant run --emulate`
+    speed = 0.5                          # of an edge too: share of a core under --emulate
 
 The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
 both has relative_speed and speed 0.5.
 
-    [cloud]                              # limits of joining at the cloud; beyond them models are cut at their borders, with a warning
-    memory_gb = 16.0                     # left out: four fifths of what is free on the machine that joins
+    [cloud]                              # limits of joining there; beyond them models are only cut
+    memory_gb = 16.0                     # left out: four fifths of what is free
     time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000
 
@@ -31,8 +30,8 @@ In place of costs, a device or edge may have profile = "rtx-3090" of the library
 --list`) or profile = "mine.toml", a curve file of `radiant profile` relative to this one: its costs
 and, where the file says none, its memory come from there. An edge may also have aggregate_alone_s:
 what it costs where one device has all its cameras, so that nothing is retrained. Where a run or
-plan writes its system, the costs stand there as numbers and costs_from says which profile they are
-of: "measured mine.toml", "estimate rtx-3090".
+plan writes its system, the costs stand there as numbers, and costs_from names their profile:
+"measured mine.toml", "estimate rtx-3090".
 
 For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model
 sent) and `max_cameras` in place of devices, uplink and aggregate_s: the cloud plans its region, and
@@ -203,8 +202,7 @@ class _File(Strict):
 def load_system(path: Path, *, curves: bool = False) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
 
-    Edges described by their curve alone are refused unless `curves`: they have no device to train
-    on.
+    Edges described by their curve alone, without a device to train on, are refused unless `curves`.
     """
     tables = load_toml(path, "system file")
     try:
@@ -221,12 +219,12 @@ def load_system(path: Path, *, curves: bool = False) -> System:
 
 
 def dump_system(system: System) -> str:
-    """The system as TOML text that `load_system` reads back, curves written out, of the profiles they came from kind and name alone."""
+    """The system as TOML text that `load_system` reads back, with curves in place of profiles."""
     return "\n".join([*(line for edge in system.edges for line in _edge_lines(edge)), *_cloud_lines(system.cloud)]) + "\n"
 
 
 def even_system(num_edges: int, devices_per_edge: int) -> System:
-    """Equal edges with equal devices at the file's defaults, placed among the cameras later; BadInput below one of either."""
+    """Equal edges with equal devices at the file's defaults, to be placed; BadInput below one."""
     if num_edges < 1 or devices_per_edge < 1:
         raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
     names = [f"edge-{index + 1}" for index in range(num_edges)]

@@ -1,4 +1,4 @@
-"""report.html: one self-contained page of a finished run, pictures embedded. Also writes the pictures into `pictures/`. Once per run."""
+"""report.html: one self-contained page of a finished run with its pictures. Once per run."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ GIVEN = {
         "owner": "what devices sent for the plan",
     },
 }
-"""What the nodes of a tier were given, by whether one owner ran structure from motion (frames "shared")."""
+"""What the nodes of a tier were given, by whether one owner ran structure from motion ("shared")."""
 
 GANTT_TEXT = {
     False: "Predicted for machines that all work at once; measured here, where processes wait for a free core. Nothing was sent.",
@@ -75,7 +75,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
 
 
 def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> list[dict[str, Any]]:
-    """One row per tier in the order devices, edges, cloud, owner: what its nodes received together, in bytes and in words."""
+    """A row per tier, devices to owner: what its nodes received together, in bytes and in words."""
     rows = []
     for tier in TIERS:
         own = [row for row in access_log if row["tier"] == tier]
@@ -118,7 +118,7 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
 
 
 def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
-    """One row per process in the order they started; what it sends in the end is a span of its own."""
+    """One row per process in the order they started; sending in the end is a span of its own."""
     from radiant_viewer.charts.charts import TimelineRow, TimelineSpan
 
     kinds = {

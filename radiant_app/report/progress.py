@@ -1,5 +1,4 @@
-"""Shows the event stream on a terminal: a bar with times per running stage, a line for what was
-decided or warned.
+"""Shows the event stream on a terminal: a bar per running stage, a line per decision or warning.
 
     sfm: matching, step 3 of 6   ━━━━━━╺━━━   45 %  elapsed 0:31, left in step about 0:40
 
@@ -29,7 +28,7 @@ MAX_BAR_WIDTH = 30
 
 
 def tracked(items: Sequence[_Item], what: str) -> Iterator[_Item]:
-    """The items one after the other with a bar on a terminal's standard error, for a loop whose items take about as long as each other."""
+    """The items one by one with a bar on a terminal, for a loop of items that take about as long."""
     console = Console(stderr=True)
     return iter(track(items, description=what, console=console, disable=not console.is_terminal))
 
@@ -49,8 +48,7 @@ class _Share(ProgressColumn):
 
 
 class ProgressDisplay:
-    """A listener that draws; used as a context manager. Without a terminal it prints a line every
-    `SECONDS_BETWEEN_LINES` and one per finished stage."""
+    """A listener that draws while entered; without a terminal it prints lines at intervals."""
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console = console
