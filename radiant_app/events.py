@@ -74,7 +74,7 @@ class MemoryPeaked:
 
 @dataclass(frozen=True, kw_only=True)
 class TimeLeft:
-    """Remaining time of devices and edges once `after` ended; `correction`: this over the plan's."""
+    """Remaining time of devices and edges after node `after`; `correction`: over the plan's."""
 
     seconds: float
     correction: float

@@ -46,7 +46,7 @@ _SCENES = {"rubble": 1678, "building": 1940}
 
 
 def bench_plan(quick: bool) -> list[Metric]:
-    """Measure every method, plans from nothing and from an earlier plan, drags, and systems 1 and 2.
+    """Measure every method, plans from nothing and from an earlier one, drags, and two systems.
 
     Keys: `plan.<cameras>x<edges>.<kind>.<method>.<makespan_over_bound|time_ms>`,
     `….exact.<cold|warm>_…`, `plan.2000x64.[weight_]drag_…` and
@@ -169,7 +169,7 @@ def _scale_metrics(num_cameras: int, num_edges: int, kind: LayoutKind) -> list[M
 
 
 def drag_metrics(num_moves: int) -> list[Metric]:
-    """One of 64 edges pulled across 2,000 cameras, and one weight over ±800 m² from the first plan."""
+    """One of 64 edges pulled across 2,000 cameras, and one weight over ±800 m² from one plan."""
     rng = np.random.default_rng(0)
     positions = camera_layout("uniform", 2000, rng)
     system = place_edges(unequal_system(64, rng), positions, None, seed=0)

@@ -3,7 +3,7 @@
 Equal for all cases of a size: Gaussians, camera, SH degree 3, threads. Every round runs each case
 once, so that a slow minute of the machine affects all of them; figures are medians over the rounds.
 The peak rate of fused multiply-adds is measured in the same rounds. A pair is a pixel and a
-Gaussian that reaches its 4 × 4 block. With several threads each round also runs on one: the speed-up
+Gaussian that reaches its 4 × 4 block. With several threads each round also runs on one: the gain
 of the rasterizer is divided by that of the peak. Minutes; seconds with `quick` (S only).
 """
 
@@ -44,7 +44,7 @@ FMA_PER_PAIR = 17 + 31
 _TIME_TOLERANCE = 0.3
 """Share by which a time may differ between runs on a machine that does other work."""
 _ERROR_TOLERANCE = 0.7
-"""Share by which an error may exceed an earlier one: instruction sets and tiles change it ≤ 1.7×."""
+"""Share by which an error may exceed an earlier one: instruction sets and tiles change it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +66,7 @@ class Case:
 
 
 def bench_raster(quick: bool, threads: int | None = None) -> list[Metric]:
-    """`raster.<S|M|L>.<random|morton>.native.<…>`, `raster.peak_fma_per_s` (16 lanes, per thread)."""
+    """`raster.<S|M|L>.<random|morton>.native.<…>`, `raster.peak_fma_per_s` (16 lanes, a thread)."""
     before = torch.get_num_threads()
     torch.set_num_threads(threads or before)
     try:
@@ -154,7 +154,7 @@ def _timed(work: Callable[[], object]) -> tuple[float, float]:
 
 
 def peak_fma_per_s(threads: int = 1, rounds: int = 2_000_000) -> float:
-    """16-lane multiply-adds per second: per CPU second of one thread, per wall second of several."""
+    """16-lane multiply-adds per second: of CPU time with one thread, of wall time with several."""
     instruction_set = _native.instruction_sets()[0]
     if threads == 1:
         # The clock of this thread: OpenMP's go on spinning after a parallel operation of torch.

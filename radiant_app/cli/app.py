@@ -1,4 +1,4 @@
-"""The command `radiant`; heavy libraries are imported in the commands, so that `--help` is quick."""
+"""The command `radiant`; commands import heavy libraries themselves, so that `--help` is quick."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def inspect(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
-    """Show a run, or a plan to be changed: in a window, as a picture, or as a page for a browser."""
+    """Show a run, or a plan to be changed: in a window, as a picture, or as a page to browse."""
     if web and screenshot is not None:
         raise BadInput("--web serves a page and --screenshot writes a picture: ask for one of them.")
     if web:

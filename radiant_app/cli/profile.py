@@ -32,7 +32,7 @@ def profile(
     max_splats: MaxSplats = None,
     as_json: AsJson = False,
 ) -> None:
-    """Cost curves of this machine for the planner, by a short real run, and how well they predict."""
+    """Cost curves of this machine for the planner by a short real run, and their errors."""
     from radiant_app.commands import profile as profile_command
 
     if list_known:

@@ -49,7 +49,7 @@ class LastingStream(io.TextIOWrapper):
 
 
 def make_streams_last() -> None:
-    """Let this process outlive its standard streams; those closed or not its own stay as they are."""
+    """Let this process outlive its standard streams; those closed or not its own stay."""
     for name, silenced_by in (("stdout", BrokenPipeError), ("stderr", OSError)):
         stream: Any = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and not isinstance(stream, LastingStream):

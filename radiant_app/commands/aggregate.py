@@ -1,4 +1,4 @@
-"""`radiant aggregate`: join the device models of a run again, with other settings, without limits."""
+"""`radiant aggregate`: join the device models of a run again, otherwise and without limits."""
 
 from __future__ import annotations
 

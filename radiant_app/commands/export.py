@@ -1,4 +1,4 @@
-"""`radiant export`: a run or a model in the files of other programs, and its surface. Once per call.
+"""`radiant export`: a run or a model in the files of other programs, and its surface.
 
 Every loss of a format is reported with its figure, such as the 16 bits of a position in SOG.
 """

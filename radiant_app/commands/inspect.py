@@ -68,7 +68,7 @@ class Picture:
 
 
 def save_picture(source: Path, view: str | None, path: Path, picture: Picture = Picture()) -> str:
-    """Write one view (else the usual one) as PNG; BadInput if there is no such view, or `path` is."""
+    """Write a view (else the usual one) as PNG; BadInput without such a view, or if `path` exists."""
     if source.suffix.lower() == ".ply" and source.is_file():
         raise BadInput(
             f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "

@@ -32,7 +32,7 @@ def feeds_of(run: Path) -> RunFeeds:
 
 
 class _Progress:
-    """The progress of a run, read again only if its files changed: a window polls it every second."""
+    """The progress of a run, read again only if its files changed: it is polled every second."""
 
     def __init__(self, run: Path) -> None:
         self._run = run

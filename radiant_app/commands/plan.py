@@ -313,7 +313,7 @@ def _require_places(out: Path) -> None:
 
 @contextmanager
 def write_folder_atomically(target: Path) -> Iterator[Path]:
-    """A hidden folder in `target`; its content moves there when the block ends well, else vanishes."""
+    """A hidden folder in `target`; its content moves there if the block ends well, else vanishes."""
     folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
     try:
         yield folder

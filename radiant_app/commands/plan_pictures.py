@@ -1,4 +1,4 @@
-"""What stands beside a plan: names of its files, and its pictures besides the map. Once per plan."""
+"""What stands beside a plan: names of its files, and its pictures besides the map."""
 
 from __future__ import annotations
 

@@ -253,7 +253,7 @@ def _edge_curve(samples: Sequence[EdgeSample]) -> FittedCurve:
 
 
 def _check(measured: Measured, joined: Sequence[EdgeSample]) -> list[dict[str, Any]]:
-    """A row per quantity for the samples at the held-out count, predicted by curves of the others."""
+    """A row per quantity for samples at the held-out count, predicted by curves of the others."""
     count = measured.held_out
     held = [sample for sample in measured.devices if sample.num_cameras == count]
     rest = [sample for sample in measured.devices if sample.num_cameras != count]

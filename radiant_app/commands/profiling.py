@@ -1,6 +1,6 @@
 """Measures what this machine takes to train and to join, by nodes of a real run. Once per profile.
 
-    pilot           the largest count of photographs, a few steps    → how many steps the time allows
+    pilot           the largest count of photographs, a few steps    → how many steps are possible
     G, F_n, H (c)   a device node per count                          → start-up, steps, bytes
     F_m (c)         an edge node per count with two devices' models  → a + b · views; and with one's
 
@@ -50,7 +50,7 @@ PILOT_STEPS = 100
 """Also the fewest steps of a training: fewer are start-up and first rounds of density control."""
 _TRAINING_SHARE = 0.7
 _RETRAIN_STEP_COST = 2.0
-"""A step of retraining against one of training, a guess (twice the Gaussians) to divide the time."""
+"""A step of retraining against one of training, a guess that only divides the time."""
 UPLOAD = "float16"
 _UNLIMITED_CLOUD = CloudOutlook(limits=Cloud(memory_bytes=1e18), share=1.0)
 """What an edge's task says of the cloud where the edge is to pool."""
@@ -129,7 +129,7 @@ class Measuring:
     """What the nodes still to come are expected to take."""
     note: str = ""
     edges_pool: bool = True
-    """Whether edges leave joining to the cloud, as without limits of the cloud; else they retrain."""
+    """Whether edges leave joining to the cloud, as if it has no limits; else they retrain."""
     _begun_s: float = 0.0
 
     def measure(self, time_s: float) -> Measured:
@@ -188,7 +188,7 @@ class Measuring:
         )
 
     def _edge(self, count: int, num_steps: int, num_devices: int, num_epochs: int) -> EdgeSample:
-        """Join the model of so many photographs with itself, half the cameras each, or pass it on."""
+        """Join the model of so many photographs with itself, half the cameras each; or one alone."""
         folder = self._folder(f"edges/{count}-{num_devices}")
         cameras = self.scene.cameras
         names = [f"device-{index + 1}" for index in range(num_devices)]

@@ -137,7 +137,7 @@ def _cameras(request: RenderRequest) -> Cameras:
 
 
 def held_out_of_training(run: RunView) -> Cameras:
-    """The cameras whose photographs a training held out, as they are scored: at most 1600 px long."""
+    """The cameras whose photographs a training held out, as scored: at most 1600 px long."""
     held_out = [index for index, name in enumerate(run.scene.cameras.names) if name in run.held_out]
     return run.scene.cameras.select(held_out).scaled(DEFAULT_LONG_SIDE_PX)
 
@@ -215,7 +215,7 @@ class _Keyframes(BaseModel):
 
 
 def keyframe_cameras(path: Path, fps: float, size_wh: tuple[int, int]) -> Cameras:
-    """The frames of a flight in JSON: field_of_view_deg (60), keyframes of time_s, position, target.
+    """The frames of a flight in JSON: field_of_view_deg, keyframes of time_s, position, target.
 
     BadInput names the first place in the file that is not so.
     """

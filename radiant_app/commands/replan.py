@@ -235,7 +235,7 @@ def _warn_undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) 
 
 
 def _add_progress(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: FleetChange) -> FleetChange:
-    """`given` with a run's progress: sealed nodes are done, others work until their planned time."""
+    """`given` with a run's progress: sealed nodes are done, others busy for their planned time."""
     sealed = {path.parent.name for kind in ("devices", "edges") for path in run.glob(f"{kind}/*/done.json")}
     delivered = {device.id for edge in system.edges if edge.id in sealed for device in edge.devices} | sealed
     dead = given.dead - delivered  # what a dead machine has delivered is not lost

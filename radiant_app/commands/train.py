@@ -56,7 +56,7 @@ from radiant_core.train.views import TrainingViews
 STAGE = "train"
 MIN_PHOTOGRAPHS = 3
 MIN_VALIDATED = 100
-"""Fewer training photographs are worth more in training than for choosing (experiments/training)."""
+"""Fewer photographs are worth more in training than for choosing (experiments/training.md)."""
 STEPS_OF_A_TIME = 10_000_000
 """Limit of steps where a time ends the training."""
 KEPT = ("sfm/done.json", f"{CHECKPOINTS}/*.json", "done.json")
@@ -84,7 +84,7 @@ class TrainRequest:
     memory_bytes: int | None = None
     """What the process may hold; None: as much as the preset's Gaussians take."""
     validate: bool | None = None
-    """Whether an eighth of the photographs only chooses the model; None: from `MIN_VALIDATED` on."""
+    """Whether an eighth of them only chooses the model; None: from `MIN_VALIDATED` on."""
     seed: int = 0
     checkpoint_every_s: float = 10.0
 

@@ -30,7 +30,7 @@ Frames = Literal["shared", "gps", "known"]
 RunPreset = Literal["default", "paper"]
 """default: ours; paper: the paper's plan, training (20,000 steps) and joining, nothing skipped."""
 Teachers = Literal["early", "late"]
-"""Views are rendered early: of each device when it has arrived; late: after the last. Same result."""
+"""early: views of a device are rendered when it has arrived; late: after the last. Same result."""
 ExecutorName = Literal["local", "ray"]
 """local: processes of this machine; ray: tasks of a Ray cluster of one owner's machines."""
 SIZES = ("long_side_px", "num_steps", "max_num_splats")
@@ -183,7 +183,7 @@ class EvaluateOptions:
     """What the scene is scored with beside PSNR, SSIM and FLIP; may change on resuming."""
 
     lpips_weights: Path | None = None
-    """Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or a safetensors."""
+    """Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or one file."""
     lpips_network: Annotated[LpipsNetwork, Option(name="--lpips-net")] = "vgg"
     """Network of LPIPS: VGG16 or AlexNet."""
 

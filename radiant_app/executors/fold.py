@@ -112,7 +112,7 @@ class RetryPolicy:
     deadlines: Deadlines | None = None
     """None: no node has a deadline."""
     on_given_up: Callable[[Tree, Collection[str]], None] = lambda node, begun: None
-    """Called with a node that the run goes on without, and the ids of nodes that run or are done."""
+    """Called with a node that is done without, and the ids of nodes that run or are done."""
 
 
 @dataclass(kw_only=True)

@@ -53,7 +53,7 @@ DRIVER = "import sys; from radiant_app.executors.ray_driver import main; sys.exi
 
 @dataclass(kw_only=True)
 class RayExecutor:
-    """Nodes as tasks of the Ray cluster at `address`; "local": one here, for as long as the fold."""
+    """Nodes as tasks of the Ray cluster at `address`; "local": one here, for this fold."""
 
     address: str
     log: Path

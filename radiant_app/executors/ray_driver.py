@@ -43,7 +43,7 @@ CHECK_INTERVAL_S = 2.0
 GONE_S = 20.0
 """A waiting task is lost if no machine can run it for this long: a restarted one rejoins sooner."""
 LOCK_S = 120.0
-"""How long a task waits for an earlier process, whose machine stops a minute after the head node."""
+"""How long a task waits for an earlier process: a machine without a head stops in a minute."""
 SEEN_S = 20.0
 LOCAL_STORE_BYTES = 100 * 2**20
 """Ray's least object store is 75 MB; no model ever lies in it."""

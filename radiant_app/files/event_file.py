@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 EVENTS_NAME = "events.jsonl"
 SECONDS_BETWEEN = 0.5
 MIN_PHASE_S = 0.05
-"""A phase that starts sooner after a line is not written: totals that always change are no phases."""
+"""A phase that starts sooner after a line is not written: its total may change with each event."""
 
 
 class EventFile:

@@ -141,7 +141,7 @@ def library_profiles() -> dict[str, Path]:
 
 
 def find_profile(name: str, beside: Path) -> Profile:
-    """The profile that a system file in the folder `beside` names: of the library, or a curve file."""
+    """The profile that a system file in the folder `beside` names: the library's, or a file."""
     if name.endswith(SUFFIXES):
         return load_profile(beside / name, name)
     known = library_profiles()

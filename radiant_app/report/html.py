@@ -41,7 +41,7 @@ GIVEN = {
         "owner": "what devices sent for the plan",
     },
 }
-"""What the nodes of a tier were given, by whether one owner ran structure from motion ("shared")."""
+"""What the nodes of a tier were given, by whether one owner pooled the photographs."""
 
 GANTT_TEXT = {
     False: "Predicted for machines that all work at once; measured here, where processes wait for a free core. Nothing was sent.",

@@ -61,7 +61,7 @@ class Pace:
 
     @property
     def text(self) -> str:
-        """As "elapsed 0:03, left about 0:40"; with several steps, what is left of the current one."""
+        """As "elapsed 0:03, left about 0:40"; of several steps, what is left of the current one."""
         left_s = self.left_s
         if left_s is None:
             return f"elapsed {clock_text(self.elapsed_s)}"

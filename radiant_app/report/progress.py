@@ -28,7 +28,7 @@ MAX_BAR_WIDTH = 30
 
 
 def tracked(items: Sequence[_Item], what: str) -> Iterator[_Item]:
-    """The items one by one with a bar on a terminal, for a loop of items that take about as long."""
+    """The items with a bar on a terminal, for a loop of items that take about as long."""
     console = Console(stderr=True)
     return iter(track(items, description=what, console=console, disable=not console.is_terminal))
 

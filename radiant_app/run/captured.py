@@ -104,7 +104,7 @@ def locate_photographs(config: RunConfig, poses: GivenPoses | None, folders: dic
 
 
 def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
-    """Let every device count its training photographs in a raster; no name or position leaves it."""
+    """Let every device count its training photographs in a raster; no name or position leaves."""
     owned = [
         (device, path.name)
         for device, folder in folders.items()
@@ -198,7 +198,7 @@ def _reason(error: BadInput | StageFailed | OSError) -> str:
 
 
 def _middle(lat_lon_alt: FloatArray) -> FloatArray:
-    """The median (3,) of positions (P,3); longitudes count from the first, for the 180th meridian."""
+    """The median (3,) of positions (P,3); longitudes count from the first, see the 180th meridian."""
     turned = lat_lon_alt.copy()
     turned[:, 1] = (lat_lon_alt[:, 1] - lat_lon_alt[0, 1] + 180) % 360 - 180
     middle = np.median(turned, axis=0)
@@ -223,7 +223,7 @@ def photo_folder(source: Path) -> Path:
 
 
 def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path, progress: Progress) -> Captured:
-    """Positions from the given poses; with device folders, each with the device that has the file."""
+    """Positions from the given poses; in device folders each is of the device with the file."""
     names = poses.cameras.names
     if folders is None:
         copies = file_copies({name: poses.photos / name for name in names})

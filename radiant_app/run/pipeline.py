@@ -1,10 +1,8 @@
-"""The main job, from photographs to one Gaussian model: connects the stages and computes nothing
-itself.
+"""The main job, from photographs to one Gaussian model: connects the stages, computes nothing.
 
     photographs ─ plan ─ Tree(cloud(edge(device …))) ─ score ─ report
 
-`--frames` decides where structure from motion happens (`source.py`); plan, tree and joining are the
-same.
+`--frames` decides where structure from motion happens (`source.py`), and nothing else.
 """
 
 from __future__ import annotations
@@ -82,16 +80,10 @@ class RunResult:
 def run(
     config: RunConfig, listen: Listener = lambda event: None, *, resume: bool = False, clock: Callable[[], float] = time.monotonic
 ) -> RunResult:
-    """Run everything in `config.out`; finished stages are skipped with `resume`.
+    """Run everything in `config.out`; returns the folder and the metrics.
 
-    Args:
-        config: what is asked for.
-        listen: hears every event of the run, as it happens.
-        resume: go on with the run that is in the folder, by the same settings.
-        clock: seconds; the times of stages are its differences.
-
-    Returns:
-        The folder and the metrics; `load_splats` reads the scene.
+    `listen` receives every event as it happens; `resume` goes on with the run in the folder, by the
+    same settings; stage times are differences of `clock`, in seconds.
 
     Raises:
         BadInput: unusable input, with one sentence; nothing stays behind.
@@ -135,7 +127,6 @@ def _checked_system(config: RunConfig) -> System:
 
 
 def _photographs(config: RunConfig, system: System, progress: Progress) -> Source:
-    """Return the source of the photographs, located."""
     if config.frames != "shared":
         return DevicePhotographs.locate(config, system, progress)
     progress.listen(Outlined(stages=("sfm", *list_nodes(system), "evaluation")))
@@ -145,8 +136,7 @@ def _photographs(config: RunConfig, system: System, progress: Progress) -> Sourc
 def _joined(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
     """Fold the tree of a plan over devices, edges and the cloud, and score the scene.
 
-    Raises:
-        StageFailed: no device delivered a model that could be used.
+    StageFailed: no device delivered a model that could be used.
     """
     first_key = plan_key(plan.cloud, plan.edges)
     if photographs.positions is not None:

@@ -1,5 +1,4 @@
-"""Predicted against measured times of a finished run: rows for metrics.json and the report, bars
-for the Gantt chart.
+"""Predicted against measured times of a finished run, for metrics.json, report and Gantt chart.
 
 Measured: a device's `train_s` of its summary, and what its process needed beside it as initialising
 (start, reading, first Gaussians, writing; with `--frames gps` and `known` its own structure from
@@ -43,7 +42,7 @@ def save_system(run: Path, system: System) -> None:
 
 
 def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan]) -> dict[str, Any]:
-    """The predictions for metrics.json: predicted and measured stages, the makespan, the error with corrections on the way."""
+    """The predictions for metrics.json: stages, the makespan, the error with corrections."""
     system = load_system(run / SYSTEM_NAME)
     planned = planned_stages(system, edge_plans)
     measured = measured_seconds(run, manifest)
@@ -112,7 +111,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None = None, manifest: Manifest | None = None) -> list[Any]:
-    """Rows of `gantt_picture`: edges above their devices; measured bars where a run is given, from when its first device began."""
+    """Rows of `gantt_picture`, edges above devices; with a run, measured bars from its start."""
     from radiant_viewer.charts.charts import TimelineSpan
     from radiant_viewer.charts.gantt_chart import GanttRow
 
@@ -157,7 +156,7 @@ def _measured_bars(run: Path, manifest: Manifest) -> dict[str, tuple[Any, ...]]:
 def _online(
     system: System, edge_plans: Sequence[EdgePlan], manifest: Manifest, measured: Mapping[tuple[str, str], float]
 ) -> list[dict[str, Any]]:
-    """After each machine but the last, in the order they finished: the error of what remained, as planned and as corrected by then."""
+    """The error of what remained after each machine, as planned and as corrected by then."""
     planned = planned_stages(system, edge_plans)
     times = manifest.emulated or manifest.stages
     order = sorted({row.node for row in planned if any(node == row.node for node, _ in measured)}, key=lambda node: times[node]["ended_s"])

@@ -1,5 +1,4 @@
-"""Inputs and warnings of the plan's predictions: the training of the curves, and how many
-photographs a device's memory holds.
+"""Inputs and warnings of a plan's predictions: the curves' training, and the limits by memory.
 
 Once per plan. The limits come from the trainer's own model of memory (`train.memory`), which `plan`
 must not import.
@@ -23,7 +22,7 @@ from radiant_core.train.needs import Overrides, fit_to_backend
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
-    """The training of devices on a machine like this one; the training itself reports its decisions."""
+    """The training of devices on a machine like this one; it reports its decisions itself."""
     from radiant_core.render.rasterize import resolve_backend
 
     return fit_to_backend(train_preset(preset), resolve_backend("auto"), overrides)[0]
@@ -41,7 +40,7 @@ def training_key_of(train: TrainConfig, preset: Preset, aggregate: AggregatePres
 
 
 def depends_on_training(system: System) -> bool:
-    """Whether a plan of this system depends on the training: it names profiles, or memory without a count of cameras."""
+    """Whether a plan depends on the training: by profiles, or memory without a count of cameras."""
     machines: Sequence[Device | Edge] = (*system.devices, *system.edges)
     return any(machine.profile is not None for machine in machines) or any(map(_is_limited_by_memory, system.devices))
 
@@ -53,8 +52,7 @@ def with_camera_limits(
 
     A device holds as many photographs as fit with the Gaussians that its curve H has for them;
     `model_factor`: what H was multiplied by for uploads. Where all together hold too few of the
-    `num_cameras`, devices will train with fewer Gaussians, and only the photographs themselves are
-    a limit.
+    `num_cameras`, devices will train with fewer Gaussians, and only photographs are a limit.
     """
     limited = [device for device in system.devices if _is_limited_by_memory(device)]
     if not limited:

@@ -1,5 +1,4 @@
-"""The key of structure from motion: the used files of its source, by content. Once per run and
-resumed run.
+"""The key of structure from motion: the used files of its source, by content. Once per (re)start.
 
     sfm/source.json     file by name: size in bytes, time of change in ns, SHA-256
 
@@ -42,7 +41,7 @@ Files = dict[str, list[Any]]
 
 
 def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
-    """Return the key of structure from motion by a task in `folder`; warns if the finished result there is outdated."""
+    """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
     known = _recorded(folder)
     files = _described(used_files(config.source, config.sfm.masks), known or {})
     settings = [message_record(task.sfm), message_record(task.placement)]
@@ -57,7 +56,7 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
 
 
 def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
-    """Name → file that structure from motion uses; of a COLMAP project its model and the images in it."""
+    """Name → file that structure from motion uses; of a COLMAP project its model and images."""
     kind, images, model = detect_source(source)
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
