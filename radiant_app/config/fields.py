@@ -209,7 +209,8 @@ def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: st
         if not equals or field is None or not path.startswith(section):
             raise BadInput(f"--set {text!r} sets nothing: {_instead(path, section)}.")
         if path in values:
-            raise BadInput(f"--set {path} is given twice: keep one of them.")
+            other = f", once as {field.option_name}" if path in given else ""
+            raise BadInput(f"--set {path} is given twice{other}: keep one of them.")
         values[path] = field.read(value)
     return values
 

@@ -42,7 +42,7 @@ from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
 from radiant_app.workers.sources import detect_source
 from radiant_core.aggregate.tree import Tree, tree_of_plan
-from radiant_core.errors import StageFailed
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
@@ -120,6 +120,8 @@ def _checked_system(config: RunConfig) -> System:
     if config.emulated:
         require_emulable(system)
     if config.plan.file is not None:
+        if not config.plan.file.is_file():
+            raise BadInput(f"--plan {config.plan.file} is no file: give the plan.json that `radiant plan` wrote, or leave --plan out.")
         require_plan(config.plan.file, system)
     if config.execution.address is not None:
         require_cluster(config.execution.address)

@@ -23,7 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.messages import sent_files as model_files
 from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
 from radiant_core.io.transport.acceptance import Acceptance, LastTask, Offer
@@ -125,14 +125,14 @@ def sign_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, na
 def accept_task(folder: Path, kind: Kind) -> None:
     """Raise BadInput unless `folder` holds the parent's newest task for this node; record it."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
-    delivery = load_delivery(folder / GIVEN, load_public_key(folder / IDENTITY / ABOVE_NAME))
+    delivery = _load_signed(folder / GIVEN, folder / IDENTITY / ABOVE_NAME, str(folder))
     if delivery.kind != kind:
         raise BadInput(f"{folder / GIVEN} has a {delivery.kind}, expected a {kind}: send the task again.")
     check_files(delivery, folder)
     require_nothing_else(delivery, folder)
     last, verdict = _last_task(folder, post).offer(_offer(delivery.receiver, delivery))
     if verdict.status == "rejected":
-        raise BadInput(f"the task in {folder} is refused: {verdict.reason}")
+        raise BadInput(f"the task in {folder} is refused: {verdict.reason}{_way_on(delivery, post['run'], str(folder))}")
     write_json(folder / IDENTITY / TAKEN_NAME, {"key": _key_of_above(folder), "attempt": last.attempt, "digest": last.digest})
 
 
@@ -187,7 +187,7 @@ def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Pat
     found = {}
     for sender in senders:
         try:
-            delivery = load_delivery(folder / DELIVERIES / sender, load_public_key(folder / SENDERS / f"{sender}.pub"))
+            delivery = _load_signed(folder / DELIVERIES / sender, folder / SENDERS / f"{sender}.pub", expected[sender])
             if delivery.kind != _KINDS[tier]:
                 raise BadInput(f"it sent a {delivery.kind}, expected a {_KINDS[tier]}.")
             check_files(delivery, places[sender])
@@ -196,8 +196,24 @@ def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Pat
             continue
         acceptance, verdict = acceptance.offer(_offer(sender, delivery))
         if verdict.status == "rejected":
-            found[sender] = verdict.reason
+            found[sender] = verdict.reason + _way_on(delivery, post["run"], expected[sender])
     return found
+
+
+def _load_signed(place: Path, key: Path, node: str) -> Delivery:
+    """As `load_delivery`; a wrong signature says what to do with the folder of `node`."""
+    try:
+        return load_delivery(place, load_public_key(key))
+    except StoreDamaged:
+        raise
+    except BadInput as error:
+        raise BadInput(f"{error}{_way_on(None, '', node)}") from error
+
+
+def _way_on(delivery: Delivery | None, run: str, node: str) -> str:
+    if delivery is not None and delivery.run == run:
+        return ""
+    return f" If the folder {node} was put here from another run, remove it and go on with --resume."
 
 
 def _offer(region: str, delivery: Delivery) -> Offer:
