@@ -72,15 +72,12 @@ def extend(
     new: Annotated[Path, typer.Argument(help="The run of the new region.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="PLY of the extended scene.", show_default=False)],
     region: Annotated[
-        Path | None,
-        typer.Option(help="GeoJSON polygons of the land that NEW takes over, else the hull of its cameras.", show_default=False),
+        Path | None, typer.Option(help="GeoJSON polygons of the land that NEW takes over, else the hull of its cameras.")
     ] = None,
     margin_m: Annotated[
-        float | None, typer.Option("--margin-m", help="Half width of the strip that is fitted, else 5 % of the region's side.")
+        float | None, typer.Option("--margin-m", help="Half width of the fitted strip, else 5 % of the region's side.")
     ] = None,
-    epochs: Annotated[
-        int | None, typer.Option(min=1, help="How often each view of the strip is shown, else as often as a run does.")
-    ] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="How often each view of the strip is shown, else as in a run.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Join a new region to a finished scene, which keeps its bits beyond a margin."""
@@ -100,14 +97,9 @@ def evaluate(
     model: Annotated[Path, typer.Argument(help="A run, a 3DGS PLY, or a model.safetensors.", show_default=False)],
     scene: Annotated[
         Path | None,
-        typer.Argument(
-            help="A run, a folder of `radiant sfm`, or an undistorted COLMAP project in its own frame; without it the run MODEL.",
-            show_default=False,
-        ),
+        typer.Argument(help="A run, a folder of `radiant sfm`, or an undistorted COLMAP project in its own frame; else the run MODEL."),
     ] = None,
-    long_side_px: Annotated[
-        int | None, typer.Option("--long-side-px", min=16, help="Long side of the images; without it the run's, else 1600 at most.")
-    ] = None,
+    long_side_px: Annotated[int | None, typer.Option(min=16, help="Long side of the images, else the run's, or 1600 at most.")] = None,
     lpips_weights: LpipsWeights = None,
     lpips_net: LpipsNet = "vgg",
     out: Annotated[Path | None, typer.Option("--out", help="JSON file for all figures; must not exist.")] = None,
@@ -132,19 +124,14 @@ def inspect(
     run_folder: Annotated[Path, typer.Argument(help=_INSPECTED_HELP, show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[
-        View | None,
-        typer.Option(help="What the picture shows; else regions of a run, splats of a training, cameras of a scene.", show_default=False),
+        View | None, typer.Option(help="What is shown; else regions of a run, splats of a training, cameras of a scene.")
     ] = None,
     size: SizeOption = "1280x900",
-    camera: Annotated[
-        str | None, typer.Option(help="A photograph's name: splats are seen from there, compare shows it alone.", show_default=False)
-    ] = None,
+    camera: Annotated[str | None, typer.Option(help="A photograph's name: splats are seen from there, compare shows it alone.")] = None,
     system: Annotated[Path | None, typer.Option(help="TOML of edges and devices with which the plan is changed; else its own.")] = None,
     scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.")] = None,
     web: Annotated[bool, typer.Option("--web", help=_WEB_HELP)] = False,
-    host: Annotated[
-        str, typer.Option(help="--web: address to bind; all but this machine's own can be reached from outside.")
-    ] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="--web: address to bind; any but this machine's own is open to others.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
     """Show a run, or a plan to be changed: in a window, as a picture, or as a page to browse."""

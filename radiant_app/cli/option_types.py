@@ -23,7 +23,7 @@ RasterCellOption = Annotated[float | None, option("plan.raster_cell_m")]
 BenchScene = Annotated[
     Path | None,
     typer.Option(
-        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm' or a run."
+        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm', a run."
     ),
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train, methods: PNG of the curves.")]

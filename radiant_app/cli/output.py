@@ -14,14 +14,10 @@ from radiant_core.choices import ExportFormat, Trajectory
 
 def render(
     model: Annotated[Path, typer.Argument(help="A run, the folder of `radiant train`, or a PLY.", show_default=False)],
-    out: Annotated[
-        Path, typer.Option("--out", help="New folder of PNG frames, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)
-    ],
+    out: Annotated[Path, typer.Option("--out", help="New folder of PNGs, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)],
     cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without any path the held-out cameras.")] = None,
-    trajectory: Annotated[
-        Trajectory | None, typer.Option(help="orbit: once around the scene; border: along one, the worst seam by default.")
-    ] = None,
-    border: Annotated[str | None, typer.Option(help="Two edges, as EAST,WEST: fly along their border.", show_default=False)] = None,
+    trajectory: Annotated[Trajectory | None, typer.Option(help="orbit: once around; border: along one, else the worst seam.")] = None,
+    border: Annotated[str | None, typer.Option(help="Two edges, as EAST,WEST: fly along their border.")] = None,
     keyframes: Annotated[
         Path | None, typer.Option(help='JSON: {"keyframes": [{"time_s": 0, "position": [x, y, z], "target": [x, y, z]}, …]}.')
     ] = None,
@@ -53,20 +49,14 @@ def render(
 
 
 def export(
-    model: Annotated[
-        Path,
-        typer.Argument(help="Folder of `radiant run`, `train` or `sfm`, or a model alone.", show_default=False),
-    ],
+    model: Annotated[Path, typer.Argument(help="Folder of `radiant run`, `train` or `sfm`, or a model alone.", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File to write; a folder for COLMAP. Its ending says what.", show_default=False)],
     format: Annotated[  # noqa: A002
         ExportFormat | None,
         typer.Option(help="Model: ply, spz, sog. Scene: geojson (regions, cameras), colmap. Surface: mesh (PLY), dsm (GeoTIFF)."),
     ] = None,
     resolution: Annotated[
-        float | None,
-        typer.Option(
-            min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.", show_default=False
-        ),
+        float | None, typer.Option(min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.")
     ] = None,
     long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the depth pictures of mesh and dsm.")] = 640,
     as_json: AsJson = False,
