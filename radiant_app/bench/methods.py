@@ -127,7 +127,6 @@ def _timed(work: Callable[[], tuple[Splats, float]]) -> Made:
 
 
 def _of_trainings(splats: Splats, models: Sequence[DeviceModel]) -> Made:
-    """A product that takes what the trainings of these models took."""
     cpu_s, training_px = (float(sum(model.summary[name] for model in models)) for name in ("cpu_s", "training_px"))
     return Made(splats=splats, cpu_s=cpu_s, training_px=training_px)
 

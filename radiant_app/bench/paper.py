@@ -107,7 +107,6 @@ def _facts(bench: PaperBench, arms: Arms) -> list[str]:
 
 
 def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
-    """Quality and cost of every arm of a part, and what balanced regions save."""
     named: dict[str, Any] = made.figures if isinstance(made.figures, dict) else {}
     rows: list[dict[str, Any]] = made.figures if isinstance(made.figures, list) else named.get("rows", [])
     metrics: list[Metric] = []

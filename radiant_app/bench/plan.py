@@ -37,11 +37,7 @@ _SIZES = (*_QUICK_SIZES, (1600, 16), (10_000, 16))
 _REPEATS = 3
 _Scale = tuple[int, int, LayoutKind]
 _QUICK_SCALES: tuple[_Scale, ...] = ((1700, 4, "uniform"), (1700, 4, "street"))
-_SCALES: tuple[_Scale, ...] = (
-    *_QUICK_SCALES,
-    *((1_000_000, 256, kind) for kind in get_args(LayoutKind)),
-    (10_000_000, 1024, "uniform"),
-)
+_SCALES: tuple[_Scale, ...] = (*_QUICK_SCALES, *((1_000_000, 256, kind) for kind in get_args(LayoutKind)), (10_000_000, 1024, "uniform"))
 _SCENES = {"rubble": 1678, "building": 1940}
 
 

@@ -346,7 +346,6 @@ def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
 
 
 def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, float], other: tuple[str, float]) -> list[Metric]:
-    """The paired differences of two groups of rows in PSNR, without and with corrected colours."""
     groups = _groups(rows)
     metrics = []
     for figure, mark in (("psnr_db", ""), ("psnr_cc_db", "cc_")):

@@ -205,13 +205,11 @@ def _require_working_folder() -> None:
 
 
 def _how_to_go_on() -> str:
-    """What to say of a command that did not come to its end."""
     resumable = set(sys.argv[1:2]) & {"run", "demo", "train", "sfm"}
     return "What was finished is kept: go on with the same command and --resume." if resumable else ""
 
 
 def _where_it_lies() -> str:
-    """What to say of a result that exists and was not printed."""
     given = [after for option, after in pairwise(sys.argv) if option == "--out"]
     given += [argument.removeprefix("--out=") for argument in sys.argv if argument.startswith("--out=")]
     made = [out for out in given if Path(out).exists()]

@@ -25,9 +25,7 @@ def feeds_of(run: Path) -> RunFeeds:
     if not (run / "manifest.json").is_file():
         return RunFeeds()
     return RunFeeds(
-        gantt_rows=lambda: _gantt_rows(run),
-        gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)],
-        progress=_Progress(run),
+        gantt_rows=lambda: _gantt_rows(run), gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)], progress=_Progress(run)
     )
 
 

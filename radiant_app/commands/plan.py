@@ -143,7 +143,6 @@ def _is_scene(source: Path) -> bool:
 
 
 def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[str, Any]:
-    """Plan the training cameras of a scene; the plan and its picture."""
     from radiant_viewer.runs.run_pictures import plan_picture
 
     scene = training_part(load_scene_of(request.source))
@@ -162,7 +161,6 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 
 
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
-    """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
     from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
     waypoints = _above_ground(found.waypoints, request)
@@ -201,13 +199,7 @@ def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, 
             save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
             save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers)
         save_plan(
-            folder / out.name,
-            made.cloud,
-            made.edges,
-            waypoints,
-            slack_curve=made.curve,
-            warnings=made.warnings,
-            content=content.record(),
+            folder / out.name, made.cloud, made.edges, waypoints, slack_curve=made.curve, warnings=made.warnings, content=content.record()
         )
 
 

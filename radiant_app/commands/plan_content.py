@@ -152,7 +152,6 @@ def _near_buffers(
 
 
 def _forecast_heights(waypoints: Waypoints) -> FloatArray | str:
-    """Heights (P,) above the ground, or why there is no forecast."""
     if len(waypoints) > MAX_IMAGES:
         return f"not made, for {len(waypoints)} positions are more than {MAX_IMAGES}."
     heights_m = waypoints.heights_m

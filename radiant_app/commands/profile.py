@@ -277,11 +277,4 @@ def _check(measured: Measured, joined: Sequence[EdgeSample]) -> list[dict[str, A
 
 def _row(quantity: str, unit: str, num_cameras: int, predicted: float, measured: float) -> dict[str, Any]:
     error = predicted / measured - 1
-    return {
-        "quantity": quantity,
-        "unit": unit,
-        "num_cameras": num_cameras,
-        "predicted": predicted,
-        "measured": measured,
-        "error": error,
-    }
+    return {"quantity": quantity, "unit": unit, "num_cameras": num_cameras, "predicted": predicted, "measured": measured, "error": error}

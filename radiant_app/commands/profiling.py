@@ -217,7 +217,6 @@ class Measuring:
 
     @property
     def _order(self) -> NDArray[np.int64]:
-        """Photographs along the longer side of the scene."""
         positions = self.scene.cameras.centers[:, :2]
         return np.argsort((positions - positions.mean(axis=0)) @ long_axis(positions), kind="stable")
 

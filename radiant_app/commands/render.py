@@ -182,7 +182,6 @@ def _orbit_around(box: FloatArray, num_frames: int, lens: Lens) -> Cameras:
 
 
 def _border(run: Any, names: tuple[str, ...] | None) -> Border:
-    """The border of two edges, or without names that with the largest colour step."""
     from radiant_viewer.runs.run_pictures import worst_border
 
     edge_ids = run.cloud_plan.edge_ids

@@ -115,14 +115,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
     with stage_bar(display, "replan") as report:
         report(0, 2, "planning")
         new = replan(
-            before.cloud,
-            before.edges,
-            positions,
-            old,
-            before.change,
-            captured=before.captured,
-            joining=joined,
-            tolerance=request.tolerance,
+            before.cloud, before.edges, positions, old, before.change, captured=before.captured, joining=joined, tolerance=request.tolerance
         )
         if isinstance(new, ReplanInfeasible):
             raise BadInput(f"replan: {new.reason}")
@@ -148,7 +141,6 @@ def _grow_system(before: _Before, joining: System | None) -> System:
 
 
 def _split_system(grown: System, known: System) -> tuple[System, System | None]:
-    """Split a grown system, edges placed, into its known part and the joining part."""
     devices = {device.id for device in known.devices}
     old, new = (
         [replace(edge, devices=own) for edge in grown.edges if (own := tuple(d for d in edge.devices if (d.id in devices) == is_old))]
@@ -288,7 +280,6 @@ def _gantt_rows(new: Replan) -> list[Any]:
 
 
 def _moved_csv(before: _Before, new: Replan) -> str:
-    """name, x_m, y_m, from, to of every position that moved."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")
     writer.writerow(("name", "x_m", "y_m", "from", "to"))

@@ -194,7 +194,6 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
 
 
 def _prepare(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> PreparedTraining:
-    """The training of all photographs that are not held out, with the decisions on the way."""
     base_bytes = resident_bytes()
     if len(scene.cameras) < MIN_PHOTOGRAPHS:
         raise BadInput(f"the scene has {len(scene.cameras)} photographs, expected at least {MIN_PHOTOGRAPHS}: take more that overlap.")
@@ -240,7 +239,6 @@ def _validation_decision(request: TrainRequest, num_training: int, num_validated
 
 
 def _resolve_config(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """The configuration that was asked for, as far as this machine can carry it."""
     config, decisions = fit_to_backend(replace(train_preset(request.preset), seed=request.seed), backend, request.overrides)
     if request.time_s is None:
         return config, decisions
@@ -319,7 +317,6 @@ def _totals(manifest: Manifest, num_splats: int) -> dict[str, Any]:
 
 
 def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Callable[[], float]) -> dict[str, Any]:
-    """The model alone, of a source that has a scene."""
     if resume:
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)

@@ -148,7 +148,6 @@ def train_options(values: Mapping[str, Any]) -> TrainOptions:
 
 
 def _arguments(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Field of `RunConfig` → its value or section."""
     arguments: dict[str, Any] = {}
     sections: dict[str, dict[str, Any]] = {}
     for path, value in values.items():

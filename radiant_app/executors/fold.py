@@ -202,7 +202,6 @@ class Fold:
             self._give_up(self.running[node_id], NodeEnded())
 
     def _next(self, waiting: list[Tree]) -> Tree | None:
-        """The most urgent node that can start now, if there is room."""
         if not self.runner.has_room():
             return None
         ready = [node for node in waiting if all(child.id in self.times for child in node.children)]

@@ -145,7 +145,6 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
 
 
 def _width(tree: Tree) -> int:
-    """The most nodes of the tree that can run at once: its leaves."""
     return max(1, sum(1 for node in tree if not node.children))
 
 

@@ -64,8 +64,6 @@ class _Task:
 
 @dataclass
 class _Driver:
-    """Runs all tasks of one fold."""
-
     commands: queue.Queue[dict[str, Any] | None] = field(default_factory=queue.Queue)
     tasks: dict[str, _Task] = field(default_factory=dict)
     leaves: Sequence[str] = ()

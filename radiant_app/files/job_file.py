@@ -150,7 +150,6 @@ def _job_options() -> dict[str, ConfigField]:
 
 @cache
 def _file_model() -> Any:
-    """The pydantic model of a job file."""
     fields: dict[str, Any] = {
         f"option_{index}": (field.typed_kind, Field(default=None, alias=key)) for index, (key, field) in enumerate(_job_options().items())
     }

@@ -151,7 +151,6 @@ def open_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequenc
 
 @contextmanager
 def _record_outcome(manifest: Manifest) -> Iterator[Manifest]:
-    """Save the record before and after the work, with its outcome."""
     manifest.status = "running"
     manifest.save()
     try:
@@ -272,7 +271,6 @@ def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any], pref
 
 
 def _option_name(path: str, name: str) -> str:
-    """The option of a run's field by its path, or of another command's setting by its name."""
     fields = config_fields()
     if path in OPTIONS or path in fields:
         return OPTIONS.get(path) or fields[path].option_name

@@ -172,7 +172,6 @@ class _Edge(Strict):
 
 
 def _profile_of(table: _Device | _Edge, owner: str, costs: tuple[str, ...], folder: Path) -> Profile | None:
-    """The profile that a device or edge names; BadInput where a cost stands beside it."""
     if table.profile is None:
         return None
     beside = [name for name in (*costs, "costs_from") if name in table.model_fields_set]

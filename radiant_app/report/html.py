@@ -161,7 +161,6 @@ def _comparison(run: Path, row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _node_rows(run: Path, manifest: Manifest, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> list[dict[str, Any]]:
-    """One row per device and edge: photographs, Gaussians, planned and measured time."""
     rows = []
     for index, plan in enumerate(edge_plans):
         for device, planned_s in zip(plan.device_ids, plan.device_time_s, strict=True):

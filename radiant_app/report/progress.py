@@ -34,15 +34,11 @@ def tracked(items: Sequence[_Item], what: str) -> Iterator[_Item]:
 
 
 class _Times(ProgressColumn):
-    """Elapsed and left, with their words before them."""
-
     def render(self, task: Task) -> Text:
         return Text(task.fields["pace"].text)
 
 
 class _Share(ProgressColumn):
-    """Per cent, if the total is known."""
-
     def render(self, task: Task) -> Text:
         return Text("" if not task.total else f"{task.percentage:>3.0f} %")
 

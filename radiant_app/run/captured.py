@@ -251,7 +251,6 @@ def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source:
 
 
 def _warn_of_unplaced(captured: Captured, progress: Progress) -> None:
-    """Warn about photographs without a position: by name if pooled, else by number per device."""
     lost = np.flatnonzero(~captured.placed)
     named = [captured.names[index] for index in lost if captured.owners[index] is None]
     if named:

@@ -78,7 +78,6 @@ def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
 
 
 def _recorded(folder: Path) -> Files | None:
-    """Read source.json; None if it is missing or damaged."""
     try:
         record = read_json(folder / RECORD_NAME)
     except StoreDamaged:
@@ -105,7 +104,6 @@ def _described(paths: Mapping[str, Path], known: Files) -> Files:
 
 
 def _change(known: Files, files: Files) -> str | None:
-    """Describe which photographs changed; None if none did."""
     changes = {
         "new": [name for name in files if name not in known],
         "gone": [name for name in known if name not in files],

@@ -228,7 +228,6 @@ def _offer(region: str, delivery: Delivery) -> Offer:
 
 
 def _last_attempt(folder: Path) -> int:
-    """The attempt in the node's last record, 0 without a readable one."""
     try:
         attempt = read_json(folder / RECORD_NAME, ("attempt",), MAX_RECORD_BYTES)["attempt"]
     except BadInput:
