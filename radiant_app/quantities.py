@@ -18,7 +18,7 @@ def seconds_of(text: str) -> float:
 
 
 def bytes_of(text: str) -> int:
-    """Bytes of "600MB", "2GB" (10⁹ each) or "1GiB" (2³⁰); BadInput for anything else or less than 1."""
+    """Bytes of "600MB", "2GB" (10⁹ each) or "1GiB" (2³⁰); BadInput for anything else and 0."""
     return math.floor(_amount(text, BYTES, "an amount of memory such as 600MB, 2GB or 1GiB", least=1.0))
 
 

@@ -178,10 +178,8 @@ class Arms:
 
 
 def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings) -> Arms:
-    """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings.
-
-    BadInput: the scene has too few photographs or is not of a run, or `out` is a file.
-    """
+    """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings;
+    BadInput where the scene has too few photographs or is not of a run, or `out` is a file."""
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file: name a folder for the page, its pictures and the models.")
     cache = ModelCache(folder=out / "models")

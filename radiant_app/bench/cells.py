@@ -147,7 +147,7 @@ class BenchScene:
 
 
 def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
-    """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput for few photographs."""
+    """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput for a small one."""
     scene, _, images = load_scored_scene(source)
     held = held_out_mask(scene.cameras.names)
     if held.sum() < 2 or (~held).sum() < 8:

@@ -159,7 +159,7 @@ def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     of = {key: [row for row in rows if row.arm == arm.name] for key, arm in jobs.items()}
     lines = ["| epochs | method | band dB | interior dB | whole dB | CPU s |", "|---|---|---|---|---|---|"]
     for (name, count), own in of.items():
-        texts = [_text(_mean_known(own, what)) for what in ("band_db", "interior_db")]
+        texts = [_mean_text(own, what) for what in ("band_db", "interior_db")]
         lines.append(f"| {count} | {name} | {' | '.join(texts)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'cpu_s'):.0f} |")
     lines += [
         "",
@@ -293,12 +293,8 @@ def _mean(rows: Sequence[ArmRow], what: str) -> float:
     return float(np.mean([getattr(row, what) for row in rows]))
 
 
-def _mean_known(rows: Sequence[ArmRow], what: str) -> float | None:
-    return None if any(getattr(row, what) is None for row in rows) else _mean(rows, what)
-
-
-def _text(value: float | None) -> str:
-    return "insufficient" if value is None else f"{value:.2f}"
+def _mean_text(rows: Sequence[ArmRow], what: str) -> str:
+    return "insufficient" if any(getattr(row, what) is None for row in rows) else f"{_mean(rows, what):.2f}"
 
 
 def _around(values: FloatArray) -> tuple[float, float]:

@@ -43,11 +43,8 @@ def plants() -> dict[tuple[Quantity, str], Plant]:
 
 
 def virtual_borders(splats: Splats, count: int, seed: int = 0) -> list[FloatArray]:
-    """Random lines (2,2) m across the region that was photographed; BadInput for an empty model.
-
-    Photographed regions have small Gaussians: the region is the box of the middle 80 % in x and y
-    of the smaller half of the opaque ones.
-    """
+    """Random lines (2,2) m across the photographed region, which is the box of the middle 80 % in x
+    and y of the smaller half of the opaque Gaussians; BadInput for an empty model."""
     shows = np.flatnonzero(splats.logit_opacities > np.log(MIN_OPACITY / (1 - MIN_OPACITY)))
     if len(shows) < 100:
         raise BadInput(f"the model has {len(shows)} Gaussians that show, expected 100 or more: train it first.")
@@ -118,17 +115,13 @@ def _left_m(splats: Splats, line: FloatArray) -> FloatArray:
 
 
 def _brighter(levels: float) -> Plant:
-    def plant(splats: Splats, line: FloatArray) -> Splats:
-        return replace(splats, sh0=splats.sh0 + (levels / 255 / SH_C0 * (_left_m(splats, line) > 0))[:, None, None])
-
-    return plant
+    step = levels / 255 / SH_C0
+    return lambda splats, line: replace(splats, sh0=splats.sh0 + (step * (_left_m(splats, line) > 0))[:, None, None])
 
 
 def _higher(step_m: float) -> Plant:
-    def plant(splats: Splats, line: FloatArray) -> Splats:
-        return replace(splats, means=splats.means + step_m * (_left_m(splats, line) > 0)[:, None] * np.array([0.0, 0.0, 1.0]))
-
-    return plant
+    up = np.array([0.0, 0.0, 1.0])
+    return lambda splats, line: replace(splats, means=splats.means + step_m * (_left_m(splats, line) > 0)[:, None] * up)
 
 
 def _fewer(share: float) -> Plant:
@@ -140,10 +133,7 @@ def _fewer(share: float) -> Plant:
 
 
 def _cut(width_m: float) -> Plant:
-    def plant(splats: Splats, line: FloatArray) -> Splats:
-        return splats.select(np.flatnonzero(np.abs(_left_m(splats, line)) > width_m / 2))
-
-    return plant
+    return lambda splats, line: splats.select(np.flatnonzero(np.abs(_left_m(splats, line)) > width_m / 2))
 
 
 def main(

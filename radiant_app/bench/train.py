@@ -21,12 +21,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rich.console import Console
 
 from radiant_app.bench.options import BenchOptions
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
-from radiant_app.report.progress import ProgressDisplay, tracked
+from radiant_app.report.progress import terminal_display, tracked
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import load_scored_scene, masks_folder_of, reconstruct_source, sfm_task
 from radiant_core import __version__
@@ -155,11 +154,8 @@ class _Split:
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
-    """All rows, and the metrics `train.<scene>.<variant>.<budget>s.<…>` with the differences.
-
-    `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs;
-    BadInput where nothing can be held out.
-    """
+    """All rows, and the metrics `train.<scene>.<variant>.<budget>s.<…>` with the differences; the
+    scene is any source. BadInput where nothing can be held out."""
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
         source = _load(bench.scene, Path(folder))
         splits = _splits(source, bench.splits)
@@ -245,7 +241,7 @@ def _load(source: Path, work: Path) -> _Source:
         masks = masks_folder_of(source)
     except BadInput:
         task = sfm_task(source, SfmConfig(), None, Placement())
-        display = ProgressDisplay(Console(stderr=True))
+        display = terminal_display()
         with stage_bar(display, "sfm"):
             result = reconstruct_source(task, work / "sfm", EventReporter(stage="sfm", emit=display).sfm_progress)
         scene, images, masks = result.scene, result.undistorted_folder, None
@@ -328,12 +324,9 @@ def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedR
     return groups
 
 
-_FIGURES = ("cpu_s", "num_gaussians", "num_steps")
-
-
 def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
     key = f"train.{scene}.{_key(rows[0].variant)}.{rows[0].budget_s:g}s"
-    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in _FIGURES}
+    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in ("cpu_s", "num_gaussians", "num_steps")}
     # Over images, as in the differences: splits may hold out different numbers.
     means |= {f"mean_{name}": float(_by_seed_and_image(rows, name).mean()) for name in ("psnr_db", "psnr_cc_db")}
     return [

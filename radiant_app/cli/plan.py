@@ -35,14 +35,12 @@ def plan(
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
 ) -> None:
-    """Regions per edge and waypoints or photographs per device, from positions; before capture too."""
-    from rich.console import Console
-
+    """Regions per edge, waypoints or photographs per device, by positions alone; before capture too."""
     from radiant_app.commands.plan import PlanRequest
     from radiant_app.commands.plan import plan as make_plan
     from radiant_app.commands.plan_content import content_request
     from radiant_app.commands.plan_tables import plan_tables
-    from radiant_app.report.progress import ProgressDisplay
+    from radiant_app.report.progress import terminal_display
     from radiant_core.train.needs import Overrides
 
     request = PlanRequest(
@@ -60,7 +58,7 @@ def plan(
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
     )
-    result = make_plan(request, ProgressDisplay(Console(stderr=True)))
+    result = make_plan(request, terminal_display())
     for table in [] if as_json else plan_tables(result):
         typer.echo(table)
     finish(result, as_json)

@@ -42,10 +42,8 @@ def profile(
             raise BadInput("--from takes the times of a run that is done: leave out the photographs.")
         result = profile_command.profile_of_run(from_run, out, machine)
     else:
-        from rich.console import Console
-
         from radiant_app.quantities import seconds_of
-        from radiant_app.report.progress import ProgressDisplay
+        from radiant_app.report.progress import terminal_display
         from radiant_core.train.needs import Overrides
 
         request = profile_command.ProfileRequest(
@@ -57,7 +55,7 @@ def profile(
             num_threads=threads,
             machine=machine,
         )
-        with ProgressDisplay(Console(stderr=True)) as display:
+        with terminal_display() as display:
             result = profile_command.profile(request, display)
     if as_json:
         typer.echo(json.dumps(result))

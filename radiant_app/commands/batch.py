@@ -87,19 +87,14 @@ Display = Callable[[str], AbstractContextManager[Listener]]
 """Opens a display of one job's events under a title."""
 
 
-def batch_folder(path: Path, out: Path | None) -> Path:
-    """Where the batch of a job file goes: `out`, or a folder beside the file with its name."""
-    return out or path.with_suffix("")
-
-
 def run_batch(path: Path, out: Path | None, display: Display, *, resume: bool = False) -> BatchResult:
-    """Run the jobs of a file; with `resume` finished ones are skipped and begun ones go on.
+    """Run the jobs of a file into `out`, else a folder of its name beside it; `resume` goes on.
 
     Raises BadInput before anything starts when the file or a folder cannot be used. A job's failure
     is in the result. After Ctrl-C the running job is stopped and the summary written; the result
     says what was interrupted and what never started.
     """
-    folder = batch_folder(path, out)
+    folder = out or path.with_suffix("")
     jobs = load_jobs(path, folder)
     with _open_batch(folder, jobs, resume):
         results = [JobResult(name=job.name, source=str(job.config.source), out=str(job.config.out)) for job in jobs]

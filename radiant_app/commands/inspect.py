@@ -26,10 +26,8 @@ EDITS = "_edits.json"
 
 
 def plan_file_of(source: Path) -> Path | None:
-    """The plan file that `source` is, or the only plan in that folder; None for a run or else.
-
-    Raises BadInput for a folder with several plans, and for a run that lost its manifest.
-    """
+    """The plan file that `source` is, or a folder's only plan; None for a run and anything else.
+    BadInput for a folder with several plans, and for a run that lost its manifest."""
     if source.is_file():
         return source if source.suffix == ".json" else None
     if not source.is_dir() or (source / "manifest.json").is_file():
@@ -68,7 +66,7 @@ class Picture:
 
 
 def save_picture(source: Path, view: str | None, path: Path, picture: Picture = Picture()) -> str:
-    """Write a view (else the usual one) as PNG; BadInput without such a view, or if `path` exists."""
+    """Write a view (or the usual one) as PNG; BadInput for a wrong view or an existing `path`."""
     if source.suffix.lower() == ".ply" and source.is_file():
         raise BadInput(
             f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "
@@ -118,11 +116,8 @@ def plan_setting(plan: Path, system: Path | None = None) -> PlanSetting:
 
 
 def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[System | None, str]:
-    """The system that was named, else the first that stands in `places`, else None and why.
-
-    Only a named file raises an error if it is broken: without machines everything but editing the
-    plan works.
-    """
+    """The system that was named, else the first of `places`, else None and why: only a named file
+    raises an error if it is broken, since everything but editing the plan works without."""
     if named is not None:
         return load_system(named, curves=True), ""
     found = [path for path in places if path.is_file()]

@@ -123,11 +123,8 @@ class _Plan:
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write the plan and what goes beside it; returns what the command line prints.
-
-    Raises BadInput when the input, the system or the place to write to cannot be used; nothing
-    stays behind.
-    """
+    """Write the plan and what goes beside it; returns what the command line prints. BadInput for an
+    unusable input, system or place, where nothing stays behind."""
     _require_places(request.out)
     system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
     with stage_bar(display, "plan") as report:
@@ -305,7 +302,7 @@ def _require_places(out: Path) -> None:
 
 @contextmanager
 def write_folder_atomically(target: Path) -> Iterator[Path]:
-    """A hidden folder in `target`; its content moves there if the block ends well, else vanishes."""
+    """A hidden folder in `target`; its content moves there if the block ends well."""
     folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
     try:
         yield folder

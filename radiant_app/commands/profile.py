@@ -70,10 +70,8 @@ class ProfileRequest:
 
 
 def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float] = time.monotonic) -> dict[str, Any]:
-    """Measure this machine and write its curve file; returns what the command line prints.
-
-    Raises BadInput for unusable input, StageFailed when a training fails; no file is written then.
-    """
+    """Measure this machine and write its curve file; returns what the command line prints. BadInput
+    for unusable input, StageFailed when a training fails; no file is written then."""
     from radiant_core.render.rasterize import resolve_backend
 
     backend = resolve_backend("auto")
@@ -106,10 +104,8 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
 
 
 def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str, Any]:
-    """As `profile`, of a finished run on this machine from its stage times.
-
-    BadInput for an emulated run, whose times are played, and for one without a trained device.
-    """
+    """As `profile`, from the stage times of a finished run on this machine; BadInput for an
+    emulated run, whose times are played, and for one without a trained device."""
     _require_place(out)
     require_run(run, "metrics.json")
     require_run(run)

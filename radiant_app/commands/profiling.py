@@ -90,10 +90,8 @@ class Measured:
 
 
 def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
-    """Counts of photographs to measure, evenly in ratio from an eighth on, and one that checks.
-
-    The latter lies in the middle; None among few. Raises BadInput below `MIN_PHOTOGRAPHS`.
-    """
+    """Counts of photographs to measure, evenly in ratio from an eighth on, and one in the middle
+    that checks the fit (None among few); BadInput below `MIN_PHOTOGRAPHS`."""
     if num_photographs < MIN_PHOTOGRAPHS:
         raise BadInput(f"{num_photographs} photographs are left for training, expected {MIN_PHOTOGRAPHS} or more: give more that overlap.")
     largest = min(num_photographs, MAX_COUNT)
@@ -188,7 +186,7 @@ class Measuring:
         )
 
     def _edge(self, count: int, num_steps: int, num_devices: int, num_epochs: int) -> EdgeSample:
-        """Join the model of so many photographs with itself, half the cameras each; or one alone."""
+        """Join the model of so many photographs with itself, half the cameras each."""
         folder = self._folder(f"edges/{count}-{num_devices}")
         cameras = self.scene.cameras
         names = [f"device-{index + 1}" for index in range(num_devices)]

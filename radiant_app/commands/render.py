@@ -60,10 +60,8 @@ class RenderRequest:
 
 
 def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write PNG pictures into the new folder `out`, or a film; returns what was written.
-
-    BadInput before anything is rendered, and where a picture does not fit into memory.
-    """
+    """Write PNG pictures into the new folder `out`, or a film; returns what was written. BadInput
+    before anything is rendered, and where a picture does not fit into memory."""
     is_film = request.out.suffix.lower() in ENDINGS
     if request.out.suffix.lower() in OTHER_FILMS:
         raise BadInput(f"{request.out.name} is a film of a kind that is not written here: let its name end in {', '.join(ENDINGS)}.")
@@ -214,10 +212,8 @@ class _Keyframes(BaseModel):
 
 
 def keyframe_cameras(path: Path, fps: float, size_wh: tuple[int, int]) -> Cameras:
-    """The frames of a flight in JSON: field_of_view_deg, keyframes of time_s, position, target.
-
-    BadInput names the first place in the file that is not so.
-    """
+    """The frames of a flight in JSON: field_of_view_deg, keyframes of time_s, position, target;
+    BadInput names the first place in the file that is not so."""
     try:
         record = _Keyframes.model_validate_json(read_bounded(path, MAX_KEYFRAME_BYTES))
     except ValidationError as error:

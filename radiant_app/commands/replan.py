@@ -97,11 +97,8 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, float]:
 
 
 def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write the new plan and the files beside it; returns the summary that the command line prints.
-
-    BadInput when something cannot be used or the machines left cannot hold what is left; nothing
-    stays behind.
-    """
+    """Write the new plan and the files beside it; returns what the command line prints. BadInput
+    for what cannot be used and where machines cannot hold what is left; nothing stays behind."""
     if request.out.suffix != ".json":
         raise BadInput(f"{request.out} is no name for a plan: choose one that ends in .json.")
     for path in (request.out, *(beside(request.out, ending) for ending in ENDINGS)):

@@ -36,10 +36,8 @@ def sfm(  # noqa: PLR0913
     *,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """Structure from motion of `source` into the new folder `out`; `resume` goes on there.
-
-    `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`.
-    """
+    """Structure from motion of `source` into the new folder `out`, where `resume` goes on;
+    `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`."""
     task = sfm_task(source, SfmConfig(matching=matching), masks, Placement(**(placement or {})))
     with sfm_folder(out, message_record(task), resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
         result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=display).sfm_progress)
@@ -97,9 +95,7 @@ def require_file_to_be(out: Path) -> None:
 @contextmanager
 def libraries_log_to(path: Path) -> Iterator[None]:
     """Redirect standard error of C++ libraries to a file, as in a run; Python's stays visible.
-
-    Without effect if Python's standard error is not that of the process, as in tests.
-    """
+    Without effect if Python's standard error is not that of the process, as in tests."""
     stderr = sys.stderr
     try:
         own = stderr.fileno() == 2

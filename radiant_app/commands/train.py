@@ -108,11 +108,8 @@ def train(
     """Train one model of all photographs of a source and score it on those held out.
 
     `resume` goes on with what an interrupted training left in the output folder. Returns the
-    content of metrics.json, or figures of the training for a single PLY.
-
-    Raises:
-        BadInput: unusable input, with one sentence; nothing stays behind.
-        StageFailed: the training diverges.
+    content of metrics.json, or figures of the training for a single PLY. BadInput for unusable
+    input, where nothing stays behind; StageFailed when the training diverges.
     """
     if request.out.suffix.lower() == ".ply":
         return _single_ply(request, listen, resume, clock)

@@ -126,10 +126,8 @@ def _sentences_under_fields() -> dict[str, str]:
 
 
 def config_of(values: Mapping[str, Any]) -> RunConfig:
-    """The run that is asked for by values of paths: a value given beside a preset wins over it.
-
-    Raises BadInput where a value is missing, wrong, or contradicts another.
-    """
+    """The run that values of paths ask for, of which one beside a preset wins over it; BadInput
+    where a value is missing, wrong, or contradicts another."""
     given = dict(values)
     preset = given.pop(PRESET, "default")
     if preset not in RUN_PRESETS:
@@ -195,11 +193,8 @@ def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[st
 
 
 def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: str = "") -> dict[str, Any]:
-    """The values `given` by options together with those of `--set PATH=VALUE`, by path.
-
-    Raises BadInput for a path that is unknown or outside of the `section`, a value of another kind,
-    or a path twice.
-    """
+    """The values `given` by options with those of `--set PATH=VALUE`, by path; BadInput for a path
+    that is unknown, outside of the `section` or there twice, and a value of another kind."""
     values = dict(given)
     for text in settings:
         path, equals, value = text.partition("=")

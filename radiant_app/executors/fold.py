@@ -71,10 +71,8 @@ class Runner(Protocol):
         ...
 
     def wait(self, timeout_s: float) -> tuple[str, Event | NodeStarted | NodeEnded | None] | None:
-        """The next message of a running node: an event, its end, or None for a heartbeat.
-
-        None after the timeout. StageFailed: the runner itself is lost.
-        """
+        """The next message of a running node: an event, its end, or None for a heartbeat; None
+        after the timeout. StageFailed: the runner itself is lost."""
         ...
 
     def stop(self, node_id: str) -> None:

@@ -79,11 +79,9 @@ def load_run_file(path: Path) -> dict[str, Any]:
 
 
 def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
-    """The jobs of a file for the batch in `folder`, in order.
-
-    BadInput names file and place: an unknown key, a wrong value, options that contradict, a name
-    twice, a missing source or file, an `out` in or around another's or the batch's own.
-    """
+    """The jobs of a file for the batch in `folder`, in order; BadInput names file and place of an
+    unknown key, a wrong value, contradicting options, a name twice, a missing source or file, and
+    an `out` in or around another's or the batch's own."""
     tables = load_toml(path, "job file")
     try:
         content = _file_model().model_validate(tables)

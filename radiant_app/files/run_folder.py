@@ -124,11 +124,9 @@ class Manifest:
 
 @contextmanager
 def open_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
-    """Create or reopen the run's folder and hold its lock.
-
-    BadInput when the folder exists and is not empty (without `resume`), was made by other settings,
-    or cannot be made. After unusable input, a folder made here goes away again.
-    """
+    """Create or reopen the run's folder and hold its lock; BadInput when it is not empty (without
+    `resume`), was made by other settings, or cannot be made. After unusable input a folder made
+    here goes away again."""
     with open_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
         yield manifest
 
@@ -199,10 +197,7 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
 @contextmanager
 def create_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
     """A folder for results, with its parents; BadInput when it is a file, not empty, or impossible.
-
-    After a BadInput within, everything that was made here goes again; where it is `resumable`, not
-    after a full disk.
-    """
+    After a BadInput within, what was made here goes again; if `resumable`, not for a full disk."""
     made = _create_folders(out, resumable=resumable)
     with _remove_after_bad_input(out, made, resumable=resumable):
         yield

@@ -200,9 +200,7 @@ class _File(Strict):
 
 def load_system(path: Path, *, curves: bool = False) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
-
-    Edges described by their curve alone, without a device to train on, are refused unless `curves`.
-    """
+    Edges described by their curve alone, without a device, are refused unless `curves`."""
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)

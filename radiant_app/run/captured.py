@@ -198,7 +198,7 @@ def _reason(error: BadInput | StageFailed | OSError) -> str:
 
 
 def _middle(lat_lon_alt: FloatArray) -> FloatArray:
-    """The median (3,) of positions (P,3); longitudes count from the first, see the 180th meridian."""
+    """The median (3,) of positions (P,3); longitudes count from the first: the 180th meridian."""
     turned = lat_lon_alt.copy()
     turned[:, 1] = (lat_lon_alt[:, 1] - lat_lon_alt[0, 1] + 180) % 360 - 180
     middle = np.median(turned, axis=0)

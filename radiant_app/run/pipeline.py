@@ -83,11 +83,8 @@ def run(
     """Run everything in `config.out`; returns the folder and the metrics.
 
     `listen` receives every event as it happens; `resume` goes on with the run in the folder, by the
-    same settings; stage times are differences of `clock`, in seconds.
-
-    Raises:
-        BadInput: unusable input, with one sentence; nothing stays behind.
-        StageFailed: a stage ends without its result; what is finished stays and can be resumed.
+    same settings; stage times are differences of `clock`, in seconds. BadInput for unusable input,
+    where nothing stays behind; StageFailed for a stage without its result: the finished ones stay.
     """
     from radiant_app.report.html import write_report
 
@@ -136,10 +133,7 @@ def _photographs(config: RunConfig, system: System, progress: Progress) -> Sourc
 
 
 def _joined(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
-    """Fold the tree of a plan over devices, edges and the cloud, and score the scene.
-
-    StageFailed: no device delivered a model that could be used.
-    """
+    """Fold the tree of a plan and score the scene; StageFailed where no device's model is usable."""
     first_key = plan_key(plan.cloud, plan.edges)
     if photographs.positions is not None:
         plan = load_replan(config.out, plan)

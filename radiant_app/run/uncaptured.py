@@ -28,10 +28,8 @@ UNCAPTURED = "uncaptured"
 def deal_uncaptured(
     run: Path, plan: tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints], system: System, delivered: Collection[str]
 ) -> str | None:
-    """Deal positions of devices not in `delivered` to those that are, in uncaptured/; a warning.
-
-    None if every device with waypoints has photographs. BadInput if the system is not the plan's.
-    """
+    """Deal positions of devices not in `delivered` to those that are, in uncaptured/; a warning, or
+    None if every device with waypoints has photographs. BadInput for another plan's system."""
     cloud, edges, waypoints = plan
     require_same_system(edges, system)
     ids = [device.id for device in system.devices]

@@ -105,10 +105,8 @@ def _register_key(key: Path, place: Path) -> None:
 
 
 def sign_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, names: Iterable[str]) -> None:
-    """Sign the files `names` in `place` as a task of `sender` for `receiver`, into given/ there.
-
-    Changed files make a new attempt.
-    """
+    """Sign the files `names` in `place` as a task of `sender` for `receiver`, into given/ there;
+    changed files make a new attempt."""
     files = describe_files({name: place / name for name in names})
     delivery = Delivery(run=run_number(run), sender=sender, receiver=receiver, kind=kind, attempt=1, files=files)
     counted = run / sender / IDENTITY / GIVEN / receiver / f"{kind}.json"
@@ -175,11 +173,8 @@ def sign_upload(folder: Path) -> list[str]:
 
 
 def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:
-    """Sender → why the node in `folder` refuses its upload, whose files lie in `places`.
-
-    Not signed by its registered key, other bytes than signed, of another run, addressed to another
-    node, or a second one.
-    """
+    """Sender → why the node in `folder` refuses its upload in `places`: not signed by its
+    registered key, other bytes than signed, of another run, addressed to another node, or a second one."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node"), MAX_RECORD_BYTES)
     tier = "edges" if post["node"] == "cloud" else "devices"
     expected = {sender: f"{tier}/{sender}" for sender in senders}

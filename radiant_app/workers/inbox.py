@@ -60,10 +60,8 @@ def load_teacher_views(teacher: Path, cameras: Cameras) -> Rendered:
 def save_joining(
     folder: Path, corrections: Mapping[str, Sim3 | None], refused: Mapping[str, str], frame: FrameUncertainty | None
 ) -> list[str]:
-    """Write moves, refusals and the joined frame's uncertainty; the names of the files.
-
-    Only the last is sent to the next tier: it names no sender.
-    """
+    """Write moves, refusals and the joined frame's uncertainty; the names of the files, of which
+    only the last is sent to the next tier: it names no sender."""
     write_json(folder / CORRECTIONS_NAME, {name: None if move is None else sim3_record(move) for name, move in corrections.items()})
     write_json(folder / REFUSED_NAME, dict(refused))
     missing = None if any(move is not None for move in corrections.values()) else ""

@@ -18,11 +18,8 @@ SourceKind = Literal["photographs", "colmap", "mill19"]
 
 
 def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
-    """Kind, folder of photographs, and the COLMAP model's folder if there is one.
-
-    A folder with `images/` beside `sparse/` is a COLMAP project, one with `train/metadata` is of
-    Mill 19, any other holds photographs. BadInput when it is no folder.
-    """
+    """Kind, folder of photographs, and the COLMAP model's folder if there is one: `images/` beside
+    `sparse/` is a COLMAP project, `train/metadata` is Mill 19. BadInput when it is no folder."""
     if not source.is_dir():
         raise BadInput(f"{source} is no folder: give a folder of photographs, a COLMAP project or a Mill 19 folder.")
     if (source / "train" / "metadata").is_dir():
@@ -95,11 +92,8 @@ def load_scene_of(folder: Path) -> SfmScene:
 
 
 def load_scored_scene(folder: Path) -> tuple[SfmScene, tuple[str, ...], Path]:
-    """A scene without photographs that repeat others, warnings about those, and its photographs.
-
-    Scenes made elsewhere or by an earlier version may hold copies, and a held-out photograph must
-    not be trained on under another name.
-    """
+    """A scene without photographs that repeat others, warnings about those, and its photographs:
+    a held-out one must not be trained on under another name."""
     from radiant_core.sfm.copies import without_repeats
 
     scene, images = load_scene_of(folder), images_folder_of(folder)
