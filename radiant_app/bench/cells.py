@@ -208,14 +208,14 @@ class Cell:
         alike = {name: getattr(first, name) for name in ("init_s", "train_s", "model_bytes", "uplink_bytes_per_s")}
         edges = [replace(e, devices=tuple(replace(own, **alike) for own in e.devices)) for e in self.recipe.system.edges]
         system = replace(self.recipe.system, edges=tuple(edges))
-        return self.recipe.with_plan(*_planned(self.name, self.scene.training, system, "even"))
+        return self.recipe.with_plan(*_make_plan(self.name, self.scene.training, system, "even"))
 
     @cached_property
     def devices(self) -> dict[str, DeviceModel]:
         """The models by the cell's own recipe."""
-        return self.trained(self.recipe)
+        return self.train_devices(self.recipe)
 
-    def trained(self, recipe: Recipe, train: Train | None = None) -> dict[str, DeviceModel]:
+    def train_devices(self, recipe: Recipe, train: Train | None = None) -> dict[str, DeviceModel]:
         """The models of the devices with photographs."""
         rows_of = {device: rows for plan in recipe.edge_plans for device in plan.device_ids if len(rows := plan.cameras_of(device))}
         return {
@@ -247,7 +247,7 @@ def bench_settings(long_side_px: int, num_steps: int, upload: UploadFormat = "fl
     return DeviceSettings(train=fit_to_backend(train_preset("draft"), backend, overrides)[0], backend=backend, upload=upload)
 
 
-def dealt_cell(
+def deal_cell(
     scene: BenchScene,
     cache: ModelCache,
     settings: DeviceSettings,
@@ -261,7 +261,7 @@ def dealt_cell(
     positions = scene.training.cameras.centers[:, :2]
     sites = random_sites(positions, layout.num_edges, placement) if placement else None
     system = place_edges(layout.system(speeds, sites), positions, None, 0)
-    cloud_plan, edge_plans = _planned(name, scene.training, system, "exact")
+    cloud_plan, edge_plans = _make_plan(name, scene.training, system, "exact")
     recipe = Recipe(
         system=system,
         cloud_plan=cloud_plan,
@@ -305,7 +305,7 @@ def run_cell(run: Path, cache: ModelCache) -> Cell:
     return Cell(name=f"{scene.name}-{OF_RUN}-s{recipe.train.seed}", scene=scene, layout=layout, recipe=recipe, cache=cache)
 
 
-def _planned(name: str, training: SfmScene, system: System, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def _make_plan(name: str, training: SfmScene, system: System, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     positions = training.cameras.centers[:, :2]
     plan = plan_regions(positions, system, method=method)
     if isinstance(plan, PlanInfeasible):

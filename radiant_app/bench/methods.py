@@ -28,7 +28,7 @@ import numpy as np
 
 from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import aggregate_preset
@@ -88,14 +88,14 @@ def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
         spread = [(placement, seed) for placement in range(bench.num_placements) for seed in range(bench.num_seeds)]
         cells += [arms.cell(bench.layout, seed, placement=placement) for placement, seed in spread[1:]]
     chosen = [arm for name, arm in METHODS.items() if not bench.methods or name in bench.methods or name == "centralised"]
-    jobs = tracked([(cell, arm) for cell in cells for arm in chosen], "bench methods")
+    jobs = track_items([(cell, arm) for cell in cells for arm in chosen], "bench methods")
     rows = [arms.row(cell, arm, bench.max_gaussians) for cell, arm in jobs]
     return rows, _metrics(arms.scene.name, rows)
 
 
-def joined(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
+def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
     """The scene of a run by this recipe, its devices' models from the cache or from `train`."""
-    models, scene = cell.trained(recipe, train), cell.scene
+    models, scene = cell.train_devices(recipe, train), cell.scene
     begun_s = time.process_time()
     run = run_in_process(
         recipe, scene.training, scene.views, train=lambda task, views, reporter: models[reporter.stage.removeprefix("devices/")]
@@ -114,30 +114,30 @@ def joined(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
     return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)))
 
 
-def _received(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
+def _receive_models(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
     """The devices' models as their edges receive them."""
     arrived = [passed_on(model, recipe.upload, recipe.train.long_side_px) for model in cell.devices.values()]
     return [model for model in arrived if isinstance(model, DeviceModel)]
 
 
-def _timed(work: Callable[[], tuple[Splats, float]]) -> Made:
+def _time_work(work: Callable[[], tuple[Splats, float]]) -> Made:
     begun_s = time.process_time()
     splats, pixels = work()
     return Made(splats=splats, cpu_s=time.process_time() - begun_s, training_px=pixels)
 
 
-def _of_trainings(splats: Splats, models: Sequence[DeviceModel]) -> Made:
+def _sum_trainings(splats: Splats, models: Sequence[DeviceModel]) -> Made:
     cpu_s, training_px = (float(sum(model.summary[name] for model in models)) for name in ("cpu_s", "training_px"))
     return Made(splats=splats, cpu_s=cpu_s, training_px=training_px)
 
 
-def _centralised(cell: Cell, recipe: Recipe) -> Made:
+def _make_centralised(cell: Cell, recipe: Recipe) -> Made:
     del recipe
-    return _of_trainings(cell.centralised.splats, [cell.centralised])
+    return _sum_trainings(cell.centralised.splats, [cell.centralised])
 
 
 def _crop(cell: Cell, recipe: Recipe) -> Made:
-    models = [model.splats for model in _received(cell, recipe)]
+    models = [model.splats for model in _receive_models(cell, recipe)]
     claims = claims_of_polygons([strip for plan in recipe.edge_plans for strip in plan.strips if len(strip)])
     if claims is None:
         raise BadInput(f"{cell.name}: no device has a strip to cut its model to.")
@@ -147,16 +147,16 @@ def _crop(cell: Cell, recipe: Recipe) -> Made:
         cut = [model.select(owner == index) for index, (model, owner) in enumerate(zip(models, owners, strict=True))]
         return concatenate_splats(cut), 0
 
-    return _timed(work)
+    return _time_work(work)
 
 
 def _on_photographs(cell: Cell, recipe: Recipe) -> Made:
-    models = concatenate_splats([model.splats for model in _received(cell, recipe)])
+    models = concatenate_splats([model.splats for model in _receive_models(cell, recipe)])
     views = cell.scene.views
     num_steps = NUM_EPOCHS_OF_PHOTOGRAPHS * len(views)
     config = replace(recipe.train, num_steps=num_steps, density=NoDensification(), start_scale=1.0, settle_epochs=None)
     options = FitOptions(backend=recipe.backend)
-    return _timed(lambda: (fit_splats(models, views, config, options).splats, training_pixels(views.cameras, config, num_steps)))
+    return _time_work(lambda: (fit_splats(models, views, config, options).splats, training_pixels(views.cameras, config, num_steps)))
 
 
 def _vast_gaussian(cell: Cell, recipe: Recipe) -> Made:
@@ -168,11 +168,11 @@ def _vast_gaussian(cell: Cell, recipe: Recipe) -> Made:
 
     layout = cell.layout
     result = vast_gaussian(cell.scene.training, layout.num_edges, layout.num_devices, train, seed=recipe.train.seed)
-    return _of_trainings(result.splats, trained)
+    return _sum_trainings(result.splats, trained)
 
 
 def _fed3dgs(cell: Cell, recipe: Recipe) -> Made:
-    models = _received(cell, recipe)
+    models = _receive_models(cell, recipe)
     cameras = [model.cameras.scaled(recipe.train.long_side_px) for model in models]
 
     def work() -> tuple[Splats, float]:
@@ -180,27 +180,27 @@ def _fed3dgs(cell: Cell, recipe: Recipe) -> Made:
         result = fed3dgs([model.splats for model in models], cameras, config, options)
         return result.splats, result.num_training_pixels
 
-    return _timed(work)
+    return _time_work(work)
 
 
-def _joined_as(name: str, **changes: Any) -> Arm:
-    return Arm(name=name, make=joined, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
+def _own_arm(name: str, **changes: Any) -> Arm:
+    return Arm(name=name, make=join, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
 
 
-def _joined_by_paper(name: str, **changes: Any) -> Arm:
+def _paper_arm(name: str, **changes: Any) -> Arm:
     aggregate = replace(aggregate_preset("paper"), **changes)
-    return Arm(name=name, make=joined, recipe=lambda cell: replace(cell.recipe, aggregate=aggregate))
+    return Arm(name=name, make=join, recipe=lambda cell: replace(cell.recipe, aggregate=aggregate))
 
 
 METHODS: Mapping[str, Arm] = {
     arm.name: arm
     for arm in (
-        Arm(name="centralised", make=_centralised),
+        Arm(name="centralised", make=_make_centralised),
         Arm(name="crop", make=_crop),
-        _joined_by_paper("paper"),
-        _joined_as("ours"),
-        _joined_as("ours edges", cloud="crop_merge"),
-        Arm(name="even", make=joined, recipe=lambda cell: cell.even),
+        _paper_arm("paper"),
+        _own_arm("ours"),
+        _own_arm("ours edges", cloud="crop_merge"),
+        Arm(name="even", make=join, recipe=lambda cell: cell.even),
         Arm(name="photographs", make=_on_photographs),
         Arm(name="vastgaussian", make=_vast_gaussian),
         Arm(name="fed3dgs", make=_fed3dgs),
@@ -214,7 +214,7 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
         return METHODS["crop"]
     if num_epochs == aggregate_preset({"ours": "default", "paper": "paper"}[name]).num_epochs:
         return METHODS[name]
-    changed = {"ours": _joined_as, "paper": _joined_by_paper}[name]
+    changed = {"ours": _own_arm, "paper": _paper_arm}[name]
     return changed(f"{name} {num_epochs} epochs", num_epochs=num_epochs)
 
 
@@ -222,7 +222,7 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
     """A line per scene and method: means over cells."""
     lines = ["| scene | method | PSNR dB | seam excess dB | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|---|"]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
-    for (scene, method), group in _grouped(rows).items():
+    for (scene, method), group in _group_rows(rows).items():
         excess = [excess_db for row in group if (excess_db := seam_excess_db(row, references[row.cell])) is not None]
         seam = f"{np.mean(excess):+.2f}" if excess else "insufficient"
         names = ("mean_psnr_db", "num_gaussians", "cpu_s", "training_px")
@@ -249,7 +249,7 @@ def curves_of(rows: Sequence[ArmRow]) -> dict[str, list[CurvePoint]]:
     return curves
 
 
-def _grouped(rows: Sequence[ArmRow]) -> dict[tuple[str, str], list[ArmRow]]:
+def _group_rows(rows: Sequence[ArmRow]) -> dict[tuple[str, str], list[ArmRow]]:
     groups: dict[tuple[str, str], list[ArmRow]] = {}
     for row in rows:
         groups.setdefault((row.scene, row.arm), []).append(row)
@@ -257,7 +257,7 @@ def _grouped(rows: Sequence[ArmRow]) -> dict[tuple[str, str], list[ArmRow]]:
 
 
 def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
-    groups = {method: group for (of, method), group in _grouped(rows).items() if of == scene}
+    groups = {method: group for (of, method), group in _group_rows(rows).items() if of == scene}
     metrics: list[Metric] = []
     for method, group in groups.items():
         key = f"methods.{scene}.{method.replace(' ', '_')}"

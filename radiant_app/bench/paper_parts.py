@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from radiant_app.bench.arms import Arm, ArmRow, Arms
 from radiant_app.bench.cells import DEVICE_SPEEDS, Cell, Layout
 from radiant_app.bench.methods import METHODS, curves_of, epochs_arm
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.seam_error import MIN_IMAGES
 from radiant_core.numerics import FloatArray
@@ -80,7 +80,7 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
     for name in methods:
         own = [row for row in rows if row.arm == name]
         lines.append(
-            f"| {_called(name)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'mean_ssim'):.3f} | {_mean(own, 'num_gaussians'):,.0f} |"
+            f"| {_label(name)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'mean_ssim'):.3f} | {_mean(own, 'num_gaussians'):,.0f} |"
             f" {_mean(own, 'cpu_s'):.0f} | {_mean(own, 'training_px') / 1e6:.0f} |"
         )
     devices = [model.summary for seed in seeds for model in arms.cell(arms.layout, seed).devices.values()]
@@ -90,7 +90,7 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
         f"Seconds and pixels come on top of the devices' trainings, {cpu_s:.0f} s and {pixels / 1e6:.0f} Mpx, which all methods but the",
         "centralised model and VastGaussian share; those two train models of their own, which are counted.",
     ]
-    curves = {_called(name): points for name, points in curves_of(rows).items()}
+    curves = {_label(name): points for name, points in curves_of(rows).items()}
     picture = curve_picture(curves, "Every method on the same devices' models", _data(arms), "CPU time after the devices' trainings (s)")
     return Part(title="Main table", text="\n".join(lines), pictures={"main.png": picture}, figures=_records(rows))
 
@@ -113,7 +113,7 @@ def regions_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
             psnr, cpu_s, pixels = (_mean(own, what) for what in ("mean_psnr_db", "cpu_s", "training_px"))
             table[name].append((_regions(layout), psnr, cpu_s, pixels / 1e6))
             lines.append(
-                f"| {layout} | {_regions(layout)} | {lengths_m[layout]:.0f} | {_called(name)} | {psnr:.2f} |"
+                f"| {layout} | {_regions(layout)} | {lengths_m[layout]:.0f} | {_label(name)} | {psnr:.2f} |"
                 f" {_mean(own, 'mean_ssim'):.3f} | {cpu_s:.1f} | {pixels / 1e6:.0f} |"
             )
     picture = line_picture(
@@ -137,13 +137,13 @@ def _region_panels(table: Mapping[str, list[tuple[float, float, float, float]]],
     x = {"x_label": "Regions of devices", "x_ticks": tuple(counts.tolist())}
     length = Line(name="length of all borders", x=counts, y=np.array(lengths_m) / lengths_m[0], marked=True, style=len(REGION_METHODS))
     growth = [
-        Line(name=_called(name), x=counts, y=values[:, 3] / values[0, 3], marked=True, style=REGION_METHODS.index(name))
+        Line(name=_label(name), x=counts, y=values[:, 3] / values[0, 3], marked=True, style=REGION_METHODS.index(name))
         for name, values in retrained.items()
     ]
-    quality = [Line(name=_called(name), x=counts, y=values[:, 1], marked=True) for name, values in columns.items()]
-    seconds = [Line(name=_called(name), x=counts, y=values[:, 2], marked=True) for name, values in columns.items()]
+    quality = [Line(name=_label(name), x=counts, y=values[:, 1], marked=True) for name, values in columns.items()]
+    seconds = [Line(name=_label(name), x=counts, y=values[:, 2], marked=True) for name, values in columns.items()]
     return [
-        Panel(lines=tuple(quality), y_label="PSNR of held-out photographs (dB)", y_range=_around(psnr), **x),
+        Panel(lines=tuple(quality), y_label="PSNR of held-out photographs (dB)", y_range=_span_around(psnr), **x),
         Panel(lines=tuple(seconds), y_label="Joining (CPU s)", **x),
         Panel(lines=(*growth, length), y_label="Training pixels and borders ÷ those of 2 regions", **x),
     ]
@@ -180,7 +180,7 @@ def _epoch_panels(of: Mapping[tuple[str, int], list[ArmRow]], epochs: Sequence[i
     from radiant_viewer.charts.line_chart import Line, Panel
 
     values = {kind: {name: np.array([_mean(of[name, count], kind) for count in epochs]) for name in ("ours", "paper")} for kind in kinds}
-    span = _around(np.concatenate([line for lines in values.values() for line in lines.values()]))
+    span = _span_around(np.concatenate([line for lines in values.values() for line in lines.values()]))
     xs = np.array(epochs, float)
     return [
         Panel(
@@ -229,15 +229,13 @@ def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     bands = [mask.band for mask in arms.masks(cell)]
     if not any(band.any() for band in bands):
         return Part(title=title, text="No held-out photograph sees a border.")
-    views = {name: arms.views(cell, METHODS[name]) for name in tracked(("centralised", *REGION_METHODS), "bench paper, border")}
+    views = {name: arms.views(cell, METHODS[name]) for name in track_items(("centralised", *REGION_METHODS), "bench paper, border")}
     images = zip(views["crop"], views["centralised"], arms.photographs, strict=True)
     excess = [((cut.image - photograph) ** 2 - (whole.image - photograph) ** 2).sum(axis=2) for cut, whole, photograph in images]
     index, place = _worst_window([error * band for error, band in zip(excess, bands, strict=True)])
     photograph = arms.photographs[index][place]
     shown = [
-        Healed(
-            caption=f"{_called(name)}: {psnr_db(view[index].image[place], photograph):.1f} dB here", image=view[index].image_bytes[place]
-        )
+        Healed(caption=f"{_label(name)}: {psnr_db(view[index].image[place], photograph):.1f} dB here", image=view[index].image_bytes[place])
         for name, view in views.items()
     ]
     name = arms.scene.held_out_views.cameras.names[index]
@@ -285,7 +283,7 @@ def _perimeter_m(polygon: FloatArray) -> float:
 
 
 def _rows(arms: Arms, jobs: Sequence[tuple[Cell, Arm]], part: str) -> list[ArmRow]:
-    found = [arms.row(cell, arm) for cell, arm in tracked(jobs, f"bench paper, {part}")]
+    found = [arms.row(cell, arm) for cell, arm in track_items(jobs, f"bench paper, {part}")]
     return list({(row.cell, row.arm): row for row in found}.values())
 
 
@@ -297,13 +295,13 @@ def _mean_text(rows: Sequence[ArmRow], what: str) -> str:
     return "insufficient" if any(getattr(row, what) is None for row in rows) else f"{_mean(rows, what):.2f}"
 
 
-def _around(values: FloatArray) -> tuple[float, float]:
+def _span_around(values: FloatArray) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     margin = max(0.08 * (high - low), 0.05)
     return low - margin, high + margin
 
 
-def _called(method: str) -> str:
+def _label(method: str) -> str:
     return NAMES.get(method, method)
 
 

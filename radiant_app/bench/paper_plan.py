@@ -17,7 +17,7 @@ import numpy as np
 from radiant_app.bench.arms import Arms
 from radiant_app.bench.paper_parts import Part
 from radiant_app.bench.plan import camera_layout, unequal_system
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.plan.baselines import compare
 from radiant_core.plan.profiles.curve_fit import fit_curve
 from radiant_core.plan.regions.edge_sites import place_edges
@@ -36,7 +36,7 @@ def plan_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     counts = sorted({max(2, round(share * len(from_west))) for share in (QUICK_SHARES if quick else SHARES)})
     models = [
         cell.model_of(cell.scene.training.restricted_to(np.sort(from_west[:count])), num_steps=STEPS_PER_PHOTOGRAPH * count)
-        for count in tracked(counts, "bench paper, plan")
+        for count in track_items(counts, "bench paper, plan")
     ]
     costs = {
         "Training (CPU s)": [float(model.summary["cpu_s"]) for model in models],

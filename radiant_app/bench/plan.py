@@ -18,7 +18,7 @@ import numpy as np
 
 import radiant_app
 from radiant_app.files.system_file import load_system
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.choices import PlanMethod
 from radiant_core.evaluate.metric import Metric
 from radiant_core.numerics import FloatArray
@@ -50,14 +50,14 @@ def bench_plan(quick: bool) -> list[Metric]:
     """
     metrics: list[Metric] = []
     cases = list(product(_QUICK_SIZES if quick else _SIZES, get_args(LayoutKind)))
-    for (num_cameras, num_edges), kind in tracked(cases, "bench plan"):
+    for (num_cameras, num_edges), kind in track_items(cases, "bench plan"):
         rng = np.random.default_rng(num_cameras + num_edges)
         positions = camera_layout(kind, num_cameras, rng)
         system = place_edges(unequal_system(num_edges, rng), positions, None, seed=0)
         for method in get_args(PlanMethod):
             key = f"plan.{num_cameras}x{num_edges}.{kind}.{method}"
             metrics += _method_metrics(key, lambda p=positions, s=system, m=method: _plan(p, s, m))
-    for num_cameras, num_edges, kind in tracked(_QUICK_SCALES if quick else _SCALES, "bench plan, scale"):
+    for num_cameras, num_edges, kind in track_items(_QUICK_SCALES if quick else _SCALES, "bench plan, scale"):
         metrics += _scale_metrics(num_cameras, num_edges, kind)
     return [*metrics, *drag_metrics(5 if quick else 40), *system_metrics()]
 
@@ -124,7 +124,7 @@ def _plan(
     return plan
 
 
-def _timed(work: Callable[[], CloudPlan], clock: Callable[[], float] = time.process_time) -> tuple[CloudPlan, float]:
+def _time_plan(work: Callable[[], CloudPlan], clock: Callable[[], float] = time.process_time) -> tuple[CloudPlan, float]:
     """The plan and its milliseconds."""
     start_s = clock()
     plan = work()
@@ -132,7 +132,7 @@ def _timed(work: Callable[[], CloudPlan], clock: Callable[[], float] = time.proc
 
 
 def _method_metrics(key: str, make_plan: Callable[[], CloudPlan]) -> list[Metric]:
-    runs = [_timed(make_plan, time.perf_counter) for _ in range(_REPEATS)]
+    runs = [_time_plan(make_plan, time.perf_counter) for _ in range(_REPEATS)]
     ratio = _over_bound(runs[0][0])
     # A heuristic may break ties by rounding, which differs among machines.
     tolerance = 1e-6 if key.endswith(".exact") else 0.02 * ratio
@@ -148,19 +148,19 @@ def _scale_metrics(num_cameras: int, num_edges: int, kind: LayoutKind) -> list[M
     positions = camera_layout(kind, num_cameras, rng)
     system = place_edges(unequal_system(num_edges, rng), positions[:: max(1, num_cameras // 20_000)], None, seed=0)
     key = f"plan.{num_cameras}x{num_edges}.{kind}.exact"
-    runs = [_timed(lambda: _plan(positions, system)) for _ in range(_REPEATS if num_cameras < 2_000_000 else 1)]
+    runs = [_time_plan(lambda: _plan(positions, system)) for _ in range(_REPEATS if num_cameras < 2_000_000 else 1)]
     cold, colds_ms = runs[0][0], [ms for _, ms in runs]
     first, *others = system.edges
     slower = replace(first, devices=tuple(replace(d, train_s=d.train_s.scaled(2.0)) for d in first.devices))
-    warm, warm_ms = _timed(lambda: _plan(positions, System(edges=(slower, *others)), start=cold))
+    warm, warm_ms = _time_plan(lambda: _plan(positions, System(edges=(slower, *others)), start=cold))
     return [
         _ms(f"{key}.cold_median_ms", float(np.median(colds_ms))),
         _ms(f"{key}.cold_worst_ms", max(colds_ms)),
         _ratio(f"{key}.cold_makespan_over_bound", [cold]),
-        _certified(f"{key}.cold_certified", cold),
+        _certificate(f"{key}.cold_certified", cold),
         _ms(f"{key}.warm_ms", warm_ms),
         _ratio(f"{key}.warm_makespan_over_bound", [warm]),
-        _certified(f"{key}.warm_certified", warm),
+        _certificate(f"{key}.warm_certified", warm),
     ]
 
 
@@ -174,11 +174,11 @@ def drag_metrics(num_moves: int) -> list[Metric]:
     moves: list[tuple[CloudPlan, float]] = [(before, 0.0)]
     for x_m, y_m in np.linspace([50.0, 50.0], [450.0, 200.0], num_moves).tolist():
         moved = System(edges=(replace(first, position=(x_m, y_m)), *others))
-        moves.append(_timed(lambda moved=moved: _plan(positions, moved, start=moves[-1][0])))
+        moves.append(_time_plan(lambda moved=moved: _plan(positions, moved, start=moves[-1][0])))
     weights: list[tuple[CloudPlan, float]] = []
     for shift_m2 in np.linspace(-800, 800, num_moves).tolist():
         held = PlanConstraints(fixed_weights_m2={before.edge_ids[0]: float(before.weights[0]) + shift_m2})
-        weights.append(_timed(lambda held=held: _plan(positions, system, start=before, constraints=held)))
+        weights.append(_time_plan(lambda held=held: _plan(positions, system, start=before, constraints=held)))
     key = "plan.2000x64"
     price = max(_over_bound(plan) for plan, _ in weights)
     outside = max(plan.num_outside for plan, _ in weights)
@@ -223,7 +223,7 @@ def _ratio(key: str, plans: Iterable[CloudPlan]) -> Metric:
     return Metric(key=key, value=max(map(_over_bound, plans)), unit="1", direction="lower", tolerance=1e-6)
 
 
-def _certified(key: str, plan: CloudPlan) -> Metric:
+def _certificate(key: str, plan: CloudPlan) -> Metric:
     return Metric(key=key, value=float(plan.certified), unit="1", direction="higher")
 
 

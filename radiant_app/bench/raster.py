@@ -23,7 +23,7 @@ import torch
 
 from radiant_app.bench.drone_scene import SIZES, drone_scene
 from radiant_app.bench.raster_accuracy import image_gradient, num_pairs, render, tile_errors
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core import _native
 from radiant_core.cameras import Cameras
 from radiant_core.evaluate.metric import Direction, Metric
@@ -88,7 +88,7 @@ def _bench_size(size: str) -> list[Metric]:
         for order, model in (("random", splats), ("morton", splats.select(morton_order(splats.means))))
     ]
     peaks = []
-    for _ in tracked(range(NUM_ROUNDS[size]), f"bench raster {size}"):
+    for _ in track_items(range(NUM_ROUNDS[size]), f"bench raster {size}"):
         peaks.append(peak_fma_per_s())
         gain = 1.0 if threads == 1 else peak_fma_per_s(threads) / peaks[-1]
         for case in cases:
@@ -100,7 +100,7 @@ def _bench_size(size: str) -> list[Metric]:
 def _run(case: Case, peak_gain: float) -> None:
     leaves = SplatTensors.from_splats(case.splats)
     weights = image_gradient(case.cameras)
-    case.forward_ms.append(_timed(lambda: render(leaves, case.cameras))[0])
+    case.forward_ms.append(_time_work(lambda: render(leaves, case.cameras))[0])
     for leaf in leaves.tensors().values():
         leaf.requires_grad_()
 
@@ -111,13 +111,13 @@ def _run(case: Case, peak_gain: float) -> None:
 
     # The first pass allocates the gradients, which a training loop does once.
     both()
-    cpu_ms, wall_ms = _timed(both)
+    cpu_ms, wall_ms = _time_work(both)
     case.both_ms.append(cpu_ms)
     case.both_wall_ms.append(wall_ms)
     threads = torch.get_num_threads()
     if threads > 1:
         torch.set_num_threads(1)
-        case.scaling.append(_timed(both)[1] / wall_ms / peak_gain)
+        case.scaling.append(_time_work(both)[1] / wall_ms / peak_gain)
         torch.set_num_threads(threads)
 
 
@@ -137,7 +137,7 @@ def _run_step(case: Case) -> None:
         return loss
 
     step()
-    cpu_ms, wall_ms = _timed(step)
+    cpu_ms, wall_ms = _time_work(step)
     case.step_ms.append(cpu_ms)
     case.step_wall_ms.append(wall_ms)
     with torch.no_grad():
@@ -146,7 +146,7 @@ def _run_step(case: Case) -> None:
     case.loss_error.append(abs(float(target_loss(image.float(), target, None, 0.2)) - exact) / exact)
 
 
-def _timed(work: Callable[[], object]) -> tuple[float, float]:
+def _time_work(work: Callable[[], object]) -> tuple[float, float]:
     """CPU and wall milliseconds."""
     cpu_s, wall_s = time.process_time(), time.perf_counter()
     work()

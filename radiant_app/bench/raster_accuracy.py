@@ -67,9 +67,9 @@ def tile_errors(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> 
     """
     keep = _random_tiles(cameras)
     with torch.no_grad():
-        chosen = splats.select(_touching(render(SplatTensors.from_splats(splats), cameras), keep))
+        chosen = splats.select(_mask_touching(render(SplatTensors.from_splats(splats), cameras), keep))
     exact = SplatTensors.from_splats(chosen, torch.float64)
-    low, middle, high = (render(_shifted(exact, shift), cameras, "reference").images for shift in (-UNDECIDED, 0.0, UNDECIDED))
+    low, middle, high = (render(_shift_opacities(exact, shift), cameras, "reference").images for shift in (-UNDECIDED, 0.0, UNDECIDED))
     jumps = (low - 2 * middle + high).abs().amax(-1)[0] > 1e-6
     decided = keep & ~jumps
     leaves = SplatTensors.from_splats(chosen)
@@ -96,7 +96,7 @@ def tile_errors(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> 
     )
 
 
-def _shifted(tensors: SplatTensors, shift: float) -> SplatTensors:
+def _shift_opacities(tensors: SplatTensors, shift: float) -> SplatTensors:
     """The model with ln opacities changed by `shift`, by less where opacity exceeds 0.99."""
     logits = tensors.logit_opacities
     return replace(tensors, logit_opacities=logits + shift / torch.sigmoid(-logits).clamp_min(1e-2))
@@ -111,7 +111,7 @@ def _random_tiles(cameras: Cameras) -> Tensor:
     return tiles.reshape(rows, columns).repeat_interleave(TILE_PX, 0).repeat_interleave(TILE_PX, 1)[:height, :width]
 
 
-def _touching(output: RenderOutput, keep: Tensor) -> np.ndarray:
+def _mask_touching(output: RenderOutput, keep: Tensor) -> np.ndarray:
     """Mask (N,) of Gaussians whose box of half side `radii_px` + 1 covers a kept pixel."""
     height, width = keep.shape
     counts = torch.zeros(height + 1, width + 1, dtype=torch.int64)

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
@@ -46,8 +46,7 @@ class SfmRun:
 def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
     """Keys `sfm.<scene>.<spatial|exhaustive>.…`: seconds, registered, position and rotation errors.
 
-    `scene` holds images/ with GPS and known/ (a COLMAP model); None is the sample town. Raises
-    BadInput when either is missing.
+    `scene` holds images/ with GPS and known/ (a COLMAP model), else BadInput; None: the sample town.
     """
     from radiant_core.sfm.world_frame.world import cameras_of
 
@@ -57,7 +56,7 @@ def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
     known = cameras_of(read_model(scene_folder / "known"))
     runs: dict[MatchingKind, list[SfmRun]] = {"spatial": [], "exhaustive": []}
     turns: list[MatchingKind] = ["spatial", "exhaustive"] * (1 if quick else NUM_RUNS)
-    for matching in tracked(turns, "bench sfm"):
+    for matching in track_items(turns, "bench sfm"):
         runs[matching].append(_run(scene_folder / "images", matching, known, QUICK_FEATURES if quick else None))
     return [metric for matching, done in runs.items() for metric in _metrics(f"sfm.{scene_folder.name}.{matching}", done)]
 

@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.step_detector import MIN_OPACITY, QUANTITIES, Quantity, border_steps
 from radiant_core.io.ply import load_ply
@@ -83,7 +83,7 @@ def measure_step_detector(models: Sequence[Path], num_borders: int) -> str:
     """A report of thresholds, false alarms and power; BadInput for a model that cannot be read."""
     loaded = [load_ply(path) for path in models]
     cases = [(model, line) for seed, model in enumerate(loaded) for line in virtual_borders(model, num_borders, seed)]
-    scores = np.array([_scores(model, line) for model, line in tracked(cases, "virtual borders")])
+    scores = np.array([_scores(model, line) for model, line in track_items(cases, "virtual borders")])
     limits = thresholds_of(scores)
     length_m = np.mean([np.hypot(*(line[1] - line[0])) for _, line in cases])
     unknown = zip(QUANTITIES, np.isnan(scores).mean(axis=0), strict=True)
@@ -95,7 +95,7 @@ def measure_step_detector(models: Sequence[Path], num_borders: int) -> str:
     ]
     tried = cases[::4]
     for (quantity, name), plant in plants().items():
-        found = np.array([_scores(plant(model, line), line) for model, line in tracked(tried, f"planted {quantity} {name}")]) > limits
+        found = np.array([_scores(plant(model, line), line) for model, line in track_items(tried, f"planted {quantity} {name}")]) > limits
         own = found[:, QUANTITIES.index(quantity)]
         shares = f"{own.mean():.2f} by its own score, {found.any(axis=1).mean():.2f} by any"
         lines.append(f"power: {quantity} {name}: {shares} ({len(tried)} borders)")

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from radiant_app.bench.options import BenchOptions
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
-from radiant_app.report.progress import terminal_display, tracked
+from radiant_app.report.progress import terminal_display, track_items
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import load_scored_scene, masks_folder_of, reconstruct_source, sfm_task
 from radiant_core import __version__
@@ -171,7 +171,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
             for seed in bench.seeds
             if budget_s in bench.budgets_s or preset != REFERENCE
         ]
-        rows = [_row(bench.out, *job) for job in tracked(jobs, "bench train")]
+        rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
     metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(source.name, group)]
     for preset in bench.presets:
         for budget_s in bench.budgets_s if preset != REFERENCE and REFERENCE in bench.presets else ():
@@ -220,7 +220,7 @@ def _ablations(bench: TrainBench, splits: Sequence[_Split]) -> tuple[list[Traine
     # A change that the preset makes already is no ablation.
     variants = {name: config for name, config in variants.items() if name == whole or config != base}
     jobs = [(split, name, config, budget_s, seed) for split in splits for seed in bench.seeds for name, config in variants.items()]
-    rows = [_row(bench.out, *job) for job in tracked(jobs, "bench train")]
+    rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
     scene = splits[0].source.name
     metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(scene, group)]
     for name in variants:
@@ -269,19 +269,19 @@ def _split(source: _Source, first: int) -> _Split:
 
 def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     if out is None:
-        return _trained(split, variant, config, budget_s, seed)
+        return _train_row(split, variant, config, budget_s, seed)
     key = content_key(__version__, {"scene": split.training.cameras.names, "config": asdict(config)})[:16]
     record = out / "rows" / f"{split.source.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
     if record.is_file():
         fields = read_json(record)
         return TrainedRow(**{**fields, "psnr_db": tuple(fields["psnr_db"]), "psnr_cc_db": tuple(fields["psnr_cc_db"])})
-    row = _trained(split, variant, config, budget_s, seed)
+    row = _train_row(split, variant, config, budget_s, seed)
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, asdict(row))
     return row
 
 
-def _trained(split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
+def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     cameras = split.training.cameras.scaled(config.long_side_px)
     views = load_training_views(split.source.images, cameras, split.source.masks)
     begun_s = time.process_time()

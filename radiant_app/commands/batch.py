@@ -129,18 +129,18 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
 
     begun_s = time.monotonic()
 
-    def ended(status: Status, **more: Any) -> JobResult:
+    def end(status: Status, **more: Any) -> JobResult:
         return replace(started, status=status, seconds=time.monotonic() - begun_s, **more)
 
     try:
         run_task(NodeTask(kind="run", stage=stage, folder=record, key=key, module="radiant_app.run.job"), note)
         metrics = read_json(out / "metrics.json", FIGURES)
     except RadiantError as error:
-        return ended("failed", exit_code=error.exit_code, message=str(error).removeprefix(f"{stage}: "))
+        return end("failed", exit_code=error.exit_code, message=str(error).removeprefix(f"{stage}: "))
     except KeyboardInterrupt:
         stop_repeating_interrupt()
-        return ended("interrupted", exit_code=INTERRUPTED)
-    return ended("skipped" if skipped else "done", exit_code=0, figures={name: metrics[name] for name in FIGURES})
+        return end("interrupted", exit_code=INTERRUPTED)
+    return end("skipped" if skipped else "done", exit_code=0, figures={name: metrics[name] for name in FIGURES})
 
 
 @contextmanager

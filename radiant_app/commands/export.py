@@ -147,13 +147,13 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.files.run_folder import create_folder
     from radiant_core.io.export.scene import save_colmap
 
-    scene = _unrepeated_scene(_run_of(request), display)
+    scene = _scene_without_repeats(_run_of(request), display)
     with create_folder(request.out):
         save_colmap(request.out, scene)
     return {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
 
 
-def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
+def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:
     """The scene, if not of a run without copies of photographs, as training takes it."""
     from radiant_core.sfm.copies import without_repeats
     from radiant_viewer.runs.unplanned import unplanned_photographs
@@ -227,11 +227,11 @@ def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface,
             report=lambda done, total: report(done, total, "views"),
         )
     if surface.voxel > surface.finest_voxel:
-        display(Decided(decision=_coarser(surface, run.unit)))
+        display(Decided(decision=_resolution_decision(surface, run.unit)))
     return surface, run
 
 
-def _coarser(surface: Surface, unit: str) -> Decision:
+def _resolution_decision(surface: Surface, unit: str) -> Decision:
     return Decision(
         stage="surface",
         topic="resolution",

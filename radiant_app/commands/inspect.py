@@ -53,7 +53,7 @@ def open_inspector(source: Path, system: Path | None = None, scene: Path | None 
         if scene is not None:
             raise BadInput("a run knows its scene: leave out --scene, or give a plan file.")
         return open_window(source, feeds_of(source), setting=(lambda: run_setting(source, system)) if source.is_dir() else None)
-    return open_window(plan, setting=lambda: plan_setting(plan, system), scene=None if scene is None else _planned_scene(scene))
+    return open_window(plan, setting=lambda: plan_setting(plan, system), scene=None if scene is None else _load_planned_scene(scene))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ def save_picture(source: Path, view: str | None, path: Path, picture: Picture = 
     from radiant_viewer.runs.plan_view import load_plan_view
     from radiant_viewer.runs.run_pictures import cameras_picture, plan_picture
 
-    shown = load_plan_view(plan, None if scene is None else _planned_scene(scene))
+    shown = load_plan_view(plan, None if scene is None else _load_planned_scene(scene))
     if view == "regions":
         save_png(path, plan_picture(shown.scene, shown.cloud_plan, shown.edge_plans, size_wh=picture.size_wh))
     else:
@@ -144,7 +144,7 @@ def _setting(machines: tuple[System | None, str], edits_path: Path, plan: PlanFi
     )
 
 
-def _planned_scene(scene: Path) -> SfmScene:
+def _load_planned_scene(scene: Path) -> SfmScene:
     """The cameras of a scene that a plan deals: those that are not held out."""
     # Imported here: half a second that a window of a run need not wait for.
     from radiant_app.commands.steps import training_part

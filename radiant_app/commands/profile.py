@@ -100,7 +100,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
     source = f"radiant profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
     machine = request.machine or machine_label(request.num_threads)
-    return _written(request.out, measured, key, machine, source)
+    return _write_profile(request.out, measured, key, machine, source)
 
 
 def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out)
     source = f"stage times of a run, {len(devices)} devices and {len(edges)} edges, run side by side as it did"
-    return _written(out, measured, key, machine or machine_label(None), source)
+    return _write_profile(out, measured, key, machine or machine_label(None), source)
 
 
 def library_table() -> str:
@@ -204,7 +204,7 @@ def _seconds(stages: dict[str, dict[str, float]], stage: str) -> float:
     return stages[stage]["ended_s"] - stages[stage]["started_s"] if stage in stages else 0.0
 
 
-def _written(out: Path, measured: Measured, key: ProfileKey, machine: str, source: str) -> dict[str, Any]:
+def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str, source: str) -> dict[str, Any]:
     joined = [sample for sample in measured.edges if sample.num_devices > 1]
     alone = [sample for sample in measured.edges if sample.num_devices == 1]
     made = Profile(

@@ -41,12 +41,12 @@ class EmulatedExecutor:
             inner = self.local.command(task)
             return _node_command(machines[task.stage], task, inner) if task.stage in machines else inner
 
-        def listen_labelled(event: Event) -> None:
+        def label_and_listen(event: Event) -> None:
             label = isinstance(event, StageStarted | StageDone | StageSkipped) and event.stage in machines
             listen(replace(event, emulated=True) if label else event)
 
         executor = replace(self.local, num_workers=sum(1 for _ in tree), command=command)
-        return executor.fold(tree, prepare, listen_labelled)
+        return executor.fold(tree, prepare, label_and_listen)
 
 
 def require_emulable(system: System) -> None:
@@ -65,11 +65,8 @@ def require_emulable(system: System) -> None:
 
 
 def emulated_figures(tree: Tree, emulated: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """An emulated run's figures from stage → (started_s, ended_s): seconds per stage, makespan.
-
-    The makespan combines the nodes' own times as the planner does, without the time this machine
-    took to copy files. None with a reason if a node's time is unknown.
-    """
+    """An emulated run's figures from stage → (started_s, ended_s): seconds per stage and makespan,
+    which is of the nodes' own times, without copying; None with a reason if one is unknown."""
 
     def arrival_s(node: Tree, arrivals_s: Sequence[float]) -> float:
         # A resumed run skips a node whose transfer was interrupted, so that its time is unknown.

@@ -63,8 +63,9 @@ def main(arguments: list[str]) -> int:
 def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int, float]:
     """Exit code (negative: signal) and CPU seconds of the command."""
     # This process has one thread, so that code between fork and exec is safe.
+    kill = _kill_with(os.getpid())
     env = {**os.environ, "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen(command, env=env, preexec_fn=_kill_with(os.getpid()))  # noqa: PLW1509
+    process = subprocess.Popen(command, env=env, preexec_fn=kill)  # noqa: PLW1509
     ended = os.pidfd_open(process.pid)
     half_s, running, wait_s = speed * PERIOD_S / 2, True, 0.0
     while not _wait(wait_s, ended):

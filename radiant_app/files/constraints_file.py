@@ -71,17 +71,17 @@ def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
 
 def dump_constraints(constraints: PlanConstraints, names: Sequence[str], plan: str) -> str:
     """TOML text that `load_constraints` reads back; `plan`: the file beside that it refers to."""
-    lines = [f"plan = {_quoted(plan)}", f"locked = [{', '.join(map(_quoted, constraints.locked))}]"]
+    lines = [f"plan = {_quote(plan)}", f"locked = [{', '.join(map(_quote, constraints.locked))}]"]
     if constraints.fixed_weights_m2:
         lines += ["", "[fixed_weights_m2]"]
-        lines += [f"{_quoted(edge)} = {float(weight)!r}" for edge, weight in constraints.fixed_weights_m2.items()]
+        lines += [f"{_quote(edge)} = {float(weight)!r}" for edge, weight in constraints.fixed_weights_m2.items()]
     if constraints.pinned:
         pinned: dict[str, list[str]] = {}
         for camera, edge in constraints.pinned.items():
             pinned.setdefault(edge, []).append(names[camera])
-        lines += ["", "[pinned]", *(f"{_quoted(edge)} = [{', '.join(map(_quoted, cameras))}]" for edge, cameras in pinned.items())]
+        lines += ["", "[pinned]", *(f"{_quote(edge)} = [{', '.join(map(_quote, cameras))}]" for edge, cameras in pinned.items())]
     return "\n".join(lines) + "\n"
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)

@@ -73,7 +73,7 @@ def is_job_file(path: Path) -> bool:
 def load_run_file(path: Path) -> dict[str, Any]:
     """Path of `config_fields` → value in a run file, paths absolute; BadInput names the place."""
     try:
-        return _absolute(values_of(load_toml(path, "run file"), "run file"), path.resolve().parent)
+        return _make_absolute(values_of(load_toml(path, "run file"), "run file"), path.resolve().parent)
     except BadInput as error:
         raise BadInput(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from error
 
@@ -88,9 +88,9 @@ def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
     except ValidationError as error:
         raise BadInput(f"{path}: {problem_sentence(error, 'job file')}") from error
     base, folder = path.resolve().parent, folder.resolve()
-    defaults = _given(content.defaults)
+    defaults = _dump_given(content.defaults)
     try:
-        jobs = tuple(_job({**defaults, **_given(each)}, base, folder) for each in content.job)
+        jobs = tuple(_job({**defaults, **_dump_given(each)}, base, folder) for each in content.job)
         _check(jobs, folder)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
@@ -103,7 +103,9 @@ def _job(given: dict[str, Any], base: Path, folder: Path) -> Job:
     known = {**_job_options(), "source": config_fields()["source"]}
     try:
         settings = given.pop("set", ())
-        values = _absolute(with_settings({known[key].path: known[key].of_option(value) for key, value in given.items()}, settings), base)
+        values = _make_absolute(
+            with_settings({known[key].path: known[key].of_option(value) for key, value in given.items()}, settings), base
+        )
         config = config_of({**values, "out": out})
     except BadInput as error:
         raise BadInput(f"job {name!r}: {error}") from error
@@ -131,11 +133,11 @@ def _check(jobs: Sequence[Job], folder: Path) -> None:
                 raise BadInput(f"jobs {other.name!r} and {job.name!r} share the out {out}: give each a folder of its own.")
 
 
-def _absolute(values: dict[str, Any], base: Path) -> dict[str, Any]:
+def _make_absolute(values: dict[str, Any], base: Path) -> dict[str, Any]:
     return {path: (base / value).resolve() if isinstance(value, Path) else value for path, value in values.items()}
 
 
-def _given(model: Any) -> dict[str, Any]:
+def _dump_given(model: Any) -> dict[str, Any]:
     return model.model_dump(by_alias=True, exclude_unset=True)
 
 

@@ -61,7 +61,7 @@ class _Fitted(Strict):
     worst_error: _NonNegative | None = None
     samples: list[Annotated[list[_NonNegative], Field(min_length=2, max_length=2)]] = Field(default=[])
 
-    def built(self) -> FittedCurve:
+    def build(self) -> FittedCurve:
         if any(count != int(count) for count, _ in self.samples):
             raise BadInput("a sample's camera count is no whole number: the first of each pair is a count.")
         return FittedCurve(
@@ -95,12 +95,12 @@ class _File(Strict):
     aggregate_s: _Fitted | None = None
     aggregate_alone_s: _Fitted | None = None
 
-    def built(self, name: str) -> Profile:
+    def build(self, name: str) -> Profile:
         given: dict[str, _Fitted | None] = {curve: getattr(self, curve) for curve in _CURVES}
         curves: dict[str, Any] = {}
         for curve, fitted in given.items():
             try:
-                curves[curve] = None if fitted is None else fitted.built()
+                curves[curve] = None if fitted is None else fitted.build()
             except BadInput as error:
                 raise BadInput(f"{curve}: {error}") from error
         return Profile(
@@ -119,7 +119,7 @@ def load_profile(path: Path, name: str | None = None) -> Profile:
     """The profile in a TOML or JSON file; BadInput names the file, the key and what is expected."""
     tables = _load_json(path) if path.suffix == ".json" else load_toml(path, KIND)
     try:
-        return _File.model_validate(tables).built(name or path.name)
+        return _File.model_validate(tables).build(name or path.name)
     except ValidationError as error:
         raise BadInput(f"{path}: {problem_sentence(error, KIND)}") from error
     except BadInput as error:
@@ -173,10 +173,10 @@ def _record(profile: Profile) -> dict[str, Any]:
         "source": profile.source,
         "memory_gb": None if profile.memory_bytes is None else profile.memory_bytes / _BYTES_PER_GB,
         "measured_steps": profile.measured_steps,
-        "key": _present(vars(key)),
+        "key": _drop_none(vars(key)),
         **tables,
     }
-    return _present(record)
+    return _drop_none(record)
 
 
 def _fitted_record(fitted: FittedCurve) -> dict[str, Any]:
@@ -187,10 +187,10 @@ def _fitted_record(fitted: FittedCurve) -> dict[str, Any]:
         "worst_error": fitted.worst_error,
         "samples": [[count, value] for count, value in fitted.samples] or None,
     }
-    return _present(record)
+    return _drop_none(record)
 
 
-def _present(record: dict[str, Any]) -> dict[str, Any]:
+def _drop_none(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if value is not None}
 
 

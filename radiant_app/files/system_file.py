@@ -99,7 +99,7 @@ class _Device(Strict):
     relative_speed: _Speed = 1.0
     speed: _Share | None = None
 
-    def built(self, folder: Path) -> Device:
+    def build(self, folder: Path) -> Device:
         profile = _profile_of(self, f"device {self.id!r}", ("init_s", "train_s", "model_mb"), folder)
         memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
         if profile is None:
@@ -136,7 +136,7 @@ class _Edge(Strict):
     time_s: _Curve | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
 
-    def built(self, folder: Path) -> Edge:
+    def build(self, folder: Path) -> Edge:
         if self.position_m is not None and self.lat_lon_deg is not None:
             raise BadInput(f"edge {self.id!r} has both position_m and lat_lon_deg: give one of them or neither.")
         if self.lat_lon_deg is not None and (abs(self.lat_lon_deg[0]) > 90 or abs(self.lat_lon_deg[1]) > 180):
@@ -160,7 +160,7 @@ class _Edge(Strict):
             lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
             aggregate_s=joined,
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
-            devices=tuple(device.built(folder) for device in self.device),
+            devices=tuple(device.build(folder) for device in self.device),
             speed=self.speed,
             aggregate_alone_s=alone,
             profile=profile,
@@ -188,7 +188,7 @@ class _Cloud(Strict):
     time_s: _NonNegative | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
 
-    def built(self) -> Cloud:
+    def build(self) -> Cloud:
         memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
         return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras)
 
@@ -204,7 +204,7 @@ def load_system(path: Path, *, curves: bool = False) -> System:
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
-        system = System(edges=tuple(edge.built(path.parent) for edge in file.edge), cloud=file.cloud.built())
+        system = System(edges=tuple(edge.build(path.parent) for edge in file.edge), cloud=file.cloud.build())
         unknown = [edge.id for edge in system.edges if not edge.devices]
         if unknown and not curves:
             raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
@@ -226,7 +226,7 @@ def even_system(num_edges: int, devices_per_edge: int) -> System:
         raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
     names = [f"edge-{index + 1}" for index in range(num_edges)]
     edges = [_Edge(id=name, device=[_Device(id=f"{name}-{n + 1}") for n in range(devices_per_edge)]) for name in names]
-    return System(edges=tuple(edge.built(Path()) for edge in edges))
+    return System(edges=tuple(edge.build(Path()) for edge in edges))
 
 
 def _edge_lines(edge: Edge) -> list[str]:

@@ -64,7 +64,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         pooled=metrics.get("pooled", True),
         planned_by_raster=(run / STAGE / "task.json").is_file(),
         access_tiers=access_by_tier(manifest.access_log, shared="leakage" not in metrics),
-        pictures={name: _embedded(path) for name, path in pictures.items()},
+        pictures={name: _embed(path) for name, path in pictures.items()},
         comparisons=[_comparison(run, row) for row in select_images(metrics["images"]) if _has_pictures(run, row)],
         nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
         plan=cloud_plan,
@@ -207,7 +207,7 @@ def _frame_facts(run: Path) -> dict[str, Any]:
     }
 
 
-def _embedded(path: Path) -> str:
+def _embed(path: Path) -> str:
     return _data_uri("image/png", path.read_bytes())
 
 

@@ -27,7 +27,7 @@ SECONDS_BETWEEN_LINES = 10.0
 MAX_BAR_WIDTH = 30
 
 
-def tracked(items: Sequence[_Item], what: str) -> Iterator[_Item]:
+def track_items(items: Sequence[_Item], what: str) -> Iterator[_Item]:
     """The items with a bar on a terminal, for a loop of items that take about as long."""
     console = Console(stderr=True)
     return iter(track(items, description=what, console=console, disable=not console.is_terminal))

@@ -88,7 +88,7 @@ def run(
     """
     from radiant_app.report.html import write_report
 
-    system = _checked_system(config)
+    system = _check_system(config)
     lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
     with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
         if lpips is not None:
@@ -97,9 +97,9 @@ def run(
         progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
-        photographs = _photographs(config, system, progress)
+        photographs = _locate_photographs(config, system, progress)
         plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
-        dealer, tree = _joined(config, photographs, plan, progress)
+        dealer, tree = _join(config, photographs, plan, progress)
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
         emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **emulation}
@@ -109,7 +109,7 @@ def run(
     return RunResult(folder=config.out, metrics=metrics)
 
 
-def _checked_system(config: RunConfig) -> System:
+def _check_system(config: RunConfig) -> System:
     """Load the system and check the settings against it, before any stage runs."""
     if config.frames == "shared":
         detect_source(config.source)
@@ -125,15 +125,15 @@ def _checked_system(config: RunConfig) -> System:
     return system
 
 
-def _photographs(config: RunConfig, system: System, progress: Progress) -> Source:
+def _locate_photographs(config: RunConfig, system: System, progress: Progress) -> Source:
     if config.frames != "shared":
         return DevicePhotographs.locate(config, system, progress)
     progress.listen(Outlined(stages=("sfm", *list_nodes(system), "evaluation")))
     return PooledPhotographs.reconstruct(config, progress)
 
 
-def _joined(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
-    """Fold the tree of a plan and score the scene; StageFailed where no device's model is usable."""
+def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
+    """Fold the tree of a plan and score the scene; StageFailed where no model is usable."""
     first_key = plan_key(plan.cloud, plan.edges)
     if photographs.positions is not None:
         plan = load_replan(config.out, plan)

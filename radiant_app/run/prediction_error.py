@@ -54,7 +54,7 @@ def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan])
         "stages": [_row(error) for error in errors],
         "makespan": None if whole is None else _row(whole),
         "median_error_percent": _median_error(errors),
-        "online": _online(system, edge_plans, manifest, measured),
+        "online": _online_errors(system, edge_plans, manifest, measured),
     }
 
 
@@ -94,7 +94,7 @@ def curves_note(system: System) -> str:
     for origin, names in groups.items():
         if not names:
             continue
-        whose = "all machines" if len(names) == len(system.devices) + len(system.edges) else _listed(names)
+        whose = "all machines" if len(names) == len(system.devices) + len(system.edges) else _list_names(names)
         kind, _, name = origin.partition(" ")
         known = {
             "default": "are a system file's defaults: guesses, not measured on this machine (`radiant profile` measures it)",
@@ -106,7 +106,7 @@ def curves_note(system: System) -> str:
     return " ".join(sentences)
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= MAX_NAMES else f"{', '.join(names[:MAX_NAMES])} and {len(names) - MAX_NAMES} more"
 
 
@@ -153,7 +153,7 @@ def _measured_bars(run: Path, manifest: Manifest) -> dict[str, tuple[Any, ...]]:
     return bars
 
 
-def _online(
+def _online_errors(
     system: System, edge_plans: Sequence[EdgePlan], manifest: Manifest, measured: Mapping[tuple[str, str], float]
 ) -> list[dict[str, Any]]:
     """The error of what remained after each machine, as planned and as corrected by then."""

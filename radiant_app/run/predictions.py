@@ -62,21 +62,21 @@ def with_camera_limits(
     def limits(share: float) -> dict[str, int]:
         from radiant_core.train.memory import most_cameras
 
-        def held(device: Device) -> int:
+        def capacity_of(device: Device) -> int:
             def splats_of(count: int) -> float:
                 return share * float(device.model_bytes(count)) / splat_bytes
 
             assert device.memory_bytes is not None
             return most_cameras(train, device.memory_bytes, splats_of, num_cameras)
 
-        return {device.id: held(device) for device in limited}
+        return {device.id: capacity_of(device) for device in limited}
 
-    def limited_to(found: dict[str, int]) -> System:
+    def limit_to(found: dict[str, int]) -> System:
         edges = (replace(e, devices=tuple(replace(d, max_cameras=found.get(d.id, d.max_cameras)) for d in e.devices)) for e in system.edges)
         return replace(system, edges=tuple(edges))
 
     found, warnings = limits(1.0), ()
-    capacity = system_capacity(limited_to(found), num_cameras)
+    capacity = system_capacity(limit_to(found), num_cameras)
     if capacity < num_cameras:
         warnings = (
             f"memory holds {capacity} of {num_cameras} photographs with all the Gaussians they call for: devices will train with fewer; "
@@ -93,7 +93,7 @@ def with_camera_limits(
         unit=f"GB at {least.id}",
         reason="photographs, Gaussians, one step and the libraries must fit; max_cameras in the system file says it by count",
     )
-    return limited_to(found), decision, warnings
+    return limit_to(found), decision, warnings
 
 
 def prediction_warnings(system: System, edge_plans: Sequence[EdgePlan], training: ProfileKey) -> tuple[str, ...]:

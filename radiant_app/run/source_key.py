@@ -42,8 +42,8 @@ Files = dict[str, list[Any]]
 
 def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
     """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
-    known = _recorded(folder)
-    files = _described(used_files(config.source, config.sfm.masks), known or {})
+    known = _read_record(folder)
+    files = _describe_files(used_files(config.source, config.sfm.masks), known or {})
     settings = [message_record(task.sfm), message_record(task.placement)]
     key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, config.sfm.masks is None)
     if (folder / SEAL_NAME).is_file():
@@ -77,7 +77,7 @@ def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
     return {os.fsencode(name).decode(errors="backslashreplace"): path for name, path in found.items() if path.is_file()}
 
 
-def _recorded(folder: Path) -> Files | None:
+def _read_record(folder: Path) -> Files | None:
     try:
         record = read_json(folder / RECORD_NAME)
     except StoreDamaged:
@@ -86,10 +86,10 @@ def _recorded(folder: Path) -> Files | None:
     return record if whole else None
 
 
-def _described(paths: Mapping[str, Path], known: Files) -> Files:
+def _describe_files(paths: Mapping[str, Path], known: Files) -> Files:
     """Size, time and hash of each file; a known hash is kept if size and time are unchanged."""
 
-    def described(name: str) -> list[Any]:
+    def describe(name: str) -> list[Any]:
         status = paths[name].stat()
         size_and_time = [status.st_size, status.st_mtime_ns]
         if name in known and known[name][:2] == size_and_time:
@@ -100,7 +100,7 @@ def _described(paths: Mapping[str, Path], known: Files) -> Files:
             return [*size_and_time, UNREADABLE]
 
     with ThreadPoolExecutor(NUM_READERS) as pool:
-        return dict(zip(paths, pool.map(described, paths), strict=True))
+        return dict(zip(paths, pool.map(describe, paths), strict=True))
 
 
 def _change(known: Files, files: Files) -> str | None:
@@ -109,9 +109,9 @@ def _change(known: Files, files: Files) -> str | None:
         "gone": [name for name in known if name not in files],
         "with other content": [name for name, row in files.items() if name in known and known[name][2] != row[2]],
     }
-    changed = [f"{len(names)} {how} ({_named(names)})" for how, names in changes.items() if names]
+    changed = [f"{len(names)} {how} ({_list_names(names)})" for how, names in changes.items() if names]
     return f"photographs changed: {', '.join(changed)}" if changed else None
 
 
-def _named(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(names[:MAX_NAMED]) + (" …" if len(names) > MAX_NAMED else "")

@@ -174,7 +174,7 @@ def sign_upload(folder: Path) -> list[str]:
 
 def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:
     """Sender → why the node in `folder` refuses its upload in `places`: not signed by its
-    registered key, other bytes than signed, of another run, addressed to another node, or a second one."""
+    registered key, other bytes than signed, of another run, for another node, or a second one."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node"), MAX_RECORD_BYTES)
     tier = "edges" if post["node"] == "cloud" else "devices"
     expected = {sender: f"{tier}/{sender}" for sender in senders}
