@@ -55,8 +55,8 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRow:
-    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph, band and interior where
-    enough pixels show a border; CPU seconds and training pixels exclude devices' trainings."""
+    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph, band and interior
+    where enough pixels show a border; CPU seconds and training pixels exclude devices' trainings."""
 
     scene: str
     cell: str

@@ -46,7 +46,7 @@ class SfmRun:
 def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
     """Keys `sfm.<scene>.<spatial|exhaustive>.…`: seconds, registered, position and rotation errors.
 
-    `scene` holds images/ with GPS and known/ (a COLMAP model), else BadInput; None: the sample town.
+    `scene` holds images/ with GPS and known/ (a COLMAP model), else BadInput; None: the town.
     """
     from radiant_core.sfm.world_frame.world import cameras_of
 

@@ -35,7 +35,7 @@ def plan(
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
 ) -> None:
-    """Regions per edge and waypoints or photographs per device, by positions; before capture too."""
+    """Regions per edge and waypoints or photographs per device, by position; before capture too."""
     from radiant_app.commands.plan import PlanRequest
     from radiant_app.commands.plan import plan as make_plan
     from radiant_app.commands.plan_content import content_request
