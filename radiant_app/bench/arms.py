@@ -56,7 +56,7 @@ class Arm:
 @dataclass(frozen=True, kw_only=True)
 class ArmRow:
     """Figures of an arm in a cell: psnr_db and ssim per held-out photograph, band and interior
-    where enough pixels show a border; CPU seconds and training pixels exclude devices' trainings."""
+    where enough pixels show a border. CPU seconds and pixels exclude the devices' trainings."""
 
     scene: str
     cell: str

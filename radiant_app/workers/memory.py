@@ -27,7 +27,7 @@ def resident_bytes() -> int:
 
 def base_bytes_in(folder: Path, now_bytes: int) -> int:
     """Bytes that the first process to train in `folder` held before, as memory.json keeps them:
-    they limit the Gaussians, and with the bytes of a later process its checkpoints would not fit."""
+    they limit the Gaussians; with the bytes of a later process its checkpoints would not fit."""
     path = folder / BASE_NAME
     try:
         base_bytes = read_json(path, ("base_bytes",))["base_bytes"] if path.is_file() else None
