@@ -76,7 +76,7 @@ class Redactor:
 
 
 def make_redactor(kind: str, folder: Path) -> Redactor:
-    """Return the redactor of a node; it redacts nothing unless the kind of node opens a device's own photographs."""
+    """The redactor of a node, for kinds of node that open a device's own photographs."""
     place = folder.parent if kind == "score" else folder
     notes = place / NOTES_NAME
     if kind not in ("positions", "field", "score"):

@@ -123,6 +123,19 @@ cloud_tasks = st.integers(1, 4).flatmap(
 )
 
 
+def test_a_wrong_field_is_named_by_the_path_at_which_it_stands() -> None:
+    record = message_record(DEVICE)
+    density = record["train"]["density"]
+    missing = {name: value for name, value in density.items() if name != "every"}
+    for wrong, said in (
+        ({**density, "every": "x"}, "every is 'x'; expected a valid integer"),
+        ({**density, "often": 1}, "often is not a key of a message"),
+        (missing, "every is missing"),
+    ):
+        with pytest.raises(BadInput, match=rf"message: train\.density\.{said}"):
+            message_of(DeviceSettings, {**record, "train": {**record["train"], "density": wrong}})
+
+
 @settings(max_examples=60)
 @given(devices | edges | cloud_tasks)
 def test_a_task_comes_back_as_it_was(task: Any) -> None:
