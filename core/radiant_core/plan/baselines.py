@@ -88,7 +88,7 @@ def compare(
         return even.edge_time_s if name == "even" else estimated_times_s(tables, np.bincount(cells[cells >= 0], minlength=len(tables)))
 
     return tuple(
-        _compared(name, _squared_distance_m2(local, sites, cells), times_s(name, cells), bound_s, cells, history)
+        _compare(name, _squared_distance_m2(local, sites, cells), times_s(name, cells), bound_s, cells, history)
         for name, cells, history in dealt
     )
 
@@ -123,7 +123,7 @@ def _power_weights(
     def cells(offsets: FloatArray) -> Indices:
         return assign(positions, sites, offsets * unit)
 
-    return _moved(cells, tables, lambda times_s: 0.05 * float(times_s.mean()), halved, max_iterations)
+    return _move_borders(cells, tables, lambda times_s: 0.05 * float(times_s.mean()), halved, max_iterations)
 
 
 def _half_planes(
@@ -142,10 +142,10 @@ def _half_planes(
         inside = beyond_m <= offsets * step_m
         return np.where(inside.any(axis=1), inside.argmax(axis=1), NOBODY)
 
-    return _moved(cells, tables, lambda _: threshold_s, False, max_iterations)
+    return _move_borders(cells, tables, lambda _: threshold_s, False, max_iterations)
 
 
-def _moved(
+def _move_borders(
     cells: Callable[[FloatArray], Indices],
     tables: Sequence[EdgeTable],
     threshold_s: Callable[[FloatArray], float],
@@ -179,7 +179,7 @@ def _squared_distance_m2(positions: FloatArray, sites: FloatArray, edge_of_camer
     return float(np.sum((positions[owned] - sites[edge_of_camera[owned]]) ** 2))
 
 
-def _compared(
+def _compare(
     method: str, squared_distance_m2: float, times_s: FloatArray, bound_s: float, edge_of_camera: Indices, history: tuple[float, ...]
 ) -> ComparedPlan:
     mean_s = float(times_s.mean())

@@ -68,7 +68,7 @@ class Waypoints:
         _require_on_the_globe(self.names, self.lat_lon_alt)
         _require_one_site(self.names, self.lat_lon_alt)
         if self.heading_pitch_deg is not None:
-            object.__setattr__(self, "heading_pitch_deg", _checked_angles(self.names, self.heading_pitch_deg))
+            object.__setattr__(self, "heading_pitch_deg", _check_angles(self.names, self.heading_pitch_deg))
         if self.ground_m is not None and not np.isfinite(self.ground_m):
             raise BadInput(f"the altitude of the ground is {self.ground_m}, expected metres.")
 
@@ -80,8 +80,8 @@ class Waypoints:
         """Mean position (3,) [deg, deg, m], the origin of `positions_m`."""
         lat, lon, alt = self.lat_lon_alt.T
         first = lon[0]
-        mean_lon = first + _wrapped(lon - first).mean()
-        return np.array([lat.mean(), float(_wrapped(np.array([mean_lon]))[0]), alt.mean()])
+        mean_lon = first + _wrap(lon - first).mean()
+        return np.array([lat.mean(), float(_wrap(np.array([mean_lon]))[0]), alt.mean()])
 
     @property
     def positions_m(self) -> FloatArray:
@@ -121,7 +121,7 @@ def clean_waypoints(
     if no_altitude is not None and np.any(no_altitude):
         missing = np.flatnonzero(no_altitude)
         positions[missing, 2] = 0.0
-        some = f"{_count(len(missing), len(names))} without altitude, {_named(names, missing[0])} first: taken as 0 m."
+        some = f"{_count(len(missing), len(names))} without altitude, {_label(names, missing[0])} first: taken as 0 m."
         warnings.append(some if len(missing) < len(names) else f"None of {len(names)} waypoints has an altitude: {NO_ALTITUDES}.")
     given = any(names)
     names, numbered = _unique_names(names)
@@ -131,7 +131,7 @@ def clean_waypoints(
     waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg, altitude_known=known)
     kept, again = _first_of_each_spot(positions)
     if len(again):
-        warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_named(names, again[0])} first: planned once.")
+        warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_label(names, again[0])} first: planned once.")
         waypoints = waypoints.select(kept)
     return waypoints, tuple(warnings)
 
@@ -197,7 +197,7 @@ def _require_finite_rows(names: tuple[str, ...], lat_lon_alt: ArrayLike) -> None
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         if len(bad):
             raise BadInput(
-                f"{_count(len(bad), len(names))} with a position that is not finite, {_named(names, bad[0])} first: "
+                f"{_count(len(bad), len(names))} with a position that is not finite, {_label(names, bad[0])} first: "
                 "give latitude, longitude and altitude as numbers."
             )
 
@@ -214,18 +214,18 @@ def _require_on_the_globe(names: tuple[str, ...], lat_lon_alt: FloatArray) -> No
             else "give degrees in WGS84, not metres of a map projection"
         )
         raise BadInput(
-            f"{_count(len(off), len(names))} off the globe, {_named(names, first)} first with latitude {lat[first]:g}° and longitude "
+            f"{_count(len(off), len(names))} off the globe, {_label(names, first)} first with latitude {lat[first]:g}° and longitude "
             f"{lon[first]:g}°: {advice}."
         )
     high = np.flatnonzero((alt < MIN_ALTITUDE_M) | (alt > MAX_ALTITUDE_M))
     if len(high):
         raise BadInput(
-            f"{_count(len(high), len(names))} at an altitude nobody flies at, {_named(names, high[0])} first with {alt[high[0]]:g} m: "
+            f"{_count(len(high), len(names))} at an altitude nobody flies at, {_label(names, high[0])} first with {alt[high[0]]:g} m: "
             "give altitudes in metres."
         )
 
 
-def _checked_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> FloatArray:
+def _check_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> FloatArray:
     angles = np.array(heading_pitch_deg, dtype=np.float64)
     if angles.shape != (len(names), 2):
         raise BadInput(f"heading_pitch_deg has shape {angles.shape}, expected ({len(names)}, 2): give two angles per waypoint.")
@@ -234,7 +234,7 @@ def _checked_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> Flo
     if len(wrong):
         first = int(wrong[0])
         raise BadInput(
-            f"{_count(len(wrong), len(names))} looking nowhere, {_named(names, first)} first with heading {heading[first]:g}° and pitch "
+            f"{_count(len(wrong), len(names))} looking nowhere, {_label(names, first)} first with heading {heading[first]:g}° and pitch "
             f"{pitch[first]:g}°: give headings from north and pitches from −90 (down) to 90 in degrees."
         )
     angles.flags.writeable = False
@@ -242,8 +242,8 @@ def _checked_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> Flo
 
 
 def _require_one_site(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:
-    lat, lon = lat_lon_alt[:, 0], lat_lon_alt[0, 1] + _wrapped(lat_lon_alt[:, 1] - lat_lon_alt[0, 1])
-    middle = np.array([np.median(lat), float(_wrapped(np.array([np.median(lon)]))[0]), 0.0])
+    lat, lon = lat_lon_alt[:, 0], lat_lon_alt[0, 1] + _wrap(lat_lon_alt[:, 1] - lat_lon_alt[0, 1])
+    middle = np.array([np.median(lat), float(_wrap(np.array([np.median(lon)]))[0]), 0.0])
     level = np.array([1.0, 1.0, 0.0])
     away_m = np.linalg.norm(enu_from_geodetic(lat_lon_alt * level, middle), axis=1)
     far = np.flatnonzero(away_m > MAX_REACH_M)
@@ -251,7 +251,7 @@ def _require_one_site(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:
         return
     first = int(far[0])
     there = (
-        f"{_count(len(far), len(names))} more than {MAX_REACH_M / 1e3:.0f} km from the middle of all, {_named(names, first)} first with "
+        f"{_count(len(far), len(names))} more than {MAX_REACH_M / 1e3:.0f} km from the middle of all, {_label(names, first)} first with "
         f"{away_m[first] / 1e3:,.0f} km"
     )
     exchanged = np.array([[lat_lon_alt[first, 1], lat_lon_alt[first, 0], 0.0]])
@@ -260,7 +260,7 @@ def _require_one_site(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:
     raise BadInput(f"{there}: check whether its latitude and longitude are right and not swapped, or plan each site on its own.")
 
 
-def _wrapped(degrees: FloatArray) -> FloatArray:
+def _wrap(degrees: FloatArray) -> FloatArray:
     """Angles in [−180°, 180°]; those that are there already keep every digit."""
     return np.where(np.abs(degrees) <= 180, degrees, (degrees + 180) % 360 - 180)
 
@@ -269,5 +269,5 @@ def _count(some: int, of_all: int) -> str:
     return f"{some} of {of_all} waypoints"
 
 
-def _named(names: Sequence[str], index: int) -> str:
+def _label(names: Sequence[str], index: int) -> str:
     return f"{names[index]!r} (number {index + 1})"

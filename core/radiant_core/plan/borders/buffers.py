@@ -87,7 +87,7 @@ def plan_buffers(
         else:
             assert shares is not None and rule.min_share is not None
             candidates = _seeing(shares, index, cloud.edge_of_camera, rule.min_share)
-        made.append(_taken(edge, plan, positions, candidates, rule.deadline_s, float(cloud.edge_time_s[index])))
+        made.append(_take(edge, plan, positions, candidates, rule.deadline_s, float(cloud.edge_time_s[index])))
     return tuple(made)
 
 
@@ -107,7 +107,7 @@ def _seeing(shares: RegionShares, index: int, edge_of_camera: NDArray[np.int64],
     return rows[kept][np.lexsort((rows[kept], -values[kept]))]
 
 
-def _taken(
+def _take(
     edge: Edge, plan: EdgePlan, positions: FloatArray, candidates: NDArray[np.int64], deadline_s: float | None, planned_s: float
 ) -> EdgeBuffer:
     own = np.array([len(plan.cameras_of(device.id)) for device in edge.devices], dtype=np.int64)

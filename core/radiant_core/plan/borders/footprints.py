@@ -116,7 +116,7 @@ def views_before_capture(positions: ArrayLike, heights_m: ArrayLike, optics: Opt
     angles = np.full((count, 2), np.nan) if heading_pitch_deg is None else np.array(heading_pitch_deg, np.float64)
     if angles.shape != (count, 2) or np.isinf(angles).any() or (np.abs(angles[:, 1]) > -NADIR_DEG).any():
         raise BadInput("headings and pitches need two angles per position in degrees, pitch −90 (down) to 90, NaN where unknown.")
-    heading = np.radians(np.where(np.isnan(angles[:, 0]), _flown_deg(positions), angles[:, 0]))
+    heading = np.radians(np.where(np.isnan(angles[:, 0]), _headings_deg(positions), angles[:, 0]))
     pitch = np.radians(np.where(np.isnan(angles[:, 1]), NADIR_DEG, angles[:, 1]))
     level = np.zeros(count)
     forward = np.stack([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)], axis=1)
@@ -147,7 +147,7 @@ def ground_footprints(views: Views, horizon: float = HORIZON_HEIGHTS) -> Footpri
     polygons = np.repeat(views.positions[:, None], MAX_CORNERS, axis=1)
     for start in range(0, len(views), _BLOCK):
         rows = np.flatnonzero(views.heights_m[start : start + _BLOCK] > 0) + start
-        rays, seen = _above_horizon_cut(views.corner_rays[rows], horizon)
+        rays, seen = _cut_at_horizon(views.corner_rays[rows], horizon)
         rows, rays = rows[seen], rays[seen]
         polygons[rows] += rays[..., :2] * (views.heights_m[rows, None, None] / -rays[..., 2:])
     areas = signed_areas_m2(polygons - views.positions[:, None])
@@ -213,7 +213,7 @@ def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
         cut = np.flatnonzero((parts @ plane > 0).any(axis=1))
         if not len(cut):
             continue
-        clipped, counts[cut] = _clipped(parts[cut], counts[cut], np.broadcast_to(plane, (len(cut), 3)))
+        clipped, counts[cut] = _clip(parts[cut], counts[cut], np.broadcast_to(plane, (len(cut), 3)))
         if clipped.shape[1] > parts.shape[1]:
             parts = np.concatenate([parts, parts[:, -1:]], axis=1)
         parts[cut] = clipped
@@ -221,7 +221,7 @@ def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
     return areas
 
 
-def _flown_deg(positions: FloatArray) -> FloatArray:
+def _headings_deg(positions: FloatArray) -> FloatArray:
     """Direction (P,) to the next position, of the last from the one before; else north."""
     if len(positions) < 2:
         return np.zeros(len(positions))
@@ -230,7 +230,7 @@ def _flown_deg(positions: FloatArray) -> FloatArray:
     return np.degrees(np.arctan2(east, north))
 
 
-def _above_horizon_cut(rays: FloatArray, horizon: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _cut_at_horizon(rays: FloatArray, horizon: float) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Corner rays (P,8,3) of views (P,4,3) that meet ground within the horizon, and which do."""
     middle = rays.sum(axis=1)[:, :2]
     length = np.linalg.norm(middle, axis=1, keepdims=True)
@@ -239,11 +239,11 @@ def _above_horizon_cut(rays: FloatArray, horizon: float) -> tuple[FloatArray, ND
     across = np.stack([along[:, 1], -along[:, 0]], axis=1)
     cut, counts = rays, np.full(len(rays), 4)
     for direction in (along, -along, across, -across):
-        cut, counts = _clipped(cut, counts, np.column_stack([direction, np.full(len(rays), horizon)]))
+        cut, counts = _clip(cut, counts, np.column_stack([direction, np.full(len(rays), horizon)]))
     return cut[:, np.minimum(np.arange(MAX_CORNERS), cut.shape[1] - 1)], counts >= 3
 
 
-def _clipped(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+def _clip(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
     """Cones (P,V,3) clipped to normal · d ≤ 0: (P,V+1,3), numbers of rays (Sutherland, Hodgman)."""
     heights = np.einsum("pvi,pi->pv", rays, normals)
     if not (heights > 0).any():

@@ -57,7 +57,7 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
         counts, _ = fastest_counts(tables, num_cameras)
         return FastestCounts(counts=counts, edge_time_s=np.array([t.edge_time_s[c] for t, c in zip(tables, counts, strict=True)]))
     fleet = _Fleet(system, num_cameras)
-    guess = fleet.guessed_quotas()
+    guess = fleet.guess_quotas()
     window = _FIRST_WINDOW
     while True:
         margin = int(2 * window / _FIRST_WINDOW)
@@ -65,7 +65,7 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
         high = np.clip(np.ceil(guess * (1 + window)).astype(np.int64) + margin, 0, fleet.limits)
         if int((high - low).sum()) > MAX_TABLE_ENTRIES:
             raise BadInput(f"{num_cameras} cameras on {len(fleet.limits)} devices cannot be told apart by time: use fewer.")
-        found = fleet.solved(low, high)
+        found = fleet.solve(low, high)
         if found is not None:
             return found
         window *= 3
@@ -149,7 +149,7 @@ class _Fleet:
         is_alone = (self.num_alone[rows] >= counts.T).T
         return np.where(is_alone, np.minimum(self.alone(counts, rows), joined_s), joined_s)
 
-    def guessed_quotas(self) -> FloatArray:
+    def guess_quotas(self) -> FloatArray:
         """Quotas (D,) near the optimum by interpolation; flat curves share evenly."""
         steps = int(np.ceil(np.log(max(self.num_cameras, 2)) / np.log(_GRID_RATIO))) + 1
         grid = np.unique(np.round(np.geomspace(1, self.num_cameras, steps)))
@@ -176,10 +176,10 @@ class _Fleet:
         low, high = 0.0, float(edge_time.max())
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            taken = _interpolated(edge_time, totals, np.full(len(self.starts), middle)).sum()
+            taken = _interpolate(edge_time, totals, np.full(len(self.starts), middle)).sum()
             low, high = (low, middle) if taken >= self.num_cameras else (middle, high)
-        edge_deadline = _interpolated(edge_time, deadlines, np.full(len(self.starts), high))
-        return self._of_all_cameras(_interpolated(times, counts, edge_deadline[self.edge_of_device]))
+        edge_deadline = _interpolate(edge_time, deadlines, np.full(len(self.starts), high))
+        return self._of_all_cameras(_interpolate(times, counts, edge_deadline[self.edge_of_device]))
 
     def _of_all_cameras(self, quotas: FloatArray) -> FloatArray:
         """Quotas (D,) scaled to sum to the cameras: flat curves hardly determine how many fit."""
@@ -187,7 +187,7 @@ class _Fleet:
             quotas = np.minimum(quotas * (self.num_cameras / max(float(quotas.sum()), 1e-300)), self.limits)
         return quotas
 
-    def solved(self, low: Indices, high: Indices) -> FastestCounts | None:
+    def solve(self, low: Indices, high: Indices) -> FastestCounts | None:
         """The exact optimum if quotas between low and high (D,) hold it and prove it, else None."""
         sizes = high - low
         device = np.repeat(np.arange(len(low)), sizes)
@@ -220,9 +220,9 @@ class _Fleet:
             taken[index], base_s[index] = counts[begin], total[begin]
             entries.append(total[begin + 1 : end + 1])
         require_finite("the time of an edge against cameras", np.concatenate([base_s, *entries]))
-        return self._chosen(taken, base_s, entries, full)
+        return self._choose(taken, base_s, entries, full)
 
-    def _chosen(self, taken: Indices, base_s: FloatArray, entries: list[FloatArray], full: Indices) -> FastestCounts | None:
+    def _choose(self, taken: Indices, base_s: FloatArray, entries: list[FloatArray], full: Indices) -> FastestCounts | None:
         """The earliest entries beyond `taken` (E,), if they are proved to be the earliest."""
         missing = self.num_cameras - int(taken.sum())
         lengths = np.array([len(times) for times in entries])
@@ -242,7 +242,7 @@ class _Fleet:
         return FastestCounts(counts=counts, edge_time_s=np.array(last))
 
 
-def _interpolated(rising: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+def _interpolate(rising: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
     """Row-wise values (R,J) where rising (R,J) reaches at (R,); 0 before, the last beyond."""
     below = (rising <= at[:, None]).sum(axis=1)
     left = np.clip(below - 1, 0, rising.shape[1] - 1)

@@ -41,7 +41,7 @@ def shortest_order(quotas: Indices, names: Sequence[str], chords_m: FloatArray) 
         classes.setdefault(int(quotas[device]), []).append(device)
     if np.prod([len(members) + 1.0 for members in classes.values()]) <= MAX_STATES:
         return _exact(classes, chords)
-    return _improved(np.array(working, np.int64), quotas, chords)
+    return _improve(np.array(working, np.int64), quotas, chords)
 
 
 def chords_across(border: FloatArray, axis: FloatArray, at: FloatArray) -> FloatArray:
@@ -83,7 +83,7 @@ def _exact(classes: dict[int, list[int]], chords: Indices) -> Indices:
     return np.array(order[::-1], np.int64)
 
 
-def _improved(working: Indices, quotas: Indices, chords: Indices) -> Indices:
+def _improve(working: Indices, quotas: Indices, chords: Indices) -> Indices:
     starts = (working, working[np.argsort(quotas[working], kind="stable")], working[np.argsort(-quotas[working], kind="stable")])
     order = min(starts, key=lambda start: int(chords[np.cumsum(quotas[start])].sum()))
     if len(order) > MAX_EXCHANGED:
