@@ -1,12 +1,11 @@
-"""`Waypoints`: where photographs will be taken, on the globe and in metres about their middle. P
-waypoints.
+"""`Waypoints`: where photographs will be taken, on the globe and in metres about their middle.
 
-The origin is the mean position, longitudes counted from the first waypoint so that sites across the
-180th meridian have one too. What can be detected of wrong positions: a latitude beyond 90° is
-certain; a waypoint more than 300 km from the median of all is on another site, and where exchanging
-its latitude and longitude brings it back, they were swapped. Where every waypoint is swapped and
-none exceeds 90° this cannot be detected: they make a plan of the same shape, mirrored, elsewhere.
-Made once per plan.
+P waypoints. The origin is the mean position, longitudes counted from the first waypoint so that
+sites across the 180th meridian have one too. Wrong positions that can be detected: a latitude
+beyond 90° is certain; a waypoint more than 300 km from the median of all is on another site, and
+where exchanging its latitude and longitude brings it back, they were swapped. Where every waypoint
+is swapped and none exceeds 90° this cannot be detected: they make a plan of the same shape,
+mirrored, elsewhere. Made once per plan.
 """
 
 from __future__ import annotations
@@ -26,24 +25,22 @@ from radiant_core.numerics import FloatArray, check_array
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 """From the deepest sea to the edge of space."""
 HIGHEST_FLIGHT_M = 500.0
-"""Drones are not allowed so high above the ground anywhere we know of, and flight planners take no
-more above take-off: larger altitudes are absolute."""
+"""Drones may not fly higher above ground, nor plan higher above take-off: it is absolute."""
 NO_ALTITUDES = "planned by horizontal positions alone, and the lists hold no height to fly at"
 MAX_NAME_CHARACTERS = 255
 SAME_SPOT_SCALE = np.array([1e8, 1e8, 1e3])
-"""Degrees, degrees and metres are rounded to these parts, about a millimetre each, before two waypoints are called one."""
+"""Parts of degrees, degrees and metres, about a mm each, to which equal waypoints agree."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Waypoints:
-    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres in whatever height
-    the pilot's tool uses.
+    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres above take-off, as
+    flight planners count, unless they are `absolute` or the ground lies at `ground_m` of them.
 
-    What that is: above take-off, as flight planners count, unless they are `absolute` or the ground
-    lies at `ground_m` of them. Raises BadInput, naming the first offender and how many there are,
-    for positions that are not finite, off the globe, probably swapped or more than 300 km from the
-    others, for no waypoint at all, and for names that are empty, come twice, or cannot be written.
+    BadInput, naming the first offender and how many there are, for positions that are not finite,
+    off the globe, probably swapped or more than 300 km from the others, for no waypoint at all, and
+    for names that are empty, come twice, or cannot be written.
     """
 
     names: tuple[str, ...]
@@ -54,7 +51,7 @@ class Waypoints:
     absolute: bool = False
     """Whether altitudes count from the sea or the ellipsoid, as those that GPS gives."""
     altitude_known: bool = True
-    """Whether altitudes count from anything on the globe: without, they are heights among themselves, or all 0."""
+    """Whether altitudes count from anything on the globe; else they are relative or all 0."""
     ground_m: float | None = None
     """Altitude of the ground, or of take-off, among them, where it is known."""
 
@@ -90,14 +87,14 @@ class Waypoints:
 
     @property
     def heights_m(self) -> FloatArray | None:
-        """Heights (P,) above ground or take-off; None where nothing says how far the altitudes are above either."""
+        """Heights (P,) above ground or take-off; None where altitudes are known to neither."""
         altitudes = self.lat_lon_alt[:, 2]
         if self.ground_m is not None:
             return altitudes - self.ground_m
         return None if self.absolute or not self.altitude_known or altitudes.max() > HIGHEST_FLIGHT_M else altitudes
 
     def select(self, indices: ArrayLike) -> Waypoints:
-        """The waypoints at `indices` (K,) int or where a mask (P,) bool is true, in that order; BadInput when that is none."""
+        """The waypoints at `indices` (K,) int, or where a mask (P,) is true; BadInput for none."""
         chosen: NDArray[Any] = np.asarray(indices)
         picked: list[int] = np.arange(len(self))[chosen].tolist()
         angles = None if self.heading_pitch_deg is None else self.heading_pitch_deg[picked]
@@ -108,8 +105,7 @@ class Waypoints:
 def clean_waypoints(
     names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None, heading_pitch_deg: FloatArray | None = None
 ) -> tuple[Waypoints, tuple[str, ...]]:
-    """`Waypoints` as a surveyor would mend a list, with one warning per kind of repair; BadInput as
-    `Waypoints`.
+    """`Waypoints` of a list that is mended, with one warning per kind of repair; else BadInput.
 
     A position that comes twice is planned once, under its first name; a name that comes twice or is
     empty gets a number, without a warning where nothing has a name, as in a flight planner's file;
@@ -137,7 +133,7 @@ def clean_waypoints(
 
 
 def _unique_names(names: Sequence[str]) -> tuple[list[str], tuple[int, str] | None]:
-    """Names (P) with a number behind those that came before, and how many with the first of them; linear in P."""
+    """Names (P), numbered where they repeat, and how many do with the first of them."""
     taken = set(names)
     if len(taken) == len(names) and "" not in taken:
         return list(names), None
