@@ -75,7 +75,7 @@ class RenderOutput:
     depths: Tensor
     """(C,H,W) expected depth Σ w z / Σ w, metres; 0 where nothing was hit."""
     radii_px: Tensor
-    """(C,N) half the long side of the box in which a Gaussian reaches α_min; 0 where it is culled."""
+    """(C,N) half the long side of the box in which a Gaussian reaches α_min; 0 where culled."""
     means2d: Tensor
     """(C,N,2) projected centres, for gradients in px: `register_hook`, or `retain_grad`, a copy."""
     absgrad: Tensor | None = None
@@ -85,8 +85,7 @@ class RenderOutput:
 
     @property
     def visible(self) -> Tensor:
-        """(N,) bool, the Gaussians a camera sees. By numpy: torch's threads would spin
-        (libgomp)."""
+        """(N,) bool, the Gaussians a camera sees. By numpy: torch's threads would spin on."""
         if self.radii_px.device.type == "cpu":
             return torch.from_numpy((self.radii_px.numpy() > 0).any(0))
         return (self.radii_px > 0).any(0)

@@ -9,6 +9,7 @@ yields ∂loss/∂means2d and, as gradient of `link`, the sums over pixels that 
 from; so passes through one graph are independent. Once per image and training step.
 """
 
+# pyright: reportIncompatibleMethodOverride=false
 from __future__ import annotations
 
 import atexit
@@ -157,7 +158,7 @@ class _Project(torch.autograd.Function):
     """Six tensors → means2d (C,N,2) and link (C,N,M), zeros without memory that tie `_Blend`."""
 
     @staticmethod
-    def forward(ctx: Any, call: _Call, *tensors: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, call: _Call, *tensors: Tensor) -> tuple[Tensor, Tensor]:
         arrays, view = _arrays(tensors), call.view
         means2d = _take_pooled(len(call.rendering.views), tensors[0].shape[0], 2)
         for index, native in enumerate(call.rendering.views):
@@ -174,8 +175,8 @@ class _Project(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, means2d: Tensor | None, sums: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        tensors = ctx.saved_tensors  # refused where one was changed since, so that ctx.arrays are what was rendered
+    def backward(ctx: Any, means2d: Tensor | None, sums: Tensor | None) -> tuple[Tensor | None, ...]:
+        tensors = ctx.saved_tensors  # refused where one has changed since, as ctx.arrays would
         wanted = ctx.needs_input_grad[1:]
         gradients = [_native.pooled_array(list(tensor.shape)) if needed else None for tensor, needed in zip(tensors, wanted, strict=True)]
         shape = (len(ctx.rendering.views), len(tensors[0]))
@@ -190,7 +191,7 @@ class _Blend(torch.autograd.Function):
     """means2d and link → pictures, which `_Project` has already drawn."""
 
     @staticmethod
-    def forward(ctx: Any, call: _Call, means2d: Tensor, link: Tensor, background: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, call: _Call, means2d: Tensor, link: Tensor, background: Tensor) -> tuple[Tensor, ...]:
         ctx.rendering, ctx.shape, ctx.background_like, ctx.absgrad = call.rendering, means2d.shape, background, call.absgrad
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(call.alphas, call.depths)
@@ -198,9 +199,7 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx: Any, images: Tensor | None, alphas: Tensor | None, depths: Tensor | None
-    ) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, images: Tensor | None, alphas: Tensor | None, depths: Tensor | None) -> tuple[Tensor | None, ...]:
         out_alphas, out_depths = ctx.saved_tensors
         by_images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
         means2d = sums = None

@@ -5,6 +5,7 @@ in order of depth, then blend groups of tiles with lists of similar length as on
 × pixels × list). Cost: pairs of pixel and Gaussian.
 """
 
+# pyright: reportIncompatibleMethodOverride=false
 from __future__ import annotations
 
 import math
@@ -64,13 +65,13 @@ class _WithAbsolute(torch.autograd.Function):
     """means2d as it is, and zeros whose gradient is written into `absgrad`."""
 
     @staticmethod
-    def forward(ctx: Any, means2d: Tensor, absgrad: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, means2d: Tensor, absgrad: Tensor) -> tuple[Tensor, Tensor]:
         ctx.absgrad = absgrad
         return means2d.view_as(means2d), torch.zeros_like(means2d)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, means2d: Tensor, absolute: Tensor) -> tuple[Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, means2d: Tensor, absolute: Tensor) -> tuple[Tensor, None]:
         ctx.absgrad.copy_(absolute)
         return means2d, None
 
@@ -79,13 +80,13 @@ class _Watched(torch.autograd.Function):
     """ln α (tiles,K,P); `absolute` (tiles,K,2) gets the gradient Σ_p |∂loss/∂ln α · ∂ln α/∂m|."""
 
     @staticmethod
-    def forward(ctx: Any, log_alphas: Tensor, absolute: Tensor, slopes: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, log_alphas: Tensor, absolute: Tensor, slopes: Tensor) -> Tensor:
         ctx.save_for_backward(slopes)
         return log_alphas.view_as(log_alphas)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, log_alphas: Tensor) -> tuple[Tensor, Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, log_alphas: Tensor) -> tuple[Tensor, Tensor, None]:
         (slopes,) = ctx.saved_tensors
         return log_alphas, (log_alphas[..., None] * slopes).abs().sum(2), None
 
@@ -140,7 +141,7 @@ def _jacobians(K: Tensor, x_over_z: Tensor, y_over_z: Tensor, z: Tensor, view: V
 
 
 def _covariances_2d(splats: SplatTensors, viewmat: Tensor, jacobians: Tensor) -> tuple[Tensor, Tensor]:
-    """(N,3) xx, xy, yy of J W R S Sᵀ Rᵀ Wᵀ Jᵀ, before dilation, and whether it is within bounds (N,)."""
+    """(N,3) xx, xy, yy of J W R S Sᵀ Rᵀ Wᵀ Jᵀ, before dilation, and whether in bounds (N,)."""
     scaled_axes = _rotations(splats.quats) * torch.exp(splats.log_scales)[:, None, :]
     half = jacobians @ viewmat[:3, :3] @ scaled_axes
     # Zeroed before it is squared: an overflow would become NaN going back, even if culled later.
