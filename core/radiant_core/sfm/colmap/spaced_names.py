@@ -1,4 +1,4 @@
-"""A model as COLMAP can read it back: its text reader cuts the name of an image at the first space. Once per scene."""
+"""A model that COLMAP can read back: its text reader cuts an image's name at the first space."""
 
 from __future__ import annotations
 
