@@ -44,13 +44,7 @@ class SfmConfig:
     def __post_init__(self) -> None:
         if self.memory_bytes is not None and not 0 < self.memory_bytes < math.inf:
             raise BadInput(f"sfm.memory_bytes is {self.memory_bytes!r}, expected a positive number of bytes.")
-        for name, least in (
-            ("max_image_size_px", 64),
-            ("max_num_features", 64),
-            ("num_neighbors", 1),
-            ("num_threads", 0),
-            ("seed", 0),
-        ):
+        for name, least in (("max_image_size_px", 64), ("max_num_features", 64), ("num_neighbors", 1), ("num_threads", 0), ("seed", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise BadInput(f"sfm.{name} is {value!r}, expected a whole number of at least {least}.")

@@ -110,11 +110,7 @@ def deal_around(
     weights = min((weights, before), key=lambda tried: _worst_violation(cameras, sites, tried, owner))
     words = _sentences(constraints, np.bincount(owner, minlength=len(ids)), ids)
     return ConstrainedDealing(
-        edge_of_camera=owner,
-        weights=weights,
-        edge_time_s=found.edge_time_s,
-        free_violation_m2=dealt.violation_m2,
-        sentences=words,
+        edge_of_camera=owner, weights=weights, edge_time_s=found.edge_time_s, free_violation_m2=dealt.violation_m2, sentences=words
     )
 
 

@@ -27,13 +27,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import edge_tables
 from radiant_core.plan.counts.slack import capacities_within
-from radiant_core.plan.counts.wide_deadline import (
-    FastestCounts,
-    cached_edge_counts,
-    fastest_edge_counts,
-    system_capacity,
-    times_of_counts,
-)
+from radiant_core.plan.counts.wide_deadline import FastestCounts, cached_edge_counts, fastest_edge_counts, system_capacity, times_of_counts
 from radiant_core.plan.devices.even_shares import even_edge_counts, even_times_s
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.regions.capped_transport import deal_within

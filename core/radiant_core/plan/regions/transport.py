@@ -70,12 +70,7 @@ def deal_with_counts(
     edge_of_position = np.where(cells >= 0, used[cells], -1)
     parts = np.stack([parts[:, 0], used[parts[:, 1]], parts[:, 2]], axis=1)
     return Dealt(
-        edge_of_position=edge_of_position,
-        parts=parts,
-        weights=out_weights,
-        violation_m2=violation_m2,
-        num_rounds=rounds,
-        num_paths=paths,
+        edge_of_position=edge_of_position, parts=parts, weights=out_weights, violation_m2=violation_m2, num_rounds=rounds, num_paths=paths
     )
 
 

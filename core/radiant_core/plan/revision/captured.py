@@ -48,12 +48,7 @@ def plan_captured(
 
 
 def plan_of_owners(
-    cloud_plan: CloudPlan,
-    edge_plans: Sequence[EdgePlan],
-    device_of_captured: NDArray[np.int64],
-    captured_xy: ArrayLike,
-    *,
-    system: System,
+    cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], device_of_captured: NDArray[np.int64], captured_xy: ArrayLike, *, system: System
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The regions and strips of a plan for photographs at `captured_xy` (C,2) m on devices (C,),
     counted over all edges. BadInput when plan and system are not of one kind, or when a device

@@ -98,11 +98,7 @@ def stage_errors(planned: Iterable[PlannedStage], measured: Seconds) -> tuple[St
             raise BadInput(f"{node} took {seconds} s to {stage}, expected a finite time of at least 0: measure again.")
     return tuple(
         StageError(
-            node=row.node,
-            stage=row.stage,
-            num_cameras=row.num_cameras,
-            predicted_s=row.seconds,
-            measured_s=measured[row.node, row.stage],
+            node=row.node, stage=row.stage, num_cameras=row.num_cameras, predicted_s=row.seconds, measured_s=measured[row.node, row.stage]
         )
         for row in planned
         if (row.node, row.stage) in measured

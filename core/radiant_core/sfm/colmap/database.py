@@ -26,12 +26,7 @@ PAIRS_PER_CALL = 400
 
 
 def extract_features(
-    database: Path,
-    photo_folder: Path,
-    photographs: tuple[Photograph, ...],
-    config: SfmConfig,
-    report: Report,
-    masks: Path | None = None,
+    database: Path, photo_folder: Path, photographs: tuple[Photograph, ...], config: SfmConfig, report: Report, masks: Path | None = None
 ) -> None:
     """Write features into `database`, a camera per make, model, focal length, size; none at 0."""
     groups: dict[CameraKey, list[str]] = defaultdict(list)

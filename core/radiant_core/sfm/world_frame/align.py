@@ -112,12 +112,7 @@ def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignmen
     elif tilt_error > MAX_TILT_ERROR_RAD:
         status = "collinear"
     return Alignment(
-        status=status,
-        target_from_source=fit,
-        residuals=residuals,
-        inliers=inliers,
-        scale_error=scale_error,
-        tilt_error_rad=tilt_error,
+        status=status, target_from_source=fit, residuals=residuals, inliers=inliers, scale_error=scale_error, tilt_error_rad=tilt_error
     )
 
 
@@ -129,11 +124,7 @@ def compare_centers(scene_centers: ArrayLike, reference_centers: ArrayLike) -> C
         raise BadInput(f"{len(source)} cameras cannot be compared with a reference: a similarity needs at least 3.")
     fit = fit_sim3(source, target)
     distances = np.linalg.norm(target[:, None] - target[None], axis=2)
-    return CenterErrors(
-        reference_from_scene=fit,
-        errors=np.linalg.norm(fit.apply(source) - target, axis=1),
-        extent=float(distances.max()),
-    )
+    return CenterErrors(reference_from_scene=fit, errors=np.linalg.norm(fit.apply(source) - target, axis=1), extent=float(distances.max()))
 
 
 def _check_pairs(source: ArrayLike, target: ArrayLike) -> tuple[FloatArray, FloatArray]:

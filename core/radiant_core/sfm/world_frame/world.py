@@ -77,10 +77,7 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     if metric is not None:
         residuals = np.linalg.norm(world_from_model.apply(cameras.centers[known]) - positions_m[known], axis=1)
         frame = Frame(
-            kind="metric",
-            origin_lat_lon_alt=heights.origin,
-            residual_m=float(np.median(residuals)),
-            altitude_known=heights.altitude_known,
+            kind="metric", origin_lat_lon_alt=heights.origin, residual_m=float(np.median(residuals)), altitude_known=heights.altitude_known
         )
     by_gps = metric is not None and gps.verdict == "ok"
     return PlacedScene(
@@ -219,11 +216,7 @@ def _frame_decision(frame: Frame, gps: _JudgedGps, up: UpEstimate, num_gps: int,
         choice, figure, unit = f"{kind}, up {up_of}", float(num_gps), "photographs with GPS"
         reason = f"the fit to GPS is {gps.verdict}"
     elif gps.verdict == "collinear":
-        choice, figure, unit = (
-            f"metric, up {up_of}",
-            float(np.degrees(gps.fit.tilt_error_rad)),
-            "deg roll uncertainty",
-        )
+        choice, figure, unit = (f"metric, up {up_of}", float(np.degrees(gps.fit.tilt_error_rad)), "deg roll uncertainty")
         reason = "the GPS positions lie on a line"
     elif gps.verdict == "overruled":
         choice, figure, unit = f"metric, up {up_of}", gps.lean_deg, "deg between that and up by GPS"
