@@ -105,13 +105,11 @@ class Waypoints:
 def clean_waypoints(
     names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None, heading_pitch_deg: FloatArray | None = None
 ) -> tuple[Waypoints, tuple[str, ...]]:
-    """`Waypoints` of a list that is mended, with one warning per kind of repair; else BadInput.
-
-    A position that comes twice is planned once, under its first name; a name that comes twice or is
+    """`Waypoints` of a list that is mended, with one warning per kind of repair; else BadInput. A
+    position that comes twice is planned once, under its first name; a name that comes twice or is
     empty gets a number, without a warning where nothing has a name, as in a flight planner's file;
     where `no_altitude` (P,) bool is true the altitude becomes 0, which moves a plan by less than
-    0.1 % of its size up to 6,000 m; where it is true everywhere, altitudes are not known.
-    """
+    0.1 % of its size up to 6,000 m; where it is true everywhere, altitudes are not known."""
     positions = np.array(lat_lon_alt, dtype=np.float64)
     warnings: list[str] = []
     if no_altitude is not None and np.any(no_altitude):

@@ -1,7 +1,6 @@
 """Finds values that are not finite in one fast pass. Before every rendering and optimizer step.
 
-On the CPU by the native threads: torch's own would go on spinning after their part and take a core
-from the rasterizer's (libgomp).
+By native threads on the CPU: torch's would spin on and take a core from the rasterizer (libgomp).
 """
 
 from __future__ import annotations

@@ -187,7 +187,6 @@ def _extents(cov2d: Tensor, log_opacities: Tensor) -> Tensor:
 
 
 def _blend(projection: _Projection, features: Tensor, view: ViewOptions) -> Tensor:
-    """Alpha-blend features (N,F) into (H,W,F)."""
     tiles_x, tiles_y = -(-view.width // TILE_PX), -(-view.height // TILE_PX)
     lists, starts, counts = _tile_lists(projection, tiles_x, tiles_y)
     tile_order = torch.argsort(counts, descending=True)
@@ -285,5 +284,4 @@ def _monomials(like: Tensor) -> Tensor:
 
 
 def _tile_centres(tiles: Tensor, tiles_x: int, like: Tensor) -> Tensor:
-    """Centres (tiles, 2) px."""
     return (torch.stack([tiles % tiles_x, tiles // tiles_x], dim=-1).to(like) + 0.5) * TILE_PX

@@ -88,11 +88,9 @@ def pinhole_photographs(
 def scene_from_poses(
     cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None
 ) -> SfmScene:
-    """Points for C pinhole cameras with known poses and the photographs of their names.
-
-    `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are
-    0. BadInput when a photograph is missing or not of its camera's size, or without any point.
-    """
+    """Points for C pinhole cameras with known poses and the photographs of their names; outside
+    `masks`, which become masks/ in `work_folder`. BadInput when a photograph is missing or not of
+    its camera's size, or without any point."""
     report = number_phases(report, ("checking photographs", "features", "matching", "triangulating"))
     photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
     config, _ = limit_to_memory(config, [photo.size_wh for photo in photographs])

@@ -108,9 +108,8 @@ def scene_from_colmap(
 
     Pinhole images are used where they are; others are undistorted into `work_folder`, with a model
     in the scene's frame. The frame comes from GPS where images have it; undecodable ones are
-    skipped and named. Points seen only where `masks` are 0 are left out. BadInput when the model
-    cannot be read, an image is missing or not of its camera's shape, or another argument does not
-    fit.
+    skipped and named. Points seen only where `masks` are 0 are left out. BadInput for an unreadable
+    model, an image that is missing or not of its camera's shape, or arguments that do not fit.
     """
     model = read_model(model_folder)
     placement.check_names((image.name for image in model.images), of_model=True)

@@ -92,7 +92,7 @@ class CheckpointFolder:
         """The newest whole state, None without; a damaged one is removed with a warning. BadInput
         where the newest whole one is of another run."""
         self._clean()
-        for saved in self._saved():
+        for saved in self._list_saved():
             try:
                 key, state = saved.load()
             except RadiantError as error:
@@ -122,7 +122,7 @@ class CheckpointFolder:
 
     def remove(self) -> None:
         """Remove all checkpoints: the run is finished."""
-        for saved in self._saved():
+        for saved in self._list_saved():
             saved.remove()
         self._clean()
         if self.folder.is_dir() and not any(self.folder.iterdir()):
@@ -130,7 +130,7 @@ class CheckpointFolder:
 
     def remove_foreign(self) -> None:
         """Remove the checkpoints of other runs, and those whose record is damaged."""
-        for saved in self._saved():
+        for saved in self._list_saved():
             try:
                 own = read_json(saved.record, ("key",))["key"] == self._key
             except RadiantError:
@@ -146,17 +146,17 @@ class CheckpointFolder:
         saved = _Saved(record=self.folder / f"step-{step:08d}.json")
         stream_arrays(saved.arrays, SCHEMA, state.arrays, {"step": step, "key": self._key, "numbers": state.numbers})
         write_json(saved.record, {"step": step, "key": self._key, "sha256": file_sha256(saved.arrays)})
-        for old in self._saved()[NUM_KEPT:]:
+        for old in self._list_saved()[NUM_KEPT:]:
             old.remove()
 
-    def _saved(self) -> list[_Saved]:
+    def _list_saved(self) -> list[_Saved]:
         """What has a record, the newest first."""
         found = [_Saved(record=path) for path in self.folder.glob("step-*.json") if path.stem.removeprefix("step-").isdecimal()]
         return sorted(found, key=lambda saved: saved.step, reverse=True)
 
     def _clean(self) -> None:
         """Remove what a kill left half-written: temporary files, and arrays without a record."""
-        records = {saved.arrays.name for saved in self._saved()}
+        records = {saved.arrays.name for saved in self._list_saved()}
         for path in [*self.folder.glob(".*"), *self.folder.glob("step-*.safetensors")]:
             if path.name not in records and path.is_file():
                 path.unlink(missing_ok=True)

@@ -1,7 +1,6 @@
 """The training loss (1 − λ) L1 + λ (1 − SSIM) (paper Eqn. 4), each pixel weighted. Once per step.
 
-SSIM after Wang et al. 2004: 11×11 Gaussian window with σ = 1.5, C1 = 0.01², C2 = 0.03², zero
-padding as 3DGS has it.
+SSIM as in Wang et al. 2004: Gaussian window 11×11, σ = 1.5, C1 = 0.01², C2 = 0.03², zero padding.
 """
 
 from __future__ import annotations

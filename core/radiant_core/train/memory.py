@@ -71,9 +71,9 @@ def _copies(config: TrainConfig) -> float:
 
 def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:
     """How many of `num_cameras` photographs fit into memory together with the Gaussians `splats_of`
-    so many (rising), of which at least `MIN_SPLATS` count and at most the configuration's limit.
-    The model above on `PROCESS_BYTES`, nothing kept; photographs of 4:3, since a plan is made
-    before there are any. 0 where not even one fits."""
+    so many (rising), at least `MIN_SPLATS`, at most the configuration's limit. The model above on
+    `PROCESS_BYTES`, nothing kept; photographs of 4:3, as a plan precedes them. 0 where none
+    fits."""
     pixels = 0.75 * config.long_side_px**2
     each = bytes_per_splat(config.sh_degree)
 

@@ -112,7 +112,6 @@ class _NativeLoss(torch.autograd.Function):
 
 @contextmanager
 def _as_bad_input() -> Iterator[None]:
-    """Raise BadInput for the native module's ValueError."""
     try:
         yield
     except ValueError as error:

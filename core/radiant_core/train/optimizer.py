@@ -115,8 +115,7 @@ class SelectiveAdam:
     def select_rows(self, tensors: Mapping[str, Tensor], rows: Tensor, fresh: Tensor) -> None:
         """Go on with `tensors`, whose row i keeps moments and step count of the old row rows[i]
         (M,), or zeros where `fresh` (M,) is True. Other names are left alone; gradients are
-        cleared. BadInput where a tensor is missing, is not contiguous, or has other rows; then
-        nothing was changed."""
+        cleared. BadInput, with nothing changed, for a missing tensor, other rows or gaps."""
         for name in self._groups:
             if name not in tensors or len(tensors[name]) != len(rows) or not tensors[name].is_contiguous():
                 raise BadInput(f"{name} is missing, not contiguous or has other than {len(rows)} rows: pass each optimised tensor's rows.")
@@ -138,9 +137,8 @@ class SelectiveAdam:
     @torch.no_grad()
     def step(self, visible: Tensor | None = None) -> None:
         """Move the rows where `visible` (N,) is True, or all rows for None, of tensors with a
-        gradient. Do not mix both forms in one run: they count steps apart. StageFailed naming
-        tensor, count and first index where a gradient to be used is not finite, before anything
-        changes."""
+        gradient. Do not mix both forms in one run: they count steps apart. StageFailed with tensor,
+        count and first index, before any change, where such a gradient is not finite."""
         if visible is not None and (visible.shape != self._row_steps.shape or visible.dtype != torch.bool):
             raise BadInput(f"visible is {tuple(visible.shape)} {visible.dtype}, expected {tuple(self._row_steps.shape)} torch.bool.")
         for name, group in self._groups.items():

@@ -98,10 +98,8 @@ class FitOptions:
 
 def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions = FitOptions()) -> TrainResult:
     """Fit a copy of `initial` to `views`, for the steps or the time that `config` gives.
-
     StageFailed where steps in a row ended in something not finite; BadInput where the initial model
-    or the cameras are not finite, or the options contradict the configuration.
-    """
+    or the cameras are not finite, or the options contradict the configuration."""
     training = Training(initial, views, config, options)
     state = options.checkpoints.load()
     if state is not None:

@@ -17,8 +17,7 @@ from radiant_core.scene import SfmScene
 class TrainingViews:
     """V cameras with images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none, of any sizes.
     A weight is the confidence in a pixel of a synthetic view, or what a mask leaves of it; pixels
-    of weight 0 are not compared. Eight bits: floats take four times the memory. BadInput unless
-    sizes agree."""
+    of weight 0 are not compared. BadInput unless sizes agree."""
 
     cameras: Cameras
     images: tuple[NDArray[np.uint8], ...]

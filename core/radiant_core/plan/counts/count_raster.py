@@ -102,11 +102,9 @@ def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = 
 
 def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) -> CloudPlan:
     """The edges' part: cameras (C,2) m by the region they lie in, times by the devices' curves.
-
     Edges without a camera in the cloud's plan get none. Cameras that an edge's devices cannot hold
     go to an edge with room, those for which the way grows least; then the plan is not certified.
-    BadInput when all edges together cannot hold them.
-    """
+    BadInput when all edges together cannot hold them."""
     positions = check_array("positions", positions, (None, 2))
     if regions.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the regions are of edges {', '.join(regions.edge_ids)}, the system has others: plan this system anew.")

@@ -61,11 +61,9 @@ class FittedCurve:
 
 
 def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -> FittedCurve:
-    """The curve nearest to values (S,) at camera counts (S,), in relative error.
-
-    BadInput without samples, for counts below 1, values that are not positive, and values that fall
-    with the count unless they `may_fall`: a busy machine's give a flat curve and a large error.
-    """
+    """The curve nearest to values (S,) at camera counts (S,), in relative error. BadInput without
+    samples, for counts below 1, values that are not positive, and values that fall with the count
+    unless they `may_fall`: a busy machine's give a flat curve and a large error."""
     counts = check_array("counts", counts, (None,))
     values = check_array("values", values, (len(counts),))
     _require_costs(counts, values)

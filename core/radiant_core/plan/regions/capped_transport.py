@@ -77,8 +77,7 @@ class _Boxes:
         self.unit_m2 = float(np.median(self.widths_m2))
 
     def dual(self, weights: FloatArray, limits: FloatArray) -> tuple[float, FloatArray]:
-        """Σ_p cameras_p · τ_p log Σ_e exp((w_e − d²_pe)/τ_p) − Σ_e u_e w_e, and gradient (E,), per
-        camera."""
+        """(Σ_p c_p τ_p log Σ_e exp((w_e − d²_pe)/τ_p) − u·w) / C, c_p cameras; gradient (E,)."""
         highest, shares = self._shares(weights)
         total = float(self.cameras.sum())
         return float(self.cameras @ highest - limits @ weights) / total, (self.cameras @ shares - limits) / total

@@ -32,11 +32,9 @@ def plan_captured(
     cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], planned_xy: ArrayLike, captured_xy: ArrayLike, *, system: System
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The plan of `planned_xy` (P,2) m for photographs at `captured_xy` (C,2) m of the same frame.
-
     A device none of whose waypoints was captured has no camera and no time. status: optimal or
     converged where the captured counts happen to be, against the bound of C cameras; else stopped.
-    BadInput as `plan_of_owners` and `nearest_planned`, and when nothing was captured.
-    """
+    BadInput as `plan_of_owners` and `nearest_planned`, and when nothing was captured."""
     planned = check_array("planned_xy", planned_xy, (None, 2))
     captured = check_array("captured_xy", captured_xy, (None, 2))
     require_plan_of(len(planned), cloud_plan, edge_plans)

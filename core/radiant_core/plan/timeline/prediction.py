@@ -166,12 +166,9 @@ def correct_system(system: System, planned: Iterable[PlannedStage], measured: Se
 def time_left_s(
     expected_s: Mapping[str, float], parents: Mapping[str, str], running_s: Mapping[str, float], done: Iterable[str], num_workers: int
 ) -> float:
-    """Seconds until all nodes are done on `num_workers` processes of one machine, started in order.
-
+    """Seconds until all nodes are done on `num_workers` ≥ 1 processes of one machine, in order.
     expected_s: node → seconds of its own; parents: device → its edge, which waits for all of them;
-    running_s: node → seconds so far. A node that has run longer than expected is taken to end now.
-    BadInput below one worker.
-    """
+    running_s: node → seconds so far. A node that is late is taken to end now."""
     if num_workers < 1:
         raise BadInput(f"{num_workers} workers cannot do anything: give at least one.")
     finished = set(done)

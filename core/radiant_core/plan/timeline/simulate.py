@@ -23,11 +23,9 @@ from radiant_core.plan.system import System
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fleet:
     """D devices of E edges, devices in order of their edges, every edge with at least one.
-
     edge_of_device (D,); start_s, work_s, model_bytes, uplink_bytes_per_s (D,); aggregate_s,
     edge_uplink_bytes_per_s (E,); fails_s (D,): when a device fails and loses its work, inf for
-    never; it starts anew after repair_s (D,); dropped (D,): lost for good, its edge does not wait.
-    """
+    never; it starts anew after repair_s (D,); dropped (D,): lost for good, not waited for."""
 
     edge_of_device: NDArray[np.int64]
     start_s: FloatArray

@@ -176,7 +176,6 @@ def _median_residual_m(fit: Sim3, centers: FloatArray, positions_m: FloatArray) 
 
 
 def _move(scene: SfmScene, similarity: Sim3, frame: Frame) -> SfmScene:
-    """The scene after a similarity, in another frame."""
     cameras = scene.cameras
     return SfmScene(
         cameras=Cameras(
