@@ -176,7 +176,7 @@ class _Project(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, means2d: Tensor | None, sums: Tensor | None) -> tuple[Tensor | None, ...]:
-        tensors = ctx.saved_tensors  # refused where one has changed since, as ctx.arrays would
+        tensors = ctx.saved_tensors  # raises where one, and so ctx.arrays, was changed since
         wanted = ctx.needs_input_grad[1:]
         gradients = [_native.pooled_array(list(tensor.shape)) if needed else None for tensor, needed in zip(tensors, wanted, strict=True)]
         shape = (len(ctx.rendering.views), len(tensors[0]))

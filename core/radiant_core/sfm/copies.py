@@ -1,4 +1,4 @@
-"""Photographs that show another one's picture from its place, saved anew, renamed or rotated.
+"""Photographs that show another's picture from its place, saved anew or turned. Once per scene.
 
 A copy of a photograph that scores a model would be trained on what is scored, so copies go before
 anything is split. Pictures are read only where two cameras stand in one place and look alike.
@@ -25,7 +25,7 @@ SAME_PLACE = 2e-3
 """Distance of two centres, in distances to what they see, under which they are one place."""
 SAME_DIRECTION_RAD = 2e-3
 SAME_LENS = 1e-2
-"""Relative difference of focal lengths and principal points; a copy may be smaller."""
+"""Difference of focal lengths and principal points, in picture sizes: a copy may be smaller."""
 SAME_PICTURE = 4.0
 """Mean difference, in steps of 8 bits, of two pictures at `THUMBNAIL_PX` that are one."""
 THUMBNAIL_PX = 128

@@ -1,4 +1,4 @@
-"""Photographs whose GPS is far from their place in the finished scene: the fit leaves them out."""
+"""Photographs whose GPS is far from their place in the finished scene. Once per scene."""
 
 from __future__ import annotations
 

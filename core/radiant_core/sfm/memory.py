@@ -13,7 +13,7 @@ undistort with one and 5.9 with each of two. Mapping takes 110 bytes a keypoint 
 observation. How many there will be is not known before; of each of 4,096 features asked for,
 brighton, lewis, caliterra and the town took 530 to 900 bytes, by the global mapper lewis and
 caliterra 1,030 and 1,780 (18 to 75 photographs; beyond that it is extrapolated). A mapper that
-would not fit is not tried. tests/stress/test_sfm_memory.py measures the whole.
+would not fit is not tried. tests/stress/test_sfm_memory.py measures the whole. Once per scene.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ class TrainConfig:
     antialiased: bool = False
     """Whether opacities fade where a Gaussian is smaller than a pixel (Mip-Splatting)."""
     background: Literal["black", "random"] = "black"
-    """Colour behind the Gaussians in training; random: one per step, against imitation by haze."""
+    """Colour behind the Gaussians; random: another at each step, which no haze imitates."""
     fill_in: bool = True
     """Whether places that structure from motion left empty get starting points."""
     skip_images: Literal["none", "auto"] = "none"

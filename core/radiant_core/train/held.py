@@ -1,4 +1,4 @@
-"""Gaussians that are rendered and never change: restored after each step, bit for bit."""
+"""Gaussians that are rendered and never change: restored bit for bit. Once per step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The first Gaussians: sparse points, as wide as neighbours are far, and a sky."""
+"""First Gaussians: sparse points as wide as neighbours are far, and a sky. Once per model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many Gaussians a training may grow to within a limit of memory, before photographs load.
+"""How many Gaussians a training may grow to within a limit of memory. Once per model.
 
     memory(N) = base + (3 + m) Σ_v p_v (1 + s²) + kept + 100 max_v p_v
                 + N (C · 4 (11 + 3 K) + 600)        bytes

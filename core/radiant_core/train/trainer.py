@@ -3,7 +3,7 @@
 Once per model; the loop body once per step: render one view, loss, backward, one Adam step over the
 Gaussians it saw, or over all (`config.adam`). Density control, exposures, validation and held
 Gaussians are parts (`parts.py`). Every schedule follows `Training.progress`. All that changes is in
-`Training.state`, so that a run can be stopped after any step and go on elsewhere.
+`Training.state`, so that a run can be stopped after any step and go on with the same bits.
 """
 
 from __future__ import annotations

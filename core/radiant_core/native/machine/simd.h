@@ -150,7 +150,7 @@ template <int P> RADIANT_INLINE Ints<P> truncated(const Floats<P>& a) { Ints<P> 
 template <int P> RADIANT_INLINE Floats<P> as_float(const Ints<P>& a) { Floats<P> r; RADIANT_EACH(P) r.p[i] = __builtin_convertvector(a.p[i], NativeF); return r; }
 RADIANT_INLINE Part part(const F& a, int i) { return {{a.p[i]}}; }
 
-// To 64 aligned bytes, past the caches: the line is not read first, and the caches stay.
+// To 64 aligned bytes, past the caches: the line is not read first, the caches keep theirs.
 RADIANT_INLINE void stream(float* to, const F& a) {
 #if defined(__AVX512F__)
   _mm512_stream_ps(to, a.p[0]);

@@ -90,7 +90,7 @@ struct Entry {
   uint32_t instance;
 };
 
-// Sums over an instance's or Gaussian's pixels of h = ∂loss/∂ln α, (u, v), ∂loss by the rest.
+// Sums over an instance's or Gaussian's pixels of h = ∂loss/∂ln α, (u, v), ∂loss/∂(colour, depth).
 struct Moments {
   float h, hu, hv, huu, huv, hvv, red, green, blue, depth;
 };

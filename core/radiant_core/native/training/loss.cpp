@@ -1,4 +1,4 @@
-// Rows are dealt to threads with scratch memory; sums are added in the image's order.
+// Rows are dealt to threads; sums are added in the image's order. Once per step.
 #include "training/loss.h"
 
 #include <algorithm>

@@ -5,7 +5,7 @@
 
 A camera goes to the edge whose region it lies in, wherever its cell was reckoned to be; counts miss
 the planned ones by what cells at borders hold, the raster's price (docs/experiments/privacy.md).
-Edges with full devices hand their nearest cameras to a neighbour.
+Edges with full devices hand their nearest cameras to a neighbour. Once per plan.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What slack buys: makespan, distances and border length at a few slacks. On request."""
+"""What slack buys: makespan, distances and border length. Once per plan, on request."""
 
 from __future__ import annotations
 

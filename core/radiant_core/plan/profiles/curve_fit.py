@@ -1,7 +1,7 @@
 """Cost curves from measurements: a + b·c + d·c^p with a, b, d ≥ 0, and the range they hold for.
 
 For each exponent of a grid the non-negative least squares of the relative error (Lawson, Hanson,
-1974); the best exponent wins, or the simpler curve where the power term gains less than 1 %.
+1974); the best exponent wins, or the simpler curve where that gains under 1 %. Once per profile.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What an edge sends to the cloud about its devices: a curve of time, and how many cameras fit."""
+"""What the cloud receives of an edge: its time curve and capacity. Once per edge and profile."""
 
 from __future__ import annotations
 

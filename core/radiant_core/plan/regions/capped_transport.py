@@ -109,7 +109,7 @@ class _Boxes:
 
 
 def _boxes(positions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means (P,2), cameras (P,), radii (P,) m of boxes: equal columns, each cut in equal rows."""
+    """Means (P,2), cameras (P,), radii (P,) m of boxes: columns, cut into rows, of equal counts."""
     per_side = int(np.clip(np.sqrt(len(positions) / _CAMERAS_PER_BOX), 1, _BOXES_PER_SIDE))
     columns = np.empty(len(positions), np.int64)
     columns[np.lexsort((positions[:, 1], positions[:, 0]))] = np.arange(len(positions)) * per_side // len(positions)
@@ -124,7 +124,7 @@ def _boxes(positions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _guess(positions: FloatArray, sites: FloatArray, limits: Indices) -> tuple[Indices, FloatArray]:
-    """Counts (E,) within the limits near the optimum, and weights (E,) ≤ 0 near its own."""
+    """Counts (E,) within the limits near the optimum, and weights (E,) ≤ 0 near theirs."""
     boxes = _Boxes(positions, sites)
     weights = boxes.smooth_weights(limits)
     best, least = weights, np.inf
@@ -194,7 +194,7 @@ class _Flow:
         return taken
 
     def middle_weights(self) -> FloatArray:
-        """Weights (E,) ≤ 0 midway between the extremes that keep cameras in cells; 0 at room."""
+        """Weights (E,) ≤ 0 midway between the extremes that keep cameras in cells; 0 with room."""
         room = self.counts < self.limits
         if not room.any():
             room = np.arange(len(room)) == int(self.weights.argmax())

@@ -4,6 +4,7 @@
 
 The border of i and j is a line across P_i P_j; a weight change Δw moves it by Δw / (2 ‖P_i − P_j‖).
 Cells are convex, disjoint and cover the plane (Aurenhammer, Power diagrams, SIAM J. Comput. 1987).
+`assign` runs once per candidate plan, the polygons once per plan.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ from radiant_core.plan.system import System
 
 _BLOCK_PAIRS = 500_000
 MARGIN = 0.1
-"""Width of land beyond the outermost cameras that is in a region, by their box's longer side."""
+"""Land of regions beyond the outermost cameras, as a share of their box's longer side."""
 CERTIFICATE_TOLERANCE = 1e-12
 """Share of the largest squared distance a camera may miss its cell by: below a µm per km."""
 

@@ -6,8 +6,7 @@ The dual of this transport problem is the power diagram's weights (Aurenhammer, 
 Algorithmica 1998). The native module solves it on ever finer boxes of cameras: damped Newton on the
 smoothed dual (Kitagawa, Mérigot, Thibert, JEMS 2019) over a tree of cameras, a ridge where cells
 share no camera, the last cameras by cheapest chains (Ahuja, Magnanti, Orlin, Network Flows, 1993,
-ch. 9), which end in the exact optimum whatever Newton left. The certificate over all cameras
-follows. Runs once per plan.
+ch. 9), which end in the exact optimum. The certificate over all cameras follows. Once per plan.
 """
 
 from __future__ import annotations

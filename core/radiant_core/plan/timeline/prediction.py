@@ -168,7 +168,7 @@ def time_left_s(
 ) -> float:
     """Seconds until all nodes are done on `num_workers` ≥ 1 processes of one machine, in order.
     expected_s: node → seconds of its own; parents: device → its edge, which waits for all of them;
-    running_s: node → seconds so far. A node that is late is taken to end now."""
+    running_s: node → seconds so far. A node that takes longer is taken to end now."""
     if num_workers < 1:
         raise BadInput(f"{num_workers} workers cannot do anything: give at least one.")
     finished = set(done)

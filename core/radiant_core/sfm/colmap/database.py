@@ -1,6 +1,6 @@
-"""Features and matches in a COLMAP database, in chunks for progress; the slowest part of all.
+"""Features and matches in a COLMAP database, in chunks for progress. Once per scene.
 
-What an interrupted attempt left in a database is not done again (`kept_database.py`).
+The slowest part of all. What an attempt has left is not done again (`kept_database.py`).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 
 COLMAP writes features and matches in transactions: a process that is killed leaves whole ones. It
 does not wait for the disk: nothing is kept once the machine went down. What cannot be read is not
-kept either, nor what COLMAP fails on, unless on a full disk. Mapping is done anew.
+kept either, nor what COLMAP fails on, but for a full disk. Mapping is done anew. Once per attempt.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which photographs are matched: GPS neighbours where there is GPS, else all pairs."""
+"""Which photographs are matched: GPS neighbours, or all pairs without GPS. Once per scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A model that COLMAP can read back: its text reader cuts an image's name at the first space."""
+"""A model that COLMAP reads back: its text reader cuts names at spaces. Once per scene."""
 
 from __future__ import annotations
 

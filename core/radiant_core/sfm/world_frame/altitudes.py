@@ -1,4 +1,4 @@
-"""Heights for GPS positions without altitude, as geotagging from a track and phones write.
+"""Heights for GPS positions without altitude, as from tracks and phones. Once per scene.
 
 Where at least three photographs and half of those with a position have an altitude, the others get
 the height that the fit to those puts them at. Otherwise altitudes are left aside: up comes from the

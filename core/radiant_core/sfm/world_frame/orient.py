@@ -1,4 +1,4 @@
-"""The world frame that follows from up (`up.py`): metric by positions, or unscaled."""
+"""The world frame that follows from up: metric by positions, or unscaled. Once per scene."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Placement:
         return self.distance is not None or self.height_m is not None
 
     def check_names(self, names: Iterable[str], *, of_model: bool) -> None:
-        """BadInput for a photograph not among `names`, or a direction in photographs' own frame."""
+        """BadInput for a photograph not among `names`, or a direction where there is no frame."""
         known = set(names)
         if self.distance is not None:
             self._pair(known)
