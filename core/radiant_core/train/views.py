@@ -1,4 +1,4 @@
-"""`TrainingViews`: what a model is fitted to, photographs on a device or synthetic views at an edge. V views."""
+"""`TrainingViews`: photographs on a device or synthetic views at an edge. V views."""
 
 from __future__ import annotations
 
@@ -15,13 +15,9 @@ from radiant_core.scene import SfmScene
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingViews:
-    """V cameras with their images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none; sizes
-    may differ.
-
-    A weight is the confidence in a pixel of a synthetic view, or what a mask leaves of a pixel;
-    pixels of weight 0 are not compared. Eight bits, as in a photograph: a float copy would take
-    four times the memory. Raises BadInput when sizes disagree.
-    """
+    """V cameras with images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none, of any sizes.
+    A weight is the confidence in a pixel of a synthetic view, or what a mask leaves of it; pixels
+    of weight 0 are not compared. BadInput unless sizes agree."""
 
     cameras: Cameras
     images: tuple[NDArray[np.uint8], ...]
@@ -40,7 +36,7 @@ class TrainingViews:
         return len(self.cameras)
 
     def observed_pixels(self, scene: SfmScene) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """`SfmScene.observed_pixels` of the scene that these are the views of, without pixels that count for less than half."""
+        """`SfmScene.observed_pixels` of these views' scene, without pixels of weight below half."""
         rows, pixels = scene.observed_pixels(self.cameras)
         if self.weights is None:
             return rows, pixels
@@ -55,7 +51,7 @@ class TrainingViews:
         )
 
     def scaled(self, scale: float) -> TrainingViews:
-        """The views at that share (0 to 1) of their size, each new pixel the mean of what it covers."""
+        """The views at that share (0 to 1) of their size, pixels averaged."""
         longest = max(image.shape[0] if image.shape[0] > image.shape[1] else image.shape[1] for image in self.images)
         cameras = self.cameras.scaled(max(1, round(scale * longest)))
         sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
@@ -71,9 +67,9 @@ def concatenate_views(parts: list[TrainingViews]) -> TrainingViews:
     """All views of `parts` in order; either all of them have weights or none."""
     from radiant_core.cameras import concatenate_cameras
 
-    weights = [part.weights for part in parts]
+    weights = [part.weights for part in parts if part.weights is not None]
     return TrainingViews(
         cameras=concatenate_cameras([part.cameras for part in parts]),
         images=tuple(image for part in parts for image in part.images),
-        weights=tuple(w for part in weights for w in part) if all(part is not None for part in weights) else None,  # type: ignore[union-attr]
+        weights=tuple(w for part in weights for w in part) if len(weights) == len(parts) else None,
     )
