@@ -35,7 +35,7 @@ from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews, concatenate_views
 
 RATES_END = 0.3
-"""Share of the rates that is left at the end of a retraining by `default`; the centres' fall as in training."""
+"""Share of the rates left at the end of a retraining by `default`; centres' fall as in training."""
 RATES = ("means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
 """Of a configuration, the rates that `paper` takes from 3DGS."""
 TOUCHED_SHARE = 0.02
@@ -60,9 +60,9 @@ class Joined:
     contested_share: float = 1.0
     """Of all Gaussians, those in places that a second model knows too."""
     agreement_db: float | None = None
-    """PSNR between the models' own pictures and those of all models cut at their borders, in the worst view; None where nobody looked."""
+    """PSNR of the models' pictures and the cut ones', in the worst view; None: not compared."""
     balance: Balance | None = None
-    """How exposures of the models differ; None where nobody looked."""
+    """How exposures of the models differ; None: not compared."""
 
     @property
     def splats(self) -> Splats:
@@ -84,11 +84,11 @@ def retrain_on_synthetic_views(
     if len(teachers) == 1 and not (aggregate.retrain_single or teachers[0].pooled):
         return Joined(trained=untrained(teachers[0].splats), num_given=len(teachers[0].splats))
     if aggregate.preset == "paper":
-        return _as_in_the_paper(teachers, train, aggregate, options)
+        return _retrain_as_in_the_paper(teachers, train, aggregate, options)
     return _join(teachers, train, aggregate, options, claims)
 
 
-def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
+def _retrain_as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
     views = teacher_views(teachers, train.long_side_px)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
@@ -98,11 +98,11 @@ def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate:
 
 
 def cut_at_borders(teachers: Sequence[Teacher], claims: Claims | None = None) -> Joined:
-    """The teachers' models without what lies in places that another one owns; nothing is rendered or retrained."""
-    return _cut(teachers, _owned(teachers, claims))
+    """The teachers' models, each without what another owns; nothing is rendered or retrained."""
+    return _cut(teachers, _find_owners(teachers, claims))
 
 
-def _owned(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
+def _find_owners(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
     cameras = [teacher.cameras for teacher in teachers]
     return [ownership(teacher.splats.means, cameras, claims) for teacher in teachers]
 
@@ -124,7 +124,7 @@ def _join(
 ) -> Joined:
     balance = exposure_balance(teachers, options.backend)
     teachers = balance_teachers(teachers, balance)
-    owned = _owned(teachers, claims)
+    owned = _find_owners(teachers, claims)
     plainly_cut = _cut(teachers, owned)
     models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
@@ -136,22 +136,62 @@ def _join(
     plainly_cut = replace(plainly_cut, num_shown=num_shown, contested_share=contested_share, balance=balance)
     if not num_shown:
         return plainly_cut
-    views = teacher_views([_at(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()], train.long_side_px)
+    views = teacher_views(
+        [_select_cameras(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()], train.long_side_px
+    )
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
     plainly_cut = replace(plainly_cut, agreement_db=_agreement_db(plainly_cut.splats, views, options.backend))
     if aggregate.agreement_db is not None and (plainly_cut.agreement_db or 0.0) >= aggregate.agreement_db:
         return plainly_cut
-    # What no shown view can show is not held while the rest is fitted.
-    before = reached_by(merged, views.cameras)
-    config = retraining_config(train, aggregate, merged, len(views))
-    trained = fit_splats(merged.select(before), views, config, replace(options, steps=Steps(end=RATES_END)))
-    whole = concatenate_splats([without_dead(trained.splats)[0], merged.select(~before & owns)])
-    return replace(plainly_cut, trained=replace(trained, splats=whole))
+    made = retrain(merged, views, train, aggregate, options)
+    whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
+    return replace(plainly_cut, trained=replace(made.trained, splats=whole))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Retrained:
+    """The Gaussians of a retraining that any view can show, and which those are."""
+
+    trained: TrainResult
+    """Without the held ones and those that became invisible."""
+    reached: NDArray[np.bool_]
+    """(N,) Of the Gaussians given, those that were fitted; the others keep their bits."""
+
+    @property
+    def splats(self) -> Splats:
+        """The fitted Gaussians."""
+        return self.trained.splats
+
+
+def retrain(
+    moving: Splats,
+    views: TrainingViews,
+    train: TrainConfig,
+    aggregate: AggregateConfig,
+    options: FitOptions,
+    held: Splats | None = None,
+) -> Retrained:
+    """Fit the Gaussians `moving` (N) to `views`, in the presence of those `held`, which are
+    rendered and keep their bits.
+
+    What no view can show takes no memory and no part, of either.
+    """
+    reached = reached_by(moving, views.cameras)
+    start = moving.select(reached)
+    steady = None
+    if held is not None:
+        shown = held.select(reached_by(held, views.cameras))
+        start = concatenate_splats([shown, start])
+        steady = np.arange(len(start)) < len(shown)
+    config = retraining_config(train, aggregate, start, len(views))
+    result = fit_splats(start, views, config, replace(options, held=steady, steps=Steps(end=RATES_END)))
+    fitted = result.splats if steady is None else result.splats.select(~steady)
+    return Retrained(trained=replace(result, splats=without_dead(fitted)[0]), reached=reached)
 
 
 def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig) -> tuple[list[Splats], list[Ownership]]:
-    """Models and owners without the Gaussians in another one's place that `faded` would leave fainter than `aggregate.faint_opacity`."""
+    """Models and owners without what `faded` would make fainter than `aggregate.faint_opacity`."""
     kept = [
         (places.owner == index) | (aggregate.foreign_opacity * model.opacities >= aggregate.faint_opacity)
         for index, (model, places) in enumerate(zip(models, owned, strict=True))
@@ -171,7 +211,7 @@ def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -
 
 
 def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) may show in an image: whose sphere of three standard deviations reaches into the pyramid of a camera."""
+    """Which Gaussians (N,) may show in an image: 3 standard deviations reach a camera's pyramid."""
     radii = 3 * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
     means = splats.means.T.astype(np.float64)
     reached = np.zeros(len(splats), bool)
@@ -186,11 +226,11 @@ def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
 
 
 def teacher_views(teachers: Sequence[Teacher], long_side_px: int) -> TrainingViews:
-    """Every teacher's synthetic views at its cameras, reduced to `long_side_px`; those that are rendered are taken as they are."""
+    """Every teacher's views at its cameras, reduced to `long_side_px`; rendered ones are reused."""
     return concatenate_views([synthetic_views(t.splats, t.cameras.scaled(long_side_px), rendered=t.rendered) for t in teachers])
 
 
-def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
+def _select_cameras(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
     """The teacher at some of its cameras."""
     rows = np.flatnonzero(chosen).tolist()
     rendered = {place: teacher.rendered[row] for place, row in enumerate(rows) if row in teacher.rendered}
@@ -198,7 +238,7 @@ def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
 
 
 def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which cameras (C,) have enough of the contested Gaussians before them, by every so-manieth Gaussian."""
+    """Which cameras (C,) see enough contested Gaussians, judged by an even sample of all."""
     touched = np.zeros(len(cameras), bool)
     some = np.unique(np.linspace(0, len(means) - 1, NUM_ASKED).astype(np.int64))
     means, contested = means[some], contested[some]
@@ -209,7 +249,7 @@ def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: ND
 
 
 def _agreement_db(joined: Splats, views: TrainingViews, backend: Backend) -> float:
-    """PSNR of what the models show and what the joined one does, in the worst of some views: one seam is enough to be seen."""
+    """PSNR of the models' pictures and the joined one's, in the worst view: one seam is enough."""
     some = np.unique(np.linspace(0, len(views) - 1, NUM_COMPARED).astype(np.int64))
     compared = zip(render_views(joined, views.cameras.select(some), backend), some, strict=True)
     return min(psnr_db(view.image, views.images[index] / 255) for view, index in compared)
