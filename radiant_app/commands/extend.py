@@ -73,8 +73,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
         Figures of the extended scene, for the command line.
 
     Raises:
-        BadInput: the two runs have no frame in common, the new one is of an earlier version, or its
-            model cannot be used.
+        BadInput: the two runs have no frame in common, or the new one is of an earlier version.
     """
     from radiant_core.hierarchy.cloud import join_cloud
     from radiant_core.render.rasterize import resolve_backend
@@ -104,8 +103,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     models = {STANDING: EdgeModel(splats=old), NEW: EdgeModel(splats=new, cameras=cameras)}
     with stage_bar(display, STAGE):
         scene = join_cloud(task, models, EventReporter(stage=STAGE, emit=display))
-    if scene.splats is None:
-        raise BadInput(f"the model of {request.new} cannot be used: {' '.join(scene.refused.values())}")
+    assert scene.splats is not None
     save_ply(request.out, scene.splats)
     return {
         "gaussians": len(scene.splats),

@@ -4,7 +4,7 @@ admit ─→ retrain     all models together, on what each shows at its edge's v
       ├→ cut         at the borders of the regions, where memory, time or a count of cameras forbid
       │              that; a warning says so
       └→ crop-merge  where the settings ask for it, or the paper's preset meets its limits
-extend               where one edge's model joins a standing scene, which is not admitted but given
+extend               where the task names a region of the second edge, which joins the first
 """
 
 from __future__ import annotations
@@ -78,21 +78,18 @@ def _extend(
 ) -> SceneModel:
     """The first edge's scene with the second one's model in its region.
 
-    Only the new model has to be admitted: the scene stands, nothing moves, refuses or balances it.
+    Neither is admitted: both are finished scenes, whose parts were admitted when they were joined,
+    and the first keeps its place, its colours and what contradicts the second.
     """
-    standing, new = task.edges
-    scene = models[standing]
-    if isinstance(scene, str) or scene.splats is None:
-        return SceneModel(splats=None, refused={standing: scene if isinstance(scene, str) else "it has no Gaussians."})
-    arrivals = admit({new: models[new]}, task.num_dealt[1:], reporter)
-    found = {"corrections": arrivals.corrections, "refused": arrivals.refused}
-    if not arrivals.models:
-        return SceneModel(splats=None, **found)
-    (addition,) = cloud_teachers(models, arrivals, task.train.long_side_px, reporter)
+    standing, new = (models[name] for name in task.edges)
+    if isinstance(standing, str) or isinstance(new, str):
+        return SceneModel(splats=None, refused={name: model for name, model in models.items() if isinstance(model, str)})
+    assert standing.splats is not None and new.splats is not None
     region = NewRegion(polygon=np.array(extension.polygon), margin_m=extension.margin_m)
+    addition = Teacher(splats=new.splats, cameras=new.cameras)
     options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
-    extended = extend_scene(scene.splats, addition, region, task.train, task.aggregate, options)
-    return SceneModel(splats=extended.splats, summary=extended.counts(), **found)
+    extended = extend_scene(standing.splats, addition, region, task.train, task.aggregate, options)
+    return SceneModel(splats=extended.splats, summary=extended.counts())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,8 @@ from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.extend import NewRegion, extend_scene
 from radiant_core.aggregate.pooling import render_pictures
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.hierarchy.cloud import MACHINE_SHARE, join_cloud
 from radiant_core.errors import BadInput
+from radiant_core.hierarchy.cloud import MACHINE_SHARE, join_cloud
 from radiant_core.hierarchy.messages import EdgeModel, Extension, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.plan.system import Cloud
@@ -160,8 +160,8 @@ def extended(models: dict[str, EdgeModel | str]) -> SceneModel:
     return join_cloud(cloud_task("a", "b", extends=EXTENSION, **NO_CELLS), models, Recorder(stage="extend"))
 
 
-def test_an_extension_is_a_join_that_admits_the_new_model_and_leaves_the_standing_scene_alone() -> None:
-    # No edge could send it: its colours are out of bounds, and it contradicts the new model.
+def test_an_extension_is_a_join_that_admits_and_balances_nothing() -> None:
+    # As edges' models the two would be refused: colours out of bounds, which contradict the other.
     standing = replace(part(0), sh0=np.full_like(part(0).sh0, 60.0))
     scene = extended({"a": EdgeModel(splats=standing), "b": PAIR["b"]})
     assert scene.splats is not None and scene.summary["num_kept"] > 50 and scene.summary["num_shown"] > 0
@@ -176,11 +176,9 @@ def test_an_extension_is_a_join_that_admits_the_new_model_and_leaves_the_standin
     assert scene.summary == alone.counts()
 
 
-def test_a_new_model_that_cannot_be_used_is_refused_with_its_reason() -> None:
-    wrong = replace(part(1), sh0=np.full_like(part(1).sh0, 60.0))
-    scene = extended({"a": EdgeModel(splats=part(0)), "b": EdgeModel(splats=wrong, cameras=CAMERAS[1])})
-    assert scene.splats is None and "sh0" in scene.refused["b"]
-    assert extended({"a": "no such file.", "b": PAIR["b"]}).refused == {"a": "no such file."}
+def test_an_extension_by_a_model_that_the_transport_refuses_is_none() -> None:
+    scene = extended({"a": PAIR["a"], "b": "it is not signed."})
+    assert scene.splats is None and scene.refused == {"b": "it is not signed."}
 
 
 def test_an_extension_is_of_two_edges_and_has_no_cells() -> None:
