@@ -156,7 +156,7 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
 
 
 def require_size(scene: SfmScene, long_side_px: int, lpips: LpipsNetwork | None = None) -> None:
-    """Raise BadInput where a photograph would become too small to be scored, with LPIPS if named."""
+    """Raise BadInput where a photograph would be too small to be scored, with LPIPS if named."""
     width, height = min(scene.cameras.scaled(long_side_px).sizes_wh.tolist(), key=min)
     least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (MIN_SIDE_PX[lpips] if lpips else 0, "LPIPS"))
     if min(width, height) < least_px:

@@ -1,5 +1,4 @@
-"""Scores a finished scene where its held-out photographs are, and combines the figures. Once per
-run.
+"""Scores a finished scene where its held-out photographs are. Once per run.
 
 Each machine scores the photographs that it has, in score/ of its folder: a device those it held
 out, or the owner of pooled photographs all of them. Figures travel, photographs do not.
@@ -87,7 +86,8 @@ class Scoring:
         inbox = folder / "inbox"
         shutil.rmtree(inbox, ignore_errors=True)
         deal_files(run / "cloud", ["scene.ply"], inbox)
-        _deal_borders(run, inbox)
+        # The regions alone: a device receives no cameras, strips or devices of others.
+        save_plan(inbox / "plan.json", replace(load_plan(run / "plan.json")[0], edge_of_camera=np.zeros(0, np.int64)), ())
         if lpips:
             deal_files(run / "evaluation", [LPIPS_NAME], inbox)
         task = ScoreTask(
@@ -106,18 +106,9 @@ class Scoring:
         return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task_key(task), inbox, *machine.inputs))
 
 
-def _deal_borders(run: Path, inbox: Path) -> None:
-    """Write the regions alone: a device receives no cameras, strips or devices of others."""
-    cloud, _ = load_plan(run / "plan.json")
-    save_plan(inbox / "plan.json", replace(cloud, edge_of_camera=np.zeros(0, np.int64)), ())
-
-
 def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
-    """Combine the figures that machines wrote, by machine, into those of the scene for metrics.json.
-
-    Raises:
-        StageFailed: no machine has a held-out photograph.
-    """
+    """Combine the files of scores, by machine, into the figures of metrics.json; StageFailed where
+    no machine has a held-out photograph."""
     found = {name: read_json(path, ("images", "leakage", "seam_sums")) for name, path in scores.items()}
     images = [row for each in found.values() for row in each["images"]]
     if not images:

@@ -44,7 +44,7 @@ CUT_NAME = "cut_for_memory"
 """Empty file in the cloud's folder: models were cut because its machine had too little memory."""
 
 Work = Callable[[Path, Any, EventReporter], Sequence[str]]
-"""The work of a kind of node in its folder with its task; returns the relative names of its files."""
+"""The work of a kind of node in its folder with its task; returns the names of its files."""
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit, work: Work | None = None) -> Sequence[str]:
