@@ -128,7 +128,7 @@ class PooledPhotographs:
         deal_files(self.images, held_out.names, folder / "photos")
         write_json(folder / OWN_NAME, {"images": str(folder / "photos")})
         given = [folder / "photos", *deal_masks(config.out, held_out.names, folder), folder / HELD_OUT_NAME, folder / INITIAL_NAME]
-        machine = ScoringMachine(id="evaluation", stage="evaluation", inputs=tuple(given))
+        machine = ScoringMachine(stage="evaluation", inputs=tuple(given))
         scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine])
         # Where the owner is, whatever runs the tree.
         write_json(folder / "result.json", scoring.run(LocalExecutor(num_workers=1, clock=progress.clock), progress))

@@ -71,9 +71,9 @@ class HeldOutViews:
 
 
 def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
-    """Score the scene in inbox/ on the held-out photographs of this machine, whose folder is above;
-    writes scores.json and three pictures per photograph."""
-    own, inbox = folder.parent, folder / "inbox"
+    """Score the scene in inbox/ on the held-out photographs of this machine; writes scores.json and
+    three pictures per photograph."""
+    own, inbox = folder.parent if task.owned else folder, folder / "inbox"
     images = Path(read_json(own / OWN_NAME, ("images",))["images"])
     cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
     sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]

@@ -13,8 +13,8 @@ Each reads task.json, and beside it, below its folder:
              → as device, virtual_{cameras,views}.safetensors
     cloud    inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors
              → scene.ply, summary.json
-    score    inbox/{scene.ply,plan.json}; in the folder above, that of its machine, the held-out
-             photographs, their cameras and masks, initial.safetensors
+    score    inbox/{scene.ply,plan.json}, {held_out,initial}.safetensors, own.json, photos/, masks/,
+             of a device all but the inbox in the folder above
              → scores.json, renders/, photographs/, differences/
 
 `field_nodes.py` has those of devices that place their own photographs.

@@ -163,8 +163,8 @@ class ScoreTask:
     backend: Renderer
     lpips: LpipsNetwork | None
     owned: bool
-    """Whether they are a device's own: figures then come under numbers and with the leakage of its
-    synthetic views."""
+    """Whether they are a device's own, whose folder is that above: figures then come under numbers
+    and with the leakage of its synthetic views."""
 
 
 @dataclass(frozen=True, kw_only=True)
