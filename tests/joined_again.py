@@ -42,7 +42,7 @@ def joined_again(run: Path, folder: Path, **limits: float) -> JoinedAgain:
 
 def held_out_db(run: Path, splats: Splats) -> float:
     """Mean PSNR over the photographs that the run left out, at the size of its trainings."""
-    cameras = load_cameras(run / "evaluation" / "cameras.safetensors")
+    cameras = load_cameras(run / "evaluation" / "held_out.safetensors")
     cameras = cameras.scaled(read_json(run / "cloud" / "task.json")["train"]["long_side_px"])
     images = load_images(run / "evaluation" / "photos", cameras)
     return float(np.mean([psnr_db(view.image, image / 255) for view, image in zip(render_views(splats, cameras), images, strict=True)]))

@@ -115,8 +115,8 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
             f"{folder} holds no photographs to score on: name a run, a folder of 'radiant sfm' or a COLMAP project after the model."
         )
     scored = folder / "evaluation"
-    if (scored / "cameras.safetensors").is_file():
-        cameras = load_cameras(scored / "cameras.safetensors")
+    if (scored / "held_out.safetensors").is_file():
+        cameras = load_cameras(scored / "held_out.safetensors")
         cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
         return _HeldOut(
             cameras=cameras, photographs=scored / "photos", masks=scored / MASKS, untrained=load_splats(scored / "initial.safetensors")

@@ -1,4 +1,7 @@
-"""`radiant extend`: a finished scene and the run of a new region become one scene; beyond a margin the old one keeps its bits."""
+"""`radiant extend`: join the run of a new region to a finished scene, as edges are joined.
+
+Beyond a margin about the region the scene keeps its bits.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,14 @@ from radiant_app.commands.steps import require_file_to_be, require_run, stage_ba
 from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.inbox import load_corrections
+from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import DELIVERED, has_scene, load_scene_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
 from radiant_core.hierarchy.joining import moved_cameras
-from radiant_core.hierarchy.messages import CloudTask
+from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
 from radiant_core.io.messages import load_task
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan_waypoints
@@ -28,8 +32,19 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.power_diagram import polygon_area_m2
 from radiant_core.splats import Splats
 
+STAGE, STANDING, NEW = "extend", "standing", "new"
 MARGIN = 0.05
-"""Half width of the strip that is fitted, as a share of the side of a square as large as the region."""
+"""Half width of the fitted strip, as a share of the side of a square as large as the region."""
+
+FIGURES = {
+    "unchanged": "num_kept",
+    "replaced": "num_replaced",
+    "filled": "num_filled",
+    "new": "num_added",
+    "fitted": "num_fitted",
+    "views": "num_shown",
+}
+"""What the command prints → the figure of the join."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,14 +75,13 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     Raises:
         BadInput: the two runs have no frame in common, or the new one is of an earlier version.
     """
-    from radiant_core.aggregate.extend import NewRegion, extend_scene
-    from radiant_core.aggregate.synthetic_views import Teacher
-    from radiant_core.train.trainer import FitOptions
+    from radiant_core.hierarchy.cloud import join_cloud
+    from radiant_core.render.rasterize import resolve_backend
 
     require_file_to_be(request.out)
     require_run(request.new, "scene.ply")
     require_current(request.new)
-    task = load_task(CloudTask, request.new / "cloud")
+    given = load_task(CloudTask, request.new / "cloud")
     old = load_ply(request.old if request.old.is_file() else _scene_of(request.old))
     move, origin, frames = _common_frame(request)
     new, cameras = _move_scene(load_ply(request.new / "scene.ply"), _virtual_cameras(request.new), move)
@@ -75,21 +89,26 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput("a region in latitude and longitude needs scenes with GPS: leave --region out.")
     polygon = _hull(cameras.centers[:, :2]) if request.region is None or origin is None else load_region(request.region, origin)
     side_m = float(np.sqrt(abs(polygon_area_m2(polygon))))
-    region = NewRegion(polygon=polygon, margin_m=MARGIN * side_m if request.margin_m is None else request.margin_m)
-    aggregate = AggregateConfig() if request.num_epochs is None else AggregateConfig(num_epochs=request.num_epochs)
-    with stage_bar(display, "extend") as report:
-        options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
-        made = extend_scene(old, Teacher(splats=new, cameras=cameras), region, task.train, aggregate, options)
-    save_ply(request.out, made.splats)
+    margin_m = MARGIN * side_m if request.margin_m is None else request.margin_m
+    task = CloudTask(
+        edges=(STANDING, NEW),
+        num_dealt=(0, sum(given.num_dealt)),
+        sites=(),
+        weights=(),
+        train=given.train,
+        aggregate=AggregateConfig() if request.num_epochs is None else AggregateConfig(num_epochs=request.num_epochs),
+        backend=resolve_backend("auto"),
+        extends=Extension(polygon=tuple((float(x), float(y)) for x, y in polygon), margin_m=margin_m),
+    )
+    models = {STANDING: EdgeModel(splats=old), NEW: EdgeModel(splats=new, cameras=cameras)}
+    with stage_bar(display, STAGE):
+        scene = join_cloud(task, models, EventReporter(stage=STAGE, emit=display))
+    assert scene.splats is not None
+    save_ply(request.out, scene.splats)
     return {
-        "gaussians": len(made.splats),
-        "unchanged": made.num_kept,
-        "replaced": made.num_replaced,
-        "filled": made.num_filled,
-        "new": made.num_added,
-        "fitted": made.num_fitted,
-        "views": made.num_shown,
-        "margin_m": round(region.margin_m, 3),
+        "gaussians": len(scene.splats),
+        **{name: scene.summary[count] for name, count in FIGURES.items()},
+        "margin_m": round(margin_m, 3),
         "frames": frames,
         "model": str(request.out),
     }
@@ -101,7 +120,8 @@ def _scene_of(run: Path) -> Path:
 
 
 def _common_frame(request: ExtendRequest) -> tuple[Sim3 | None, FloatArray | None, str]:
-    """How the new run moves into the old one's frame (None: not at all), that frame's origin where it is known, and a sentence."""
+    """How the new run moves into the old one's frame (None: not at all), that frame's origin where
+    it is known, and a sentence."""
     new = _origin(request.new)
     if request.old.is_file():
         return None, new, "a PLY names no frame: taken to be that of the new run"

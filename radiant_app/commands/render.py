@@ -130,8 +130,8 @@ def _cameras(request: RenderRequest) -> Cameras:
         return load_cameras(request.cameras)
     if folder_kind(request.model) == "training":
         return held_out_of_training(load_run_view(request.model))
-    require_run(request.model, "evaluation/cameras.safetensors")
-    return load_cameras(request.model / "evaluation" / "cameras.safetensors")
+    require_run(request.model, "evaluation/held_out.safetensors")
+    return load_cameras(request.model / "evaluation" / "held_out.safetensors")
 
 
 def held_out_of_training(run: RunView) -> Cameras:

@@ -22,18 +22,21 @@ from radiant_app.executors.protocol import Executor
 from radiant_app.run.captured import Captured, device_folders, locate_photographs, photo_folder
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.dealing import Dealer, count_received
+from radiant_app.run.delivered import save_delivered
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.progress import Progress
-from radiant_app.run.scoring import score_on_devices
+from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.run.source import Plan
 from radiant_app.run.stages import load_plan_before_capture, load_plan_in_frame, plan_stage, warn_about_predictions
 from radiant_app.run.uncaptured import deal_uncaptured
-from radiant_app.workers.tasks import FieldTask, PlacingTask, SfmSettings
+from radiant_app.workers.tasks import HELD_OUT_NAME, FieldTask, PlacingTask, SfmSettings
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.records import save_plan
+from radiant_core.io.run_store import write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.count_raster import middles_of_cells
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -46,13 +49,13 @@ from radiant_core.train.config import TrainConfig
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceShare:
-    """Which photographs are a device's own: file names in `source`, those to train on and those held out."""
+    """Which photographs are a device's own: file names in `source`, to train on and held out."""
 
     source: Path
     names: tuple[str, ...]
     held_out: tuple[str, ...]
     copy: bool
-    """Whether the device copies them into its folder; False where they already lie in a folder of its own."""
+    """Whether the device copies them into its folder; False where it has a folder of its own."""
 
 
 @dataclass(kw_only=True)
@@ -62,7 +65,7 @@ class DevicePhotographs:
     config: RunConfig
     captured: Captured
     folders: dict[str, Path] | None
-    """Folder of each device that has one of its own; None where one folder holds all photographs."""
+    """Folder of each device that has its own; None where one folder holds all photographs."""
     poses: GivenPoses | None
     shares: dict[str, DeviceShare] = field(default_factory=dict)
     kind: str = "field"
@@ -188,7 +191,7 @@ class DevicePhotographs:
         return shares
 
     def _dealt_shares(self, edge_plans: Sequence[EdgePlan]) -> dict[str, DeviceShare]:
-        """Training photographs as planned; a held-out one goes to the device of the training photograph nearest to it."""
+        """Training photographs as planned; a held-out one goes where the nearest of those does."""
         captured, chosen = self.captured, self.captured.planned
         owner_of = {int(index): device for plan in edge_plans for device in plan.device_ids for index in plan.cameras_of(device)}
         held_out = np.flatnonzero(captured.placed & captured.held_out)
@@ -204,10 +207,25 @@ class DevicePhotographs:
         return shares
 
     def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
-        """Score the scene on every device whose model is in it, on its held-out photographs, into evaluation/result.json."""
+        """Score the scene on every device whose model is in it, each on what it held out."""
+        run, recipe = self.config.out, dealer.recipe
+        machines = [
+            ScoringMachine(
+                stage=f"devices/{device}/score",
+                inputs=tuple(run / "devices" / device / name for name in (HELD_OUT_NAME, MODEL_NAME)),
+                moves=tuple(moves),
+                edge=f"edges/{recipe.plan_of(device).edge_id}",
+            )
+            for device, moves in sorted(dealer.load_moves().items())
+        ]
+        scoring = Scoring(config=self.config, recipe=recipe, machines=machines)
+        result = scoring.run(executor, progress)
         num_held_out = sum(len(share.held_out) for share in self.shares.values())
-        access_log = score_on_devices(self.config, dealer, executor, progress, self.captured.origin, num_held_out)
-        progress.manifest.access_log = [*self._planning_access_log(), *dealer.access_log, *access_log]
+        facts = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": self.folders is None}
+        (run / "evaluation").mkdir(exist_ok=True)
+        write_json(run / "evaluation" / "result.json", {**result, **facts})
+        save_delivered(run, dealer, self.captured.origin)
+        progress.manifest.access_log = [*self._planning_access_log(), *dealer.access_log, *scoring.access_log]
 
     def _planning_access_log(self) -> list[dict[str, Any]]:
         """The access log of planning, by the owner and at the cloud."""

@@ -7,7 +7,6 @@ Once per run.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,17 +15,16 @@ import numpy as np
 
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Warned
-from radiant_app.executors.local import run_task
+from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files, deal_masks
 from radiant_app.run.progress import Progress
+from radiant_app.run.scoring import Scoring, ScoringMachine, lpips_network_of
 from radiant_app.run.source import Plan
 from radiant_app.run.source_key import source_key
 from radiant_app.run.stages import plan_stage
-from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS
 from radiant_app.workers.sources import sfm_task
-from radiant_app.workers.tasks import EvaluateTask
-from radiant_core import __version__
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME
 from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput, StageFailed
@@ -35,9 +33,9 @@ from radiant_core.evaluate.lpips import MIN_SIDE_PX
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy.messages import DeviceTask, device_task
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import save_task, task_key
+from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_scene, save_cameras, save_splats
-from radiant_core.io.run_store import content_key, read_json
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
@@ -83,7 +81,7 @@ class PooledPhotographs:
 
     def check(self, train: TrainConfig) -> None:
         """Raise BadInput where photographs cannot be scored at the size of the training."""
-        require_size(self.scene, train.long_side_px, _lpips_network(self.config))
+        require_size(self.scene, train.long_side_px, lpips_network_of(self.config))
 
     def use_recipe(self, recipe: Recipe) -> None:
         """Deal by the plan of this recipe from now on."""
@@ -117,38 +115,30 @@ class PooledPhotographs:
         return node.tier != "cloud" and isinstance(error, StageFailed)
 
     def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
-        """Score the finished scene on the held-out photographs, in evaluation/."""
-        config, recipe = self.config, dealer.recipe
+        """Score the finished scene in evaluation/, where the owner has all held-out photographs."""
+        config, scene, train = self.config, self.scene, dealer.recipe.train
         folder = config.out / "evaluation"
         folder.mkdir(exist_ok=True)
-        scene, train = self.scene, recipe.train
         untrained = initial_splats(
             scene.points, scene.colors, scene.cameras, max_num_splats=train.max_num_splats, sh_degree=train.sh_degree
         )
-        save_splats(folder / "initial.safetensors", untrained)
+        save_splats(folder / INITIAL_NAME, untrained)
         held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(train.long_side_px)
+        save_cameras(folder / HELD_OUT_NAME, held_out)
         deal_files(self.images, held_out.names, folder / "photos")
-        masks = deal_masks(config.out, held_out.names, folder)
-        deal_files(config.out / "cloud", ["scene.ply"], folder)
-        deal_files(config.out, ["plan.json"], folder)
-        save_cameras(folder / "cameras.safetensors", held_out)
-        task = EvaluateTask(backend=recipe.backend, seams=True, lpips=_lpips_network(config))
-        save_task(folder, task)
-        names = ["photos", "scene.ply", "plan.json", "cameras.safetensors", "initial.safetensors", *([LPIPS_NAME] if task.lpips else [])]
-        key = content_key(__version__, task_key(task), *(folder / name for name in names), *masks)
-        run_task(NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=key), progress.listen, progress.clock)
-        for kind in PICTURE_KINDS:
-            shutil.copytree(folder / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
+        write_json(folder / OWN_NAME, {"images": str(folder / "photos")})
+        given = [folder / "photos", *deal_masks(config.out, held_out.names, folder), folder / HELD_OUT_NAME, folder / INITIAL_NAME]
+        machine = ScoringMachine(stage="evaluation", inputs=tuple(given))
+        scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine])
+        # Where the owner is, whatever runs the tree.
+        write_json(folder / "result.json", scoring.run(LocalExecutor(num_workers=1, clock=progress.clock), progress))
         owner = {"node": "sfm", "tier": "owner", **count_received([self.images / name for name in scene.cameras.names])}
         progress.manifest.access_log = [*dealer.access_log, owner]
 
 
-def _lpips_network(config: RunConfig) -> LpipsNetwork | None:
-    return config.evaluate.lpips_network if config.evaluate.lpips_weights else None
-
-
 def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None = None) -> tuple[SfmScene, Path]:
-    """Run structure from motion in sfm/ within `memory_bytes`; returns the scene and the folder of its undistorted photographs."""
+    """Run structure from motion in sfm/ within `memory_bytes`; returns the scene and the folder of
+    its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
     sfm = SfmConfig(matching=config.sfm.matching, seed=config.seed, memory_bytes=memory_bytes)
@@ -166,7 +156,7 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
 
 
 def require_size(scene: SfmScene, long_side_px: int, lpips: LpipsNetwork | None = None) -> None:
-    """Raise BadInput where a photograph would become too small to be scored, with LPIPS where a network is named."""
+    """Raise BadInput where a photograph would be too small to be scored, with LPIPS if named."""
     width, height = min(scene.cameras.scaled(long_side_px).sizes_wh.tolist(), key=min)
     least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (MIN_SIDE_PX[lpips] if lpips else 0, "LPIPS"))
     if min(width, height) < least_px:

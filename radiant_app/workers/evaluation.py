@@ -1,5 +1,5 @@
-"""Scores a finished scene on held-out photographs. Once per run: a render, its figures and pictures
-per photograph.
+"""Scores a finished scene on the held-out photographs of a machine. Once per run and machine: a
+render, its figures and pictures per photograph.
 
 Two baselines stand beside every figure: the Gaussians before any training, and the photograph's own
 mean colour. Seam masks come from the scene's own depth here; a comparison of methods has to fix
@@ -9,6 +9,7 @@ them by one depth for all.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.tasks import EvaluateTask
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, ScoreTask
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -31,48 +32,105 @@ from radiant_core.evaluate.image_error import (
     mean_errors,
     median_errors,
     psnr_db,
+    ssim,
 )
 from radiant_core.evaluate.image_pair import Used
-from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
-from radiant_core.evaluate.seam_error import band_and_interior_psnr_db, seam_masks
+from radiant_core.evaluate.lpips import Lpips, load_lpips
+from radiant_core.evaluate.seam_error import seam_masks, seam_sums
+from radiant_core.hierarchy.joining import moved_cameras
+from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.photos.listing import load_photograph
 from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.ply import load_ply
-from radiant_core.io.records import load_cameras, load_plan, load_splats
-from radiant_core.io.run_store import write_atomic, write_json
+from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats
+from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.plan.plans import CloudPlan
 from radiant_core.render.rendered_view import RenderedView, render_views
+from radiant_core.splats import Splats
+from radiant_core.train.photographs import load_images
 
 LPIPS_NAME = "lpips.safetensors"
 """Weights of LPIPS in the folder where a scene is scored."""
+SCORES_NAME = "scores.json"
+"""Figures that a machine reports of its held-out photographs."""
 PICTURE_KINDS = ("photographs", "renders", "differences")
 """Folders with one PNG per held-out photograph."""
 
 
-def run_evaluate(folder: Path, task: EvaluateTask, reporter: EventReporter) -> Sequence[str]:
-    """Score scene.ply in `folder` on the photographs there; writes result.json and three pictures per photograph."""
-    cameras = load_cameras(folder / "cameras.safetensors")
-    scene, initial = load_ply(folder / "scene.ply"), load_splats(folder / "initial.safetensors")
-    lpips = load_dealt_lpips(folder, task.lpips)
-    cameras, used = select_scored(cameras, folder / MASKS, reporter.warn)
-    photographs = [load_photograph(folder / "photos" / name, size) for name, size in _names_and_sizes(cameras)]
-    report = _report_views(3 * len(cameras), reporter)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeldOutViews:
+    """The held-out photographs of one machine, with their cameras at their size."""
+
+    cameras: Cameras
+    """In the frame of the machine."""
+    photographs: Sequence[NDArray[np.float32]]
+    used: Sequence[Used]
+    """What masks leave of each."""
+    initial: Splats
+    """The Gaussians before training, in the same frame."""
+
+
+def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
+    """Score the scene in inbox/ on the held-out photographs of this machine; writes scores.json and
+    three pictures per photograph."""
+    own, inbox = folder.parent if task.owned else folder, folder / "inbox"
+    images = Path(read_json(own / OWN_NAME, ("images",))["images"])
+    cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
+    sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
+    photographs = [load_photograph(images / name, size) for name, size in zip(cameras.names, sizes, strict=True)]
+    leakage = _measure_leakage(own, images, task, reporter) if task.owned else None
+    if task.owned:
+        cameras = replace(cameras, names=tuple(f"{own.name}/held-out-{index:04d}" for index in range(len(cameras))))
+    views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME))
+    scene, (plan, _) = load_ply(inbox / "scene.ply"), load_plan(inbox / "plan.json")
+    lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
+    figures, rendered = score_views(scene, plan, views, task, lpips, reporter)
+    pictures = [
+        name
+        for view, photograph, pixels in zip(rendered, photographs, used, strict=True)
+        for name in save_comparison(folder, view, photograph, pixels)
+    ]
+    write_json(folder / SCORES_NAME, {**figures, "leakage": leakage})
+    # Checking a seal reads every file it lists, and the owner's process checks those of devices.
+    return [SCORES_NAME] if task.owned else [SCORES_NAME, *pictures]
+
+
+def score_views(
+    scene: Splats, plan: CloudPlan, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter
+) -> tuple[dict[str, Any], list[RenderedView]]:
+    """Score a scene on one machine's views: figures per photograph, sums about the plan's borders,
+    and the renders."""
+    cameras = views.cameras
+    for move in task.corrections:
+        cameras = moved_cameras(cameras, move.sim3)
+    seen = count(1)
+
+    def report(view: RenderedView) -> RenderedView:
+        reporter.progress(next(seen), 3 * len(cameras), view.name)
+        return view
+
     rendered = [report(view) for view in render_views(scene, cameras, task.backend)]
-    untrained = [report(view) for view in render_views(initial, cameras, task.backend)]
-    rows, pictures = [], []
-    for view, before, photo, pixels in zip(rendered, untrained, photographs, used, strict=True):
-        rows.append(score_render(view, photo, before=before, lpips=lpips, used=pixels))
-        pictures += save_comparison(folder, view, photo, pixels)
+    untrained = [report(view) for view in render_views(views.initial, views.cameras, task.backend)]
+    rows = []
+    for view, before, photograph, pixels in zip(rendered, untrained, views.photographs, views.used, strict=True):
+        rows.append(score_render(view, photograph, before=before, lpips=lpips, used=pixels))
         report(view)
-    result = {**summarize_scores(rows, lpips_network=lpips.network if lpips else None), "num_gaussians": len(scene)}
-    if task.seams:
-        result |= _seam_figures(folder / "plan.json", cameras, rendered, photographs, used)
-    write_json(folder / "result.json", result)
-    return ["result.json", *pictures]
+    masks = seam_masks(cameras, [view.depth for view in rendered], plan, region_width(plan.sites)).within(views.used)
+    sums = seam_sums([view.image for view in rendered], views.photographs, masks)
+    return {"images": rows, "seam_sums": sums.tolist()}, rendered
 
 
-def load_dealt_lpips(folder: Path, network: LpipsNetwork | None) -> Lpips | None:
-    """Load the LPIPS network that a task names from `folder`; None if it names none."""
-    return load_lpips(folder / LPIPS_NAME, network) if network else None
+def _measure_leakage(own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:
+    """PSNR and SSIM against its photographs of a device's model at its training poses, which its
+    edge can render."""
+    cameras = load_scene(own / "scene.safetensors").cameras.scaled(task.long_side_px)
+    figures = []
+    for done, view in enumerate(render_views(load_splats(own / MODEL_NAME), cameras, task.backend), 1):
+        photograph = load_images(images, cameras.select([done - 1]))[0] / 255.0
+        figures.append((psnr_db(view.image, photograph), ssim(view.image, photograph)))
+        reporter.progress(done, len(cameras), "synthetic views against photographs")
+    mean = np.mean(figures, axis=0)
+    return {"psnr_db": float(mean[0]), "ssim": float(mean[1]), "num_images": len(figures)}
 
 
 def score_render(
@@ -113,7 +171,7 @@ def select_scored(cameras: Cameras, masks: Path | None, warn: Callable[[str], No
 
 
 def summarize_scores(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:
-    """Summarize rows of `score_render` for metrics.json: means, medians, the reason for a missing figure, the rows."""
+    """Summarize rows of `score_render`: means, medians, reasons for missing figures, the rows."""
     errors = [ImageErrors(name=row["name"], **{figure: row[figure] for figure in FIGURES}) for row in rows]
     mean, median = mean_errors(errors), median_errors(errors)
     return {
@@ -127,7 +185,8 @@ def summarize_scores(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | 
 
 
 def save_comparison(folder: Path, view: RenderedView, photograph: NDArray[np.float32], used: Used = None) -> list[str]:
-    """Write render, photograph and their absolute difference (×3, where `used`) as PNG; returns the names relative to `folder`."""
+    """Write render, photograph and their absolute difference (×3, where `used`) as PNG; returns the
+    names relative to `folder`."""
     difference = np.clip(3 * np.abs(view.image - photograph), 0, 1) * (1.0 if used is None else used[..., None])
     names = []
     for kind, image in (("renders", view.image), ("photographs", photograph), ("differences", difference)):
@@ -148,40 +207,6 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
 
 
 def region_width(plan_sites: NDArray[np.float64]) -> float:
-    """Half the width of the band beside a border: 1/20 of the smallest distance between two edges."""
+    """Half the width of the band beside a border: 1/20 of the least distance between two edges."""
     gaps = np.linalg.norm(plan_sites[:, None] - plan_sites, axis=2)
     return float(gaps[gaps > 0].min()) / 20 if (gaps > 0).any() else 1.0
-
-
-def _seam_figures(
-    plan_path: Path,
-    cameras: Cameras,
-    rendered: Sequence[RenderedView],
-    photographs: Sequence[NDArray[np.float32]],
-    used: Sequence[Used],
-) -> dict[str, Any]:
-    plan, _ = load_plan(plan_path)
-    half_band = region_width(plan.sites)
-    masks = seam_masks(cameras, [view.depth for view in rendered], plan, half_band).within(used)
-    error = band_and_interior_psnr_db([view.image for view in rendered], photographs, masks)
-    return {
-        "seam_psnr_db": error.seam_psnr_db,
-        "interior_psnr_db": error.interior_psnr_db,
-        "seam_reason": error.reason,
-        "seam_half_band": half_band,
-    }
-
-
-def _names_and_sizes(cameras: Cameras) -> list[tuple[str, tuple[int, int]]]:
-    return [(name, (int(w), int(h))) for name, (w, h) in zip(cameras.names, cameras.sizes_wh, strict=True)]
-
-
-def _report_views(total: int, reporter: EventReporter) -> Callable[[RenderedView], RenderedView]:
-    """Return a function that reports progress for each view and returns it."""
-    seen = count(1)
-
-    def report(view: RenderedView) -> RenderedView:
-        reporter.progress(next(seen), total, view.name)
-        return view
-
-    return report

@@ -1,10 +1,9 @@
 """Workers of devices that keep their own photographs (`--frames gps` or `known`).
 
-| kind | reads | writes |
-|---|---|---|
-| positions | task.json, the heads of the photographs it names | positions.json of a pooled folder; raster.json of a device's own |
-| field | task.json, its own photographs, poses where given | {model,cameras,scene,initial,held_out}.safetensors, frame.json |
-| score | task.json, inbox/{scene.ply,plan.json}, its own photographs | result.json: numbers; pictures that stay |
+    positions  the heads of the photographs that its task names
+               → positions.json of a pooled folder; raster.json of a device's own
+    field      its own photographs, poses where given
+               → {model,cameras,scene,initial,held_out}.safetensors, frame.json, own.json
 
 A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) gives the
 reason in frame.json and is done; the run goes on. It reports the number of photographs that it
@@ -26,7 +25,7 @@ from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.redaction import Redactor, make_redactor
 from radiant_app.workers.reporting import EventReporter, read_notes
 from radiant_app.workers.sources import portable_path
-from radiant_app.workers.tasks import FieldTask, PlacingTask, PositionsTask, ScoreTask
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, FieldTask, PlacingTask, PositionsTask
 from radiant_app.workers.training import remove_checkpoints, train_from_folder
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
@@ -36,7 +35,7 @@ from radiant_core.frames import WGS84_SEMI_MAJOR_M, FrameUncertainty
 from radiant_core.io.messages import NOTHING, load_uncertainty, save_device_model, save_frame, task_key
 from radiant_core.io.photos.copies import copies_count, file_copies
 from radiant_core.io.photos.listing import photograph_positions
-from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras, save_scene, save_splats
+from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_json, seal, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.numerics import FloatArray
@@ -109,7 +108,7 @@ def run_field(folder: Path, task: FieldTask, reporter: EventReporter) -> Sequenc
 
 
 def _reuse_model(folder: Path, made_from: dict[str, str], reporter: EventReporter) -> Sequence[str] | None:
-    """Return the files of a device that is done with exactly these photographs, by content; None if it must train."""
+    """The files of a device that is done with these photographs; None if it must train."""
     if not (folder / MADE_FROM).is_file() or not (folder / SEAL_NAME).is_file():
         return None
     before, sealed = read_json(folder / MADE_FROM, ("key", "photographs")), read_json(folder / SEAL_NAME, ("key", "files"))
@@ -140,15 +139,15 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
     from radiant_core.hierarchy.joining import numbered
 
     assert model.initial is not None
-    save_splats(folder / "initial.safetensors", model.initial)
+    save_splats(folder / INITIAL_NAME, model.initial)
     save_scene(folder / "scene.safetensors", training)
-    save_cameras(folder / "held_out.safetensors", placed.scene.cameras.select(held))
+    save_cameras(folder / HELD_OUT_NAME, placed.scene.cameras.select(held))
     frame = save_frame(folder, placed.uncertainty)
-    write_json(folder / "own.json", {"images": str(placed.images)})
+    write_json(folder / OWN_NAME, {"images": str(placed.images)})
     sent = replace(model, cameras=numbered(training.cameras, folder.name), uncertainty=placed.uncertainty)
     names = save_device_model(folder, sent, task.upload, reporter.warn)
     remove_checkpoints(folder)
-    return [*names, *(f"{name}.safetensors" for name in ("initial", "scene", "held_out")), frame, "own.json"]
+    return [*names, INITIAL_NAME, "scene.safetensors", HELD_OUT_NAME, frame, OWN_NAME]
 
 
 def _photographs_key(task: PlacingTask) -> str:
@@ -169,7 +168,8 @@ def _report_missing(folder: Path, reason: str, reporter: EventReporter) -> Seque
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PlacedScene:
-    """A device's scene in the frame that all share, its undistorted photographs, and how uncertain the frame is (None: exact)."""
+    """A device's scene in the common frame, its undistorted photographs, and how uncertain that
+    frame is (None: exact)."""
 
     scene: SfmScene
     images: Path
@@ -222,7 +222,7 @@ def _place_by_gps(folder: Path, photos: Path, task: PlacingTask, reporter: Event
 
 
 def _redact_warnings(result: SfmResult, names: Redactor) -> Sequence[str]:
-    """Return the warnings of structure from motion; of a device's own folder with numbers in place of names."""
+    """The warnings of structure from motion; of a device's own folder with numbers for names."""
     if names.source is None:
         return result.warnings
     names.keep(message for message in result.warnings if message not in result.unnamed_warnings)
@@ -231,7 +231,8 @@ def _redact_warnings(result: SfmResult, names: Redactor) -> Sequence[str]:
 
 
 def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[float, float, float]], origin: Any, sigma_m: float) -> None:
-    """Draw GPS against the cameras in frame.png, which shows where photographs were taken and stays in the device's folder."""
+    """Draw GPS against the cameras in frame.png, which stays on the device, since it shows where
+    photographs were taken."""
     from radiant_core.frames import enu_from_geodetic
     from radiant_viewer.charts.frame_chart import frame_picture
     from radiant_viewer.pictures.images import save_png
@@ -278,55 +279,3 @@ def _frame_decision(stage: str, uncertainty: FrameUncertainty, num_positions: in
         reason=f"from {num_positions} positions; scale known to {uncertainty.scale:.2%}, "
         f"rotation to {np.degrees(uncertainty.rotation_rad):.2f}°",
     )
-
-
-def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
-    """Score the downloaded scene on the photographs that this device held out, and measure the leakage of its synthetic views."""
-    from radiant_app.workers.evaluation import load_dealt_lpips, region_width, save_comparison, score_render
-    from radiant_core.evaluate.seam_error import seam_masks, seam_sums
-    from radiant_core.hierarchy.joining import moved_cameras
-    from radiant_core.io.ply import load_ply
-    from radiant_core.render.rendered_view import render_views
-    from radiant_core.train.photographs import load_images
-
-    own = folder.parent
-    images = Path(read_json(own / "own.json", ("images",))["images"])
-    held_out = load_cameras(own / "held_out.safetensors").scaled(task.long_side_px)
-    leakage = _leakage(own, images, task, reporter)
-    result: dict[str, Any] = {"images": [], "leakage": leakage, "seam_sums": np.zeros((2, 3)).tolist()}
-    if len(held_out):
-        names = [f"{own.name}/held-out-{index:04d}" for index in range(len(held_out))]
-        photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(images, held_out)]
-        cameras = held_out
-        for move in task.corrections:
-            cameras = moved_cameras(cameras, move.sim3)
-        cameras = replace(cameras, names=tuple(names))
-        rendered = list(render_views(load_ply(folder / "inbox" / "scene.ply"), cameras, task.backend))
-        untrained = list(render_views(load_splats(own / "initial.safetensors"), held_out, task.backend))
-        lpips = load_dealt_lpips(folder / "inbox", task.lpips)
-        rows = zip(rendered, untrained, photographs, strict=True)
-        result["images"] = [score_render(view, photo, before=before, lpips=lpips) for view, before, photo in rows]
-        plan, _ = load_plan(folder / "inbox" / "plan.json")
-        masks = seam_masks(cameras, [view.depth for view in rendered], plan, region_width(plan.sites))
-        result["seam_sums"] = seam_sums([view.image for view in rendered], photographs, masks).tolist()
-        for view, photo in zip(rendered, photographs, strict=True):
-            save_comparison(folder, view, photo)
-    write_json(folder / "result.json", result)
-    # The pictures are not sealed: checking a seal reads every file it lists.
-    return ["result.json"]
-
-
-def _leakage(own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:
-    """PSNR and SSIM of this device's model at its training poses, which the edge can render, against its photographs."""
-    from radiant_core.evaluate.image_error import psnr_db, ssim
-    from radiant_core.render.rendered_view import render_views
-    from radiant_core.train.photographs import load_images
-
-    cameras = load_scene(own / "scene.safetensors").cameras.scaled(task.long_side_px)
-    figures = []
-    for done, view in enumerate(render_views(load_splats(own / "model.safetensors"), cameras, task.backend), 1):
-        photograph = load_images(images, cameras.select([done - 1]))[0] / 255.0
-        figures.append((psnr_db(view.image, photograph), ssim(view.image, photograph)))
-        reporter.progress(done, len(cameras), "synthetic views against photographs")
-    mean = np.mean(figures, axis=0)
-    return {"psnr_db": float(mean[0]), "ssim": float(mean[1]), "num_images": len(figures)}

@@ -1,17 +1,23 @@
 """One function per kind of node: read a message, call one function of the hierarchy, write its
 result.
 
-| kind     | reads                                               | writes                                   |
-|----------|-----------------------------------------------------|------------------------------------------|
-| sfm      | task.json, the source it names                      | scene.safetensors, result.json, undistorted/ |
-| device   | task.json, scene.safetensors, photos/, masks/       | model.safetensors, upload.safetensors (unless float32), summary.json |
-| teacher  | task.json, inbox/{model,cameras}.safetensors        | views/<number>.safetensors               |
-| edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_{cameras,views}.safetensors |
-| cloud    | task.json, inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors | scene.ply, summary.json |
-| evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
+Each reads task.json, and beside it, below its folder:
 
-`field_nodes.py` has those of devices that place their own photographs. Each reads only files below
-its folder.
+    sfm      the source that its task names
+             → scene.safetensors, result.json, undistorted/
+    device   scene.safetensors, photos/, masks/
+             → model.safetensors, upload.safetensors (unless float32), summary.json
+    teacher  inbox/{model,cameras}.safetensors
+             → views/<number>.safetensors
+    edge     inbox/<device>/{model,cameras}.safetensors, teachers/<device>/
+             → as device, virtual_{cameras,views}.safetensors
+    cloud    inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors
+             → scene.ply, summary.json
+    score    inbox/{scene.ply,plan.json}, {held_out,initial}.safetensors, own.json, photos/, masks/,
+             of a device all but the inbox in the folder above
+             → scores.json, renders/, photographs/, differences/
+
+`field_nodes.py` has those of devices that place their own photographs.
 """
 
 from __future__ import annotations
@@ -38,7 +44,7 @@ CUT_NAME = "cut_for_memory"
 """Empty file in the cloud's folder: models were cut because its machine had too little memory."""
 
 Work = Callable[[Path, Any, EventReporter], Sequence[str]]
-"""The work of a kind of node in its folder with its task; returns the names of its files, relative to the folder."""
+"""The work of a kind of node in its folder with its task; returns the names of its files."""
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit, work: Work | None = None) -> Sequence[str]:
@@ -67,19 +73,19 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit, work: Work | None 
 
 
 def _import_work(kind: str) -> Work:
-    """Import the function of a kind of node and nothing else: starting a process takes most of the time of short nodes."""
-    if kind in ("positions", "field", "score"):
-        from radiant_app.workers.field_nodes import run_field, run_positions, run_score
+    """Import the function of a kind of node alone: a short node spends its time on starting."""
+    if kind in ("positions", "field"):
+        from radiant_app.workers.field_nodes import run_field, run_positions
 
-        return {"positions": run_positions, "field": run_field, "score": run_score}[kind]
+        return {"positions": run_positions, "field": run_field}[kind]
     if kind == "regions":
         from radiant_app.workers.regions import run_regions
 
         return run_regions
-    if kind == "evaluate":
-        from radiant_app.workers.evaluation import run_evaluate
+    if kind == "score":
+        from radiant_app.workers.evaluation import run_score
 
-        return run_evaluate
+        return run_score
     return {"sfm": run_sfm, "device": run_device, "teacher": run_teacher, "edge": run_edge, "cloud": run_cloud}[kind]
 
 

@@ -84,7 +84,7 @@ def make_redactor(kind: str, folder: Path) -> Redactor:
     try:
         task = read_json(place / "task.json")
     except RadiantError:
-        # Without a task no photograph is opened: the node only reports on the task.
+        # Without a task no device's own photograph is opened.
         return Redactor(notes=notes)
     # Not parsed as a message: the error about an invalid task is redacted too.
     task = task.get("placing", task) if isinstance(task, dict) else {}

@@ -5,12 +5,10 @@ A node of a run accepts its task only if its parent signed it (`delivering.accep
 parses strictly as the class of its kind: no unknown key, no number as text, nothing infinite, no
 path that leaves a folder. Folders without an identity, made by hand, hold unsigned tasks.
 
-| worker         | task           | from       | signed                                              |
-|----------------|----------------|------------|-----------------------------------------------------|
-| device, field  | what to train  | its edge   | yes                                                 |
-| score          | the scene      | its edge   | yes                                                 |
-| edge           | what to join   | the cloud  | yes                                                 |
-| teacher, cloud | what to do     | itself     | no: a teacher is a part of its edge, the cloud is the root |
+    device, field   what to train   signed by its edge
+    score           the scene       signed by its device's edge; not where the owner scores all
+    edge            what to join    signed by the cloud
+    teacher, cloud  what to do      not signed: a teacher is a part of its edge, the cloud the root
 """
 
 from __future__ import annotations
@@ -92,7 +90,7 @@ class SfmSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacingTask:
-    """Reconstruct a device's own photographs, which lie in `source`, in the frame that all devices share."""
+    """Reconstruct a device's own photographs in `source`, in the frame that all devices share."""
 
     frames: Literal["gps", "known"]
     source: PathText
@@ -150,23 +148,23 @@ class Move:
         return sim3_of({"scale": self.scale, "rotation": self.rotation, "translation": self.translation})
 
 
+HELD_OUT_NAME, INITIAL_NAME, OWN_NAME = "held_out.safetensors", "initial.safetensors", "own.json"
+"""In the folder of a machine that scores: its held-out cameras, the Gaussians before training, and
+where its photographs are."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ScoreTask:
-    """Score the finished scene in inbox/ on held-out photographs, moved into its frame by `corrections`."""
+    """Score the finished scene in inbox/ on the held-out photographs of this machine."""
 
     corrections: tuple[Move, ...]
+    """From the frame of their cameras to the scene's, in order."""
     long_side_px: PixelCount
     backend: Renderer
     lpips: LpipsNetwork | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluateTask:
-    """Score a scene on the photographs in photos/."""
-
-    backend: Renderer
-    seams: bool
-    lpips: LpipsNetwork | None
+    owned: bool
+    """Whether they are a device's own, whose folder is that above: figures then come under numbers
+    and with the leakage of its synthetic views."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,7 +207,6 @@ TASKS: dict[str, type[Any]] = {
     "teacher": TeacherTask,
     "edge": EdgeTask,
     "cloud": CloudTask,
-    "evaluate": EvaluateTask,
     "score": ScoreTask,
     "run": JobTask,
 }

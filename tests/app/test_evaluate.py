@@ -87,7 +87,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scored = site / "run" / "evaluation"
     (scored / "photos").mkdir(parents=True)
     held_out = cameras.select(held_out_mask(cameras.names))
-    save_cameras(scored / "cameras.safetensors", held_out.scaled(48))
+    save_cameras(scored / "held_out.safetensors", held_out.scaled(48))
     save_splats(scored / "initial.safetensors", replace(splats, sh0=np.zeros_like(splats.sh0)))
     for name in held_out.names:
         (scored / "photos" / name).write_bytes((images / name).read_bytes())

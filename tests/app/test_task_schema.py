@@ -18,7 +18,6 @@ import pytest
 from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, accept_task, exchange_keys, identify_scoring, sign_task
 from radiant_app.workers.tasks import (
     TASKS,
-    EvaluateTask,
     FieldTask,
     JobTask,
     Move,
@@ -97,9 +96,12 @@ MESSAGES: dict[str, Any] = {
     "cloud": CloudTask(
         train=TRAIN, backend="native", edges=("a",), num_dealt=(2,), sites=((0.0, 1.0),), weights=(0.0,), aggregate=AggregateConfig()
     ),
-    "evaluate": EvaluateTask(backend="native", seams=True, lpips=None),
     "score": ScoreTask(
-        corrections=(Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),), long_side_px=64, backend="native", lpips=None
+        corrections=(Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),),
+        long_side_px=64,
+        backend="native",
+        lpips=None,
+        owned=True,
     ),
     "run": JobTask(config={"source": "photos"}, resume=True),
 }

@@ -14,7 +14,8 @@ finished scene need not be known any more.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,28 +24,29 @@ from shapely import Polygon, boundary, contains, distance, points, prepare
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import far_from
 from radiant_core.aggregate.ownership import Ownership
-from radiant_core.aggregate.retrain import RATES_END, faded, reached_by, retraining_config, touched_cameras
+from radiant_core.aggregate.retrain import faded, retrain, touched_cameras
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_error import ground_places
 from radiant_core.numerics import FloatArray, check_array
+from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.shapes import without_dead
-from radiant_core.train.trainer import FitOptions, Steps, fit_splats
+from radiant_core.train.trainer import FitOptions
 from radiant_core.train.views import TrainingViews
 
 OPAQUE = 0.5
-"""A pixel's place is that of the new model where it covers at least so much of it, else that of the scene."""
+"""A pixel shows a place of the new model where that covers so much of it, else of the scene."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NewRegion:
-    """Land that a new model takes over: a simple polygon (V,2) m and the half width of the strip along its border, m."""
+    """Land that a new model takes over: a simple polygon (V,2) m, and its margin in m."""
 
     polygon: FloatArray
     margin_m: float
+    """Half the width of the strip along its border that is fitted."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "polygon", check_array("polygon", self.polygon, (None, 2)))
@@ -56,7 +58,7 @@ class NewRegion:
             raise BadInput(f"the margin is {self.margin_m} m, expected a positive half width of the strip that is fitted anew.")
 
     def inside_m(self, places: NDArray[np.floating]) -> FloatArray:
-        """How far inside the border places (..., 2 or 3) m lie (...,), negative outside, NaN where a place is."""
+        """How far inside the border places (..., 2 or 3) m lie (...,): negative outside, or NaN."""
         flat = np.asarray(places, np.float64)[..., :2]
         known = np.isfinite(flat).all(axis=-1)
         area, xy = Polygon(self.polygon), points(flat[known])
@@ -87,6 +89,10 @@ class Extended:
     num_shown: int
     """Views that the margin was fitted to; 0 where it was only cut."""
 
+    def counts(self) -> dict[str, int]:
+        """How many Gaussians came from where and how many views were shown, by field."""
+        return {name: count for name, count in vars(self).items() if name != "splats"}
+
 
 def extend_scene(
     scene: Splats, addition: Teacher, region: NewRegion, train: TrainConfig, aggregate: AggregateConfig, options: FitOptions
@@ -108,53 +114,42 @@ def extend_scene(
     near = [(scene, np.abs(old_m) <= region.margin_m), (addition.splats, np.abs(new_m) <= region.margin_m)]
     margin = [model.select(within) for model, within in near]
     owns = [old_m[near[0][1]] <= 0, new_m[near[1][1]] > 0]
-    fitted, num_shown = _fitted(still, margin, owns, _blended_views(scene, addition, region, margin, train), train, aggregate, options)
+    views = _blend_views(scene, addition, region, train, options.backend) if any(map(len, margin)) else None
+    if views is None:
+        joined = concatenate_splats(margin).select(np.concatenate(owns))
+    else:
+        moving = faded(margin, _owners(owns), aggregate.foreign_opacity)
+        made = retrain(moving, views, train, aggregate, options, held=still)
+        joined = concatenate_splats([made.splats, moving.select(~made.reached & np.concatenate(owns))])
     return Extended(
-        splats=concatenate_splats([still, fitted]),
+        splats=concatenate_splats([still, joined]),
         num_kept=len(kept),
         num_replaced=len(old_core) - len(filled),
         num_filled=len(filled),
         num_added=len(added),
-        num_fitted=len(fitted),
-        num_shown=num_shown,
+        num_fitted=len(joined),
+        num_shown=0 if views is None else len(views),
     )
 
 
-def _fitted(  # noqa: PLR0913
-    still: Splats,
-    margin: list[Splats],
-    owns: list[NDArray[np.bool_]],
-    views: TrainingViews | None,
-    train: TrainConfig,
-    aggregate: AggregateConfig,
-    options: FitOptions,
-) -> tuple[Splats, int]:
-    """The margin's Gaussians of either model, fitted among those that stay `still`; those that no view reaches are cut at the border."""
-    own = np.concatenate(owns)
-    if views is None:
-        return concatenate_splats(margin).select(own), 0
-    owned = [Ownership(owner=np.where(mine, index, 1 - index), contested=np.ones(len(mine), bool)) for index, mine in enumerate(owns)]
-    moving = faded(margin, owned, aggregate.foreign_opacity)
-    before = reached_by(moving, views.cameras)
-    shown = still.select(reached_by(still, views.cameras))
-    start = concatenate_splats([shown, moving.select(before)])
-    held = np.arange(len(start)) < len(shown)
-    config = retraining_config(train, aggregate, start, len(views))
-    trained = fit_splats(start, views, config, replace(options, held=held, steps=Steps(end=RATES_END))).splats
-    alive = without_dead(trained.select(~held))[0]
-    return concatenate_splats([alive, moving.select(~before & own)]), len(views)
+def _owners(owns: Sequence[NDArray[np.bool_]]) -> list[Ownership]:
+    """Who owns the places of two models, all of them contested, given where each owns its own."""
+    numbered = enumerate(owns)
+    return [Ownership(owner=np.where(own, index, 1 - index), contested=np.ones(len(own), bool)) for index, own in numbered]
 
 
-def _blended_views(scene: Splats, addition: Teacher, region: NewRegion, margin: list[Splats], train: TrainConfig) -> TrainingViews | None:
-    """What the new model's cameras before the margin should show: both models, blended over it; None where no camera is before it."""
+def _blend_views(scene: Splats, addition: Teacher, region: NewRegion, train: TrainConfig, backend: Backend) -> TrainingViews | None:
+    """What the new model's cameras should show of the margin: both models, blended over it; None
+    where none of them sees it."""
     means = np.concatenate([scene.means, addition.splats.means])
     contested = np.abs(region.inside_m(means)) <= region.margin_m
-    rows = np.flatnonzero(touched_cameras(addition.cameras, means, contested)) if any(map(len, margin)) else []
+    rows = np.flatnonzero(touched_cameras(addition.cameras, means, contested))
     if not len(rows):
         return None
     cameras = addition.cameras.select(rows).scaled(train.long_side_px)
     images, weights = [], []
-    for index, (old, new) in enumerate(zip(render_views(scene, cameras), render_views(addition.splats, cameras), strict=True)):
+    rendered = zip(render_views(scene, cameras, backend), render_views(addition.splats, cameras, backend), strict=True)
+    for index, (old, new) in enumerate(rendered):
         places = ground_places(cameras, index, np.where(new.alpha >= OPAQUE, new.depth, old.depth))
         share = np.clip(region.inside_m(places) / region.margin_m / 2 + 0.5, 0, 1)
         share = np.where(np.isfinite(share), share**2 * (3 - 2 * share), 0)[..., None]

@@ -1,10 +1,12 @@
-"""Joining models: all together, taught by what each shows at its own cameras. Once per node.
+"""Joining models at an edge or the cloud: all of them together, taught by what each shows at its
+own cameras. Once per node.
 
 `paper` concatenates and retrains everything (paper Sec. III-D, Fig. 6). `default` begins near the
-end: every model fades where another one owns the place (`ownership`), which is about a clean cut,
-then all are fitted together in a few epochs at falling rates. Views without contested places are
-not shown, and what only they see keeps its bits. Gaussians are neither added nor densified: the
-paper densifies on devices, from step 500 of their 20,000 on.
+end instead: every model fades where another one speaks for the place (`ownership`), so that the
+first picture is about that of a clean cut, then all of them are fitted together in a few epochs at
+falling rates. Views before which nothing is contested are not shown, and what only they see keeps
+its bits. Gaussians are neither added nor densified: the paper densifies on devices, from step 500
+of their 20,000 on.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews, concatenate_views
 
 RATES_END = 0.3
-"""Share of the rates left at the end of a retraining by `default`; means' rates as in training."""
+"""Share of the rates left at the end of a retraining by `default`; centres' fall as in training."""
 RATES = ("means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
 """Of a configuration, the rates that `paper` takes from 3DGS."""
 TOUCHED_SHARE = 0.02
@@ -56,11 +58,11 @@ class Joined:
     num_shown: int = 0
     """Those that something contested lies before."""
     contested_share: float = 1.0
-    """Of all Gaussians, those in places that a second model covers too."""
+    """Of all Gaussians, those in places that a second model knows too."""
     agreement_db: float | None = None
-    """PSNR of the models' pictures and those of the cut, in the worst view; None: not measured."""
+    """PSNR of the models' pictures and the cut ones', in the worst view; None: not compared."""
     balance: Balance | None = None
-    """How exposures of the models differ; None: not measured."""
+    """How exposures of the models differ; None: not compared."""
 
     @property
     def splats(self) -> Splats:
@@ -71,19 +73,22 @@ class Joined:
 def retrain_on_synthetic_views(
     teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None = None
 ) -> Joined:
-    """Join the teachers' models by what each shows at its own cameras; `claims` say whose a place
-    is. A single one comes back unchanged unless `aggregate.retrain_single` or pooled. BadInput
-    without any."""
+    """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a
+    place lies in.
+
+    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single` or
+    pooled. Raises BadInput without any.
+    """
     if not teachers:
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
     if len(teachers) == 1 and not (aggregate.retrain_single or teachers[0].pooled):
         return Joined(trained=untrained(teachers[0].splats), num_given=len(teachers[0].splats))
     if aggregate.preset == "paper":
-        return _join_as_in_paper(teachers, train, aggregate, options)
+        return _retrain_as_in_the_paper(teachers, train, aggregate, options)
     return _join(teachers, train, aggregate, options, claims)
 
 
-def _join_as_in_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
+def _retrain_as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
     views = teacher_views(teachers, train.long_side_px)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
@@ -93,11 +98,11 @@ def _join_as_in_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate
 
 
 def cut_at_borders(teachers: Sequence[Teacher], claims: Claims | None = None) -> Joined:
-    """The models without what lies in places that another one owns; nothing is rendered."""
-    return _cut(teachers, _ownerships(teachers, claims))
+    """The teachers' models, each without what another owns; nothing is rendered or retrained."""
+    return _cut(teachers, _find_owners(teachers, claims))
 
 
-def _ownerships(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
+def _find_owners(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
     cameras = [teacher.cameras for teacher in teachers]
     return [ownership(teacher.splats.means, cameras, claims) for teacher in teachers]
 
@@ -119,7 +124,7 @@ def _join(
 ) -> Joined:
     balance = exposure_balance(teachers, options.backend)
     teachers = balance_teachers(teachers, balance)
-    owned = _ownerships(teachers, claims)
+    owned = _find_owners(teachers, claims)
     plainly_cut = _cut(teachers, owned)
     models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
@@ -131,22 +136,62 @@ def _join(
     plainly_cut = replace(plainly_cut, num_shown=num_shown, contested_share=contested_share, balance=balance)
     if not num_shown:
         return plainly_cut
-    views = teacher_views([_at(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()], train.long_side_px)
+    views = teacher_views(
+        [_select_cameras(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()], train.long_side_px
+    )
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
     plainly_cut = replace(plainly_cut, agreement_db=_agreement_db(plainly_cut.splats, views, options.backend))
     if aggregate.agreement_db is not None and (plainly_cut.agreement_db or 0.0) >= aggregate.agreement_db:
         return plainly_cut
-    # What no shown view can show is not held while the rest is fitted.
-    before = reached_by(merged, views.cameras)
-    config = retraining_config(train, aggregate, merged, len(views))
-    trained = fit_splats(merged.select(before), views, config, replace(options, steps=Steps(end=RATES_END)))
-    whole = concatenate_splats([without_dead(trained.splats)[0], merged.select(~before & owns)])
-    return replace(plainly_cut, trained=replace(trained, splats=whole))
+    made = retrain(merged, views, train, aggregate, options)
+    whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
+    return replace(plainly_cut, trained=replace(made.trained, splats=whole))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Retrained:
+    """The Gaussians of a retraining that any view can show, and which those are."""
+
+    trained: TrainResult
+    """Without the held ones and those that became invisible."""
+    reached: NDArray[np.bool_]
+    """(N,) Of the Gaussians given, those that were fitted; the others keep their bits."""
+
+    @property
+    def splats(self) -> Splats:
+        """The fitted Gaussians."""
+        return self.trained.splats
+
+
+def retrain(
+    moving: Splats,
+    views: TrainingViews,
+    train: TrainConfig,
+    aggregate: AggregateConfig,
+    options: FitOptions,
+    held: Splats | None = None,
+) -> Retrained:
+    """Fit the Gaussians `moving` (N) to `views`, in the presence of those `held`, which are
+    rendered and keep their bits.
+
+    What no view can show takes no memory and no part, of either.
+    """
+    reached = reached_by(moving, views.cameras)
+    start = moving.select(reached)
+    steady = None
+    if held is not None:
+        shown = held.select(reached_by(held, views.cameras))
+        start = concatenate_splats([shown, start])
+        steady = np.arange(len(start)) < len(shown)
+    config = retraining_config(train, aggregate, start, len(views))
+    result = fit_splats(start, views, config, replace(options, held=steady, steps=Steps(end=RATES_END)))
+    fitted = result.splats if steady is None else result.splats.select(~steady)
+    return Retrained(trained=replace(result, splats=without_dead(fitted)[0]), reached=reached)
 
 
 def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig) -> tuple[list[Splats], list[Ownership]]:
-    """Models and owners without what `faded` would leave fainter than `aggregate.faint_opacity`."""
+    """Models and owners without what `faded` would make fainter than `aggregate.faint_opacity`."""
     kept = [
         (places.owner == index) | (aggregate.foreign_opacity * model.opacities >= aggregate.faint_opacity)
         for index, (model, places) in enumerate(zip(models, owned, strict=True))
@@ -166,7 +211,7 @@ def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -
 
 
 def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) reach, by three standard deviations, into the pyramid of a camera."""
+    """Which Gaussians (N,) may show in an image: 3 standard deviations reach a camera's pyramid."""
     radii = 3 * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
     means = splats.means.T.astype(np.float64)
     reached = np.zeros(len(splats), bool)
@@ -181,11 +226,11 @@ def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
 
 
 def teacher_views(teachers: Sequence[Teacher], long_side_px: int) -> TrainingViews:
-    """Every teacher's views, reduced to `long_side_px`; rendered ones are taken as they are."""
+    """Every teacher's views at its cameras, reduced to `long_side_px`; rendered ones are reused."""
     return concatenate_views([synthetic_views(t.splats, t.cameras.scaled(long_side_px), rendered=t.rendered) for t in teachers])
 
 
-def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
+def _select_cameras(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
     """The teacher at some of its cameras."""
     rows = np.flatnonzero(chosen).tolist()
     rendered = {place: teacher.rendered[row] for place, row in enumerate(rows) if row in teacher.rendered}
@@ -193,7 +238,7 @@ def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
 
 
 def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which cameras (C,) have enough contested Gaussians before them, by a sample of all."""
+    """Which cameras (C,) see enough contested Gaussians, judged by an even sample of all."""
     touched = np.zeros(len(cameras), bool)
     some = np.unique(np.linspace(0, len(means) - 1, NUM_ASKED).astype(np.int64))
     means, contested = means[some], contested[some]
@@ -204,21 +249,29 @@ def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: ND
 
 
 def _agreement_db(joined: Splats, views: TrainingViews, backend: Backend) -> float:
-    """PSNR of the models' pictures and the joined one's in the worst of some: a seam is enough."""
+    """PSNR of the models' pictures and the joined one's, in the worst view: one seam is enough."""
     some = np.unique(np.linspace(0, len(views) - 1, NUM_COMPARED).astype(np.int64))
     compared = zip(render_views(joined, views.cameras.select(some), backend), some, strict=True)
     return min(psnr_db(view.image, views.images[index] / 255) for view, index in compared)
 
 
 def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
-    """A device's settings for `aggregate.num_epochs` over the synthetic views: nothing is added or
-    exposed anew, and rates fall as joining has it; `paper` retrains at the rates of 3DGS."""
+    """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is
+    added, grown or exposed anew, and rates fall as joining has it, not as a device's. `paper`
+    retrains at the rates of 3DGS, however its devices were trained."""
     num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
-    still = replace(train, sh_degree_every=0, start_scale=1.0, exposure="none", background="black", settle_epochs=None)
+    still = {
+        "sh_degree_every": 0,
+        "density": NoDensification(),
+        "start_scale": 1.0,
+        "exposure": "none",
+        "background": "black",
+        "settle_epochs": None,
+    }
     rates = {name: getattr(train_preset("paper"), name) for name in RATES} if aggregate.preset == "paper" else {}
-    return replace(still, num_steps=num_steps, sh_degree=merged.sh_degree, density=NoDensification(), **rates)
+    return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still, **rates)
 
 
 def untrained(splats: Splats) -> TrainResult:

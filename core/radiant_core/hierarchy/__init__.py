@@ -1,1 +1,1 @@
-"""The paper's system as a program: a device trains, an edge joins its devices' models, the cloud joins its edges'."""
+"""The paper as a program: devices train, edges join their models, the cloud joins the edges'."""

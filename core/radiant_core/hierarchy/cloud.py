@@ -1,8 +1,10 @@
 """What the cloud does: join the edges' models into the scene (paper Sec. III-D). Once per run.
 
-admit ─→ retrain   all models together, on what each shows at its edge's virtual cameras
-      ├→ cut       at the borders of the regions, where memory, time or a count of cameras forbid that; a warning says so
+admit ─→ retrain     all models together, on what each shows at its edge's virtual cameras
+      ├→ cut         at the borders of the regions, where memory, time or a count of cameras forbid
+      │              that; a warning says so
       └→ crop-merge  where the settings ask for it, or the paper's preset meets its limits
+extend               where the task names a region of the second edge, which joins the first
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import numpy as np
 from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, measure_agreement_db
 from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs, kept_statistics_bytes
 from radiant_core.aggregate.crop_merge import crop_merge
+from radiant_core.aggregate.extend import NewRegion, extend_scene
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
 from radiant_core.aggregate.retrain import Joined, cut_at_borders, retrain_on_synthetic_views
 from radiant_core.aggregate.synthetic_views import Rendered, Teacher
@@ -24,14 +27,14 @@ from radiant_core.decisions import Decision
 from radiant_core.hierarchy.decisions import blind_spots_decision, join_decisions
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.joining import CUT_COSTS, JOIN_AGAIN, Arrivals, admit, join_key
-from radiant_core.hierarchy.messages import CloudTask, EdgeModel, SceneModel
+from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.plan.system import Cloud
 from radiant_core.splats import Splats
 from radiant_core.train.trainer import FitOptions, NoCheckpoints
 
 MACHINE_SHARE = 0.8
-"""Of the memory that is free where the cloud runs, what joining may take unless the system file sets a limit: the rest is others'."""
+"""Of the free memory of its machine, what joining may take where the system file has no limit."""
 
 
 def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter: Reporter, machine: Machine = Machine()) -> SceneModel:
@@ -47,6 +50,8 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     Returns:
         The scene, or one without Gaussians where every edge was refused.
     """
+    if task.extends is not None:
+        return _extend(task, models, task.extends, reporter, machine)
     arrivals = admit(models, task.num_dealt, reporter)
     found = {"corrections": arrivals.corrections, "refused": arrivals.refused, "uncertainty": arrivals.uncertainty}
     if not arrivals.models:
@@ -68,9 +73,28 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     return SceneModel(splats=merged.splats, summary=counts, cut_for_memory=cut_for_memory, **found)
 
 
+def _extend(
+    task: CloudTask, models: Mapping[str, EdgeModel | str], extension: Extension, reporter: Reporter, machine: Machine
+) -> SceneModel:
+    """The first edge's scene with the second one's model in its region.
+
+    Neither is admitted: both are finished scenes, whose parts were admitted when they were joined,
+    and the first keeps its place, its colours and what contradicts the second.
+    """
+    standing, new = (models[name] for name in task.edges)
+    if isinstance(standing, str) or isinstance(new, str):
+        return SceneModel(splats=None, refused={name: model for name, model in models.items() if isinstance(model, str)})
+    assert standing.splats is not None and new.splats is not None
+    region = NewRegion(polygon=np.array(extension.polygon), margin_m=extension.margin_m)
+    addition = Teacher(splats=new.splats, cameras=new.cameras)
+    options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
+    extended = extend_scene(standing.splats, addition, region, task.train, task.aggregate, options)
+    return SceneModel(splats=extended.splats, summary=extended.counts())
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Choice:
-    """Whether the cloud retrains, within which limits, and whether its machine's free memory alone forbids it."""
+    """Whether the cloud retrains, within which limits, and whether free memory alone forbids it."""
 
     retrains: bool
     limits: Cloud
@@ -78,7 +102,7 @@ class _Choice:
 
 
 def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: Reporter, machine: Machine) -> _Choice:
-    """Whether the models are retrained; without a limit in the task it is `MACHINE_SHARE` of the machine's free memory."""
+    """Whether the models are retrained, without a limit in `MACHINE_SHARE` of the free memory."""
     times_s = None if task.edge_times_s is None else [task.edge_times_s[row] for row in rows]
     needs = cloud_needs(arrivals.models, arrivals.cameras, task.train.long_side_px, times_s)
     given = task.limits or Cloud()
@@ -131,20 +155,20 @@ def _statistics_bytes(task: CloudTask, chosen: Sequence[Teacher], most_bytes: fl
 
 
 def cloud_teachers(models: Mapping[str, EdgeModel | str], arrivals: Arrivals, long_side_px: int, reporter: Reporter) -> list[Teacher]:
-    """The edges' models with their virtual cameras and the pictures there that they sent; what is wrong with those is a warning."""
+    """The edges' models with virtual cameras and the pictures sent; bad ones become a warning."""
     teachers = []
     for name, model, own in zip(arrivals.senders, arrivals.models, arrivals.cameras, strict=True):
         sent = models[name]
         views = sent.views if isinstance(sent, EdgeModel) else ()
-        pictures, refusal = _checked_pictures(model, own.scaled(long_side_px), views)
+        pictures, refusal = _check_pictures(model, own.scaled(long_side_px), views)
         if refusal is not None:
             reporter.warn(f"the pictures of {name} are left out, its model's are shown instead: {refusal}")
         teachers.append(Teacher(splats=model, cameras=own, rendered=pictures, pooled=bool(pictures) or refusal is not None))
     return teachers
 
 
-def _checked_pictures(model: Splats, cameras: Cameras, views: tuple[Any, ...] | str) -> tuple[Rendered, str | None]:
-    """An edge's pictures by index of the camera; none, and why, where they are broken or show something else than the model does."""
+def _check_pictures(model: Splats, cameras: Cameras, views: tuple[Any, ...] | str) -> tuple[Rendered, str | None]:
+    """An edge's pictures by camera; none, and why, where they are broken or not of its model."""
     if isinstance(views, str):
         return {}, views
     if views and (agreement_db := measure_agreement_db(model, cameras, views)) < MIN_AGREEMENT_DB:

@@ -111,7 +111,7 @@ def blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
 
 
 def join_memory_decision(stage: str, needed_bytes: float, statistics_bytes: int | None, memory_bytes: float) -> Decision:
-    """What an edge's limit of memory made of joining; `statistics_bytes` is None where it made a cut."""
+    """What an edge's limit of memory made of joining; `statistics_bytes` is None for a cut."""
     choice = "models are cut at their borders instead of retrained"
     if statistics_bytes is not None:
         choice = f"models are retrained; {statistics_bytes / 1e6:,.0f} MB for what the loss keeps of its views"
@@ -121,7 +121,7 @@ def join_memory_decision(stage: str, needed_bytes: float, statistics_bytes: int 
 
 
 def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, joined: Joined) -> list[Decision]:
-    """What was retrained of the joined models and what was skipped, with the figures that decided."""
+    """What was retrained of the joined models and what was skipped, with the deciding figures."""
 
     def decided(choice: str, figure: float, unit: str, reason: str) -> Decision:
         forced = aggregate.preset == "paper"

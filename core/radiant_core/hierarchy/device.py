@@ -1,6 +1,7 @@
 """What a device does: fit Gaussians to its photographs (paper Sec. III-A). Once per device.
 
-    scene, photographs ─ leave out what adds nothing ─ settle size and limits ─ first Gaussians ─ fit → DeviceModel
+    scene, photographs ─ leave out what adds nothing ─ settle size and limits
+                       ─ first Gaussians ─ fit → DeviceModel
 
 The only place that prepares a training: device nodes, `radiant train` and the benchmarks call it.
 """
@@ -111,7 +112,7 @@ def _decide(reporter: Reporter, decisions: Sequence[Decision]) -> None:
 
 
 def fit_prepared(prepared: PreparedTraining, reporter: Reporter) -> TrainResult:
-    """Take the steps of a prepared training; reports what density control did and which steps could not be taken."""
+    """Take the steps of a prepared training; reports density control and steps not taken."""
     config, initial = prepared.config, prepared.initial
     result = fit_splats(initial, prepared.views, config, prepared.options)
     if config.density.kind != "none":

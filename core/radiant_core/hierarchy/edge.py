@@ -1,9 +1,11 @@
 """What an edge does: join its devices' models, or pool them for a cloud that joins everything
 (paper Sec. III-D). Once per edge.
 
-    admit ─→ pool    where the cloud will retrain: the models as one, with pictures of each at virtual cameras
-          ├→ retrain on what each model shows at its own cameras
-          └→ cut     at the borders of the strips, where the edge's memory forbids retraining; a warning says so
+    admit ─→ pool     where the cloud will retrain: the models as one, with pictures of each at
+          │           virtual cameras
+          ├→ retrain  on what each model shows at its own cameras
+          └→ cut      at the borders of the strips, where the edge's memory forbids retraining; a
+                      warning says so
 
 A device's model meets its neighbour's here; where the edge pools, the two are retrained together in
 `join_cloud`.
@@ -53,8 +55,8 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     arrivals = admit(models, task.num_dealt, reporter)
     if not arrivals.models:
         return EdgeModel(splats=None, corrections=arrivals.corrections, refused=arrivals.refused)
-    left = _left_to_cloud(task, arrivals, reporter.stage)
-    rendered = [_rendered(models[name]) for name in arrivals.senders]
+    left = _decide_to_leave(task, arrivals, reporter.stage)
+    rendered = [_views_of(models[name]) for name in arrivals.senders]
     if len(arrivals.models) > 1 and left is None:
         reporter.decide(teachers_decision(reporter.stage, rendered, arrivals.cameras))
     asked = zip(arrivals.models, arrivals.cameras, rendered, strict=True)
@@ -85,12 +87,12 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     )
 
 
-def _rendered(model: DeviceModel | str) -> Mapping[int, Any]:
+def _views_of(model: DeviceModel | str) -> Mapping[int, Any]:
     # A device's model shows the same at its own cameras wherever both were moved to.
     return {} if isinstance(model, str) else model.rendered
 
 
-def _left_to_cloud(task: EdgeTask, arrivals: Arrivals, stage: str) -> Decision | None:
+def _decide_to_leave(task: EdgeTask, arrivals: Arrivals, stage: str) -> Decision | None:
     """That the edge leaves joining to the cloud, with the figure; None where it joins.
 
     It does where the cloud is expected to retrain: by the edge's own models, the whole scene taken
@@ -129,7 +131,7 @@ def _join(task: EdgeTask, teachers: list[Teacher], strips: Sequence[Any], option
 
 
 def _statistics_bytes(task: EdgeTask, teachers: Sequence[Teacher], reporter: Reporter) -> int | None:
-    """What the loss may keep of its views; None, with a warning, where retraining exceeds the edge's memory."""
+    """What the loss may keep of its views; None, with a warning, where memory is short."""
     if task.memory_bytes is None or len(teachers) < 2:
         return STATISTICS_BUDGET_BYTES
     models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]

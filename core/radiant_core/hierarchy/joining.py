@@ -60,13 +60,13 @@ def admit(arrived: Mapping[str, Arrival], num_dealt: Sequence[int], reporter: Re
     rejected: dict[str, str] = {}
     usable: dict[str, tuple[Splats, Cameras, FrameUncertainty | None]] = {}
     for (name, model), most in zip(arrived.items(), num_dealt, strict=True):
-        found = model if isinstance(model, str) else _usable(name, model, most)
+        found = model if isinstance(model, str) else _check_model(name, model, most)
         if isinstance(found, str):
             rejected[name] = found
             reporter.warn(f"the model of {name} is left out: {found}")
         else:
             usable[name] = found
-    arrivals = _without_contradicted(_in_one_frame(usable, reporter), reporter)
+    arrivals = _leave_out_contradicted(_bring_into_one_frame(usable, reporter), reporter)
     corrections = {**arrivals.corrections, **dict.fromkeys(rejected)}
     return replace(arrivals, corrections=corrections, refused={**arrivals.refused, **rejected})
 
@@ -82,13 +82,13 @@ def received_files(arrived: Mapping[str, Arrival]) -> dict[str, str]:
     return {f"{name}/{file}": sha256 for name, model in models.items() for file, sha256 in model.received.items()}
 
 
-def _usable(name: str, model: DeviceModel | EdgeModel, num_dealt: int) -> tuple[Splats, Cameras, FrameUncertainty | None] | str:
+def _check_model(name: str, model: DeviceModel | EdgeModel, num_dealt: int) -> tuple[Splats, Cameras, FrameUncertainty | None] | str:
     # Under numbers: one that gives its cameras another's names would end the joining for both.
     own = numbered(model.cameras, name)
-    return model_problem(model, num_dealt) or (_given(model.splats), own, model.uncertainty)
+    return model_problem(model, num_dealt) or (_require_splats(model.splats), own, model.uncertainty)
 
 
-def _given(splats: Splats | None) -> Splats:
+def _require_splats(splats: Splats | None) -> Splats:
     assert splats is not None
     return splats
 
@@ -107,11 +107,11 @@ def model_problem(model: DeviceModel | EdgeModel, num_dealt: int) -> str | None:
     return "it sends no model." if model.splats is None else check_splats(model.splats, model.cameras)
 
 
-def _in_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncertainty | None]], reporter: Reporter) -> Arrivals:
+def _bring_into_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncertainty | None]], reporter: Reporter) -> Arrivals:
     senders = tuple(usable)
     known = [uncertainty for _, _, uncertainty in usable.values() if uncertainty is not None]
     if len(known) < len(senders) or not senders:
-        return _moved(usable, [_UNMOVED] * len(senders), None)
+        return _move_models(usable, [_UNMOVED] * len(senders), None)
     placed = [
         PlacedModel(splats=model, cameras=own, uncertainty=uncertainty, name=name)
         for (name, (model, own, _)), uncertainty in zip(usable.items(), known, strict=True)
@@ -129,7 +129,7 @@ def _in_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncertainty |
     left = [asdict(frame.uncertainty) for frame in refined if frame.status != "refused"]
     surest = min if are_one_group([frame.neighbours for frame in refined], [frame.status != "refused" for frame in refined]) else max
     common = FrameUncertainty(**{key: surest(one[key] for one in left) for key in left[0]}) if left else None
-    return replace(_moved(usable, corrections, common), refused=refused)
+    return replace(_move_models(usable, corrections, common), refused=refused)
 
 
 def are_one_group(neighbours: Sequence[Sequence[int]], kept: Sequence[bool]) -> bool:
@@ -144,7 +144,7 @@ def are_one_group(neighbours: Sequence[Sequence[int]], kept: Sequence[bool]) -> 
     return reached >= members
 
 
-def _moved(
+def _move_models(
     usable: Mapping[str, tuple[Splats, Cameras, FrameUncertainty | None]],
     corrections: Sequence[Sim3 | None],
     common: FrameUncertainty | None,
@@ -161,7 +161,7 @@ def _moved(
     )
 
 
-def _without_contradicted(arrivals: Arrivals, reporter: Reporter) -> Arrivals:
+def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter) -> Arrivals:
     """The arrivals without models that most of their neighbours contradict."""
     found = find_contradictions(arrivals.models, arrivals.cameras)
     if not np.isfinite(found.agreement_db).any():
@@ -196,7 +196,7 @@ def moved_cameras(cameras: Cameras, move: Sim3) -> Cameras:
 
 
 def numbered(cameras: Cameras, prefix: str) -> Cameras:
-    """The same cameras named prefix/0000, prefix/0001, …: names of files are their owner's business."""
+    """The same cameras named prefix/0000, prefix/0001, …: file names are their owner's business."""
     return replace(cameras, names=tuple(f"{prefix}/{index:04d}" for index in range(len(cameras))))
 
 

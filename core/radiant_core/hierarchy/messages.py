@@ -31,7 +31,7 @@ from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 
 Renderer = Literal["gsplat", "native", "reference"]
-"""A backend of `radiant_core.render` that a run has chosen; "auto" is resolved before a task is written."""
+"""A backend of `radiant_core.render`; "auto" is resolved before a task is written."""
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=0)]
@@ -92,7 +92,7 @@ class DeviceModel:
     rendered: Mapping[int, Any] = field(default_factory=dict, metadata=LOCAL)
     """Synthetic views at its cameras that a teacher process rendered already."""
     received: Mapping[str, str] = field(default_factory=dict, metadata=LOCAL)
-    """SHA-256 of the files that it arrived as; the seed of the edge's virtual cameras is made of them."""
+    """SHA-256 of the files that it arrived as, which seed the edge's virtual cameras."""
     initial: Splats | None = field(default=None, metadata=LOCAL)
     """The Gaussians before training; they stay on the device."""
     summary: Mapping[str, float | int] = field(default_factory=dict, metadata=LOCAL)
@@ -136,7 +136,7 @@ class EdgeModel:
     cameras: Cameras = field(default=NO_CAMERAS, metadata=in_file("virtual_cameras.safetensors"))
     """Virtual cameras, where the cloud asks for some."""
     views: Views | str = field(default=(), metadata=in_file("virtual_views.safetensors"))
-    """Pictures of the devices' models at those cameras; none of an edge that joined; text: why they cannot be used."""
+    """The devices' models at those cameras; none of an edge that joined; text: why unusable."""
     uncertainty: FrameUncertainty | None = None
     corrections: Mapping[str, Sim3 | None] = field(default_factory=dict, metadata=LOCAL)
     """How each device's model was moved; None for one that was refused."""
@@ -148,8 +148,19 @@ class EdgeModel:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Extension:
+    """The region of the second of two edges, which joins the first one's standing scene."""
+
+    polygon: tuple[Pair, ...]
+    """Corners, m."""
+    margin_m: Positive
+    """Beyond so many metres outside of the polygon the standing scene keeps its bits."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class CloudTask(Training):
-    """Join the models of `edges`, whose regions are the power cells of `sites` with `weights`."""
+    """Join the models of `edges`, whose regions are the power cells of `sites` with `weights`, or
+    extend the first one's by the second one's."""
 
     edges: Annotated[tuple[Id, ...], Field(min_length=1)]
     num_dealt: tuple[Count, ...]
@@ -160,9 +171,16 @@ class CloudTask(Training):
     limits: Cloud | None = None
     edge_times_s: tuple[float, ...] | None = None
     """Seconds that each edge took to join; only where the cloud's time is limited."""
+    extends: Extension | None = None
+    """None: the edges' models are joined as equals; else there are no cells."""
 
     def __post_init__(self) -> None:
-        lengths = {len(self.edges), len(self.num_dealt), len(self.sites), len(self.weights), len(self.edge_times_s or self.edges)}
+        cells = {len(self.sites), len(self.weights)}
+        if self.extends is not None:
+            if len(self.edges) != 2 or cells != {0}:
+                raise BadInput(f"a task of {len(self.edges)} edges and {max(cells)} cells extends a scene: give two edges and no cells.")
+            cells = set()
+        lengths = {len(self.edges), len(self.num_dealt), len(self.edge_times_s or self.edges), *cells}
         if len(lengths) != 1:
             raise BadInput(f"a cloud task of {len(self.edges)} edges has {sorted(lengths)} entries: give one per edge.")
 
@@ -177,4 +195,4 @@ class SceneModel:
     uncertainty: FrameUncertainty | None = None
     summary: Mapping[str, float | int] = field(default_factory=dict)
     cut_for_memory: bool = False
-    """Whether models were cut because the machine had too little free memory, so that another try may join them."""
+    """Whether too little free memory made it cut models, which another try may join."""

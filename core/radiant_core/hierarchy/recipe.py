@@ -1,4 +1,5 @@
-"""`Recipe`: what a run has decided before its first node starts, and the task of every node that follows from it. Once per run."""
+"""`Recipe`: what a run has decided before its first node starts, and the task of every node that
+follows from it. Once per run."""
 
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ class Recipe:
         )
 
     def edge_task(self, edge: str, num_dealt: Mapping[str, int], teachers: Sequence[str] = ()) -> EdgeTask:
-        """Join the models of the devices that delivered one; `num_dealt` counts the photographs of each."""
+        """Join the models of the devices that delivered one; `num_dealt`: photographs of each."""
         plan = next(plan for plan in self.edge_plans if plan.edge_id == edge)
         strips = [plan.strips[plan.device_ids.index(device)].tolist() for device in num_dealt]
         return EdgeTask(

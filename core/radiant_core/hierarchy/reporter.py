@@ -1,4 +1,4 @@
-"""`Reporter`: who hears what a node decides and how far it is. `Machine`: what the node may use where it runs."""
+"""`Reporter`: receives what a node decides and how far it is. `Machine`: what a node may use."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Recorder:
 
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """What a node may use of the machine it runs on; no bit of a result depends on it, unless memory is short."""
+    """What a node may use where it runs; no bit depends on it, unless memory is short."""
 
     base_bytes: int = 0
     """What the process holds before it loads photographs; counts where a task limits its memory."""

@@ -10,13 +10,16 @@ import pytest
 from radiant_core.aggregate.cloud_choice import cloud_needs
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
+from radiant_core.aggregate.extend import NewRegion, extend_scene
 from radiant_core.aggregate.pooling import render_pictures
 from radiant_core.aggregate.synthetic_views import Teacher
+from radiant_core.errors import BadInput
 from radiant_core.hierarchy.cloud import MACHINE_SHARE, join_cloud
-from radiant_core.hierarchy.messages import EdgeModel, SceneModel
+from radiant_core.hierarchy.messages import EdgeModel, Extension, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.plan.system import Cloud
 from radiant_core.render.rendered_view import render_views
+from radiant_core.train.trainer import FitOptions
 from tests.core.hierarchy.grounds import AGGREGATE, CAMERAS, MIDDLES, NAMES, cloud_task, edge_models, part
 
 PAIR = {name: model for name, model in edge_models().items() if name != "c"}
@@ -146,3 +149,39 @@ def test_pictures_that_show_another_scene_or_cannot_be_read_cost_their_edge_the_
         (warning,) = reporter.warnings
         assert "the pictures of a are left out, its model's are shown instead" in warning and reason in warning
         assert scene.summary["num_steps"] > 0 and not scene.refused
+
+
+EXTENSION = Extension(polygon=((0.0, -5.0), (5.0, -5.0), (5.0, 5.0), (0.0, 5.0)), margin_m=1.0)
+NO_CELLS = {"sites": (), "weights": (), "limits": None}
+
+
+def extended(models: dict[str, EdgeModel | str]) -> SceneModel:
+    """The standing scene of `a`, extended by the model of `b`."""
+    return join_cloud(cloud_task("a", "b", extends=EXTENSION, **NO_CELLS), models, Recorder(stage="extend"))
+
+
+def test_an_extension_is_a_join_that_admits_and_balances_nothing() -> None:
+    # As edges' models the two would be refused: colours out of bounds, which contradict the other.
+    standing = replace(part(0), sh0=np.full_like(part(0).sh0, 60.0))
+    scene = extended({"a": EdgeModel(splats=standing), "b": PAIR["b"]})
+    assert scene.splats is not None and scene.summary["num_kept"] > 50 and scene.summary["num_shown"] > 0
+    region = NewRegion(polygon=np.array(EXTENSION.polygon), margin_m=EXTENSION.margin_m)
+    kept = standing.select(region.inside_m(standing.means) < -1.0)
+    for name, array in kept.arrays().items():
+        assert np.array_equal(getattr(scene.splats.select(np.arange(len(kept))), name), array), name
+    task, new = cloud_task("a", "b"), Teacher(splats=part(1), cameras=CAMERAS[1])
+    alone = extend_scene(standing, new, region, task.train, task.aggregate, FitOptions(backend=task.backend))
+    for name, array in alone.splats.arrays().items():
+        assert np.array_equal(getattr(scene.splats, name), array), name
+    assert scene.summary == alone.counts()
+
+
+def test_an_extension_by_a_model_that_the_transport_refuses_is_none() -> None:
+    scene = extended({"a": PAIR["a"], "b": "it is not signed."})
+    assert scene.splats is None and scene.refused == {"b": "it is not signed."}
+
+
+def test_an_extension_is_of_two_edges_and_has_no_cells() -> None:
+    for edges, changes in ((("a", "b"), {}), (("a", "b", "c"), NO_CELLS), (("a",), NO_CELLS)):
+        with pytest.raises(BadInput, match="give two edges and no cells"):
+            cloud_task(*edges, extends=EXTENSION, **changes)
