@@ -39,7 +39,8 @@ def problem_sentence(error: ValidationError, kind: str, path: str = "", given: A
 def _keys_in(given: Any, parts: Sequence[int | str], is_missing: bool) -> Iterator[int | str]:
     """The parts of a place that are keys or indices of what was given; the last may be missing."""
     for number, part in enumerate(parts, 1):
-        if isinstance(part, int) or (isinstance(given, dict) and part in given):
+        inside = isinstance(part, int) and part < len(given) if isinstance(given, list) else isinstance(given, dict) and part in given
+        if inside:
             yield part
             given = given[part]
         elif is_missing and number == len(parts):
