@@ -126,9 +126,7 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     cameras = load_scored_cameras(folder)
     if cameras is not None:
         cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
-        return _HeldOut(
-            cameras=cameras, photographs=scored / "photos", masks=scored / MASKS, untrained=load_splats(scored / INITIAL_NAME)
-        )
+        return _HeldOut(cameras=cameras, photographs=scored / "photos", masks=scored / MASKS, untrained=load_splats(scored / INITIAL_NAME))
     if (folder / "delivered").is_dir():
         raise BadInput(f"the photographs of {folder} stayed on its devices, which scored it: its metrics.json has the figures.")
     kind, images, model = detect_source(folder)

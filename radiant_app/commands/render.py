@@ -132,7 +132,7 @@ def _cameras(request: RenderRequest) -> Cameras:
         return held_out_of_training(load_run_view(request.model))
     cameras = load_scored_cameras(request.model)
     if cameras is None:
-        raise BadInput(f"{request.model} holds no held-out cameras: say from where to look by --trajectory orbit, --cameras or --keyframes.")
+        raise BadInput(f"{request.model} has no held-out cameras: say from where to look by --trajectory orbit, --cameras or --keyframes.")
     return cameras
 
 
