@@ -1,4 +1,5 @@
-"""Benchmark of joining: every method on the same devices, split and seams. Once per (layout, seed).
+"""Benchmark of joining: every method on the same device models, split and seams. Once per (layout,
+placement, seed).
 
     centralised     one model of all photographs, with all devices' steps; reference of the seams
     crop            device models cut at the plan's borders

@@ -16,7 +16,7 @@ def render(
     model: Annotated[Path, typer.Argument(help="A run, the folder of `radiant train`, or a PLY.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="New folder of PNGs, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)],
     cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without any path the held-out cameras.")] = None,
-    trajectory: Annotated[Trajectory | None, typer.Option(help="orbit: once around; border: along one, else the worst seam.")] = None,
+    trajectory: Annotated[Trajectory | None, typer.Option(help="orbit: once around; border: along --border or the worst seam.")] = None,
     border: Annotated[str | None, typer.Option(help="Two edges, as EAST,WEST: fly along their border.")] = None,
     keyframes: Annotated[
         Path | None, typer.Option(help='JSON: {"keyframes": [{"time_s": 0, "position": [x, y, z], "target": [x, y, z]}, …]}.')

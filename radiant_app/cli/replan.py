@@ -25,7 +25,8 @@ def replan_plan(
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """A plan after a device died, slowed down or finished, or others joined; few positions move."""
+    """A plan after a device died, slowed down or finished, or others joined: the least makespan,
+    then the fewest positions that move."""
     from radiant_app.commands.replan import ReplanRequest, parse_values, replan_files, replan_table
     from radiant_app.report.progress import terminal_display
     from radiant_core.plan.revision.replan import FleetChange

@@ -25,10 +25,20 @@ from radiant_core.plan.system import Cloud
 
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
-    """Join the device models of a finished run into the new PLY `out`; neither tier has a limit.
+    """Join the device models of a finished run into a PLY; neither tier has a limit.
 
-    `epochs` None: as many as the preset has. Returns figures of the joined model, for the command
-    line. BadInput: the run is of an earlier version, or none of its models can be joined.
+    Args:
+        run: folder of the run.
+        out: the PLY, which must not exist.
+        preset: how models are joined.
+        epochs: how often each view is shown; None: as often as the preset says.
+        display: shows progress.
+
+    Returns:
+        Figures of the joined model, for the command line.
+
+    Raises:
+        BadInput: the run is of an earlier version, or none of its models can be joined.
     """
     require_file_to_be(out)
     require_run(run)

@@ -20,6 +20,7 @@ from radiant_app.commands.steps import require_file_to_be, stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import score_render, select_scored, summarize_scores
 from radiant_app.workers.sources import detect_source, load_scored_scene, masks_folder_of
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.choices import LpipsNetwork
@@ -98,6 +99,13 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     return result
 
 
+def load_scored_cameras(run: Path) -> Cameras | None:
+    """A run's held-out cameras at the size it was scored at; None where it scored none."""
+    # Runs made before devices and owners had one scorer have them under the second name.
+    names = [name for name in (HELD_OUT_NAME, "cameras.safetensors") if (run / "evaluation" / name).is_file()]
+    return load_cameras(run / "evaluation" / names[0]) if names else None
+
+
 def _load_model(model: Path) -> Splats:
     if model.is_dir():
         if not (model / "scene.ply").is_file():
@@ -115,12 +123,10 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
             f"{folder} holds no photographs to score on: name a run, a folder of 'radiant sfm' or a COLMAP project after the model."
         )
     scored = folder / "evaluation"
-    if (scored / "held_out.safetensors").is_file():
-        cameras = load_cameras(scored / "held_out.safetensors")
+    cameras = load_scored_cameras(folder)
+    if cameras is not None:
         cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
-        return _HeldOut(
-            cameras=cameras, photographs=scored / "photos", masks=scored / MASKS, untrained=load_splats(scored / "initial.safetensors")
-        )
+        return _HeldOut(cameras=cameras, photographs=scored / "photos", masks=scored / MASKS, untrained=load_splats(scored / INITIAL_NAME))
     if (folder / "delivered").is_dir():
         raise BadInput(f"the photographs of {folder} stayed on its devices, which scored it: its metrics.json has the figures.")
     kind, images, model = detect_source(folder)

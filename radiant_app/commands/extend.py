@@ -24,9 +24,10 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
 from radiant_core.hierarchy.joining import moved_cameras
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
-from radiant_core.io.messages import load_task
+from radiant_core.io.messages import TASK_NAME, message_of
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan_waypoints
+from radiant_core.io.run_store import read_json
 from radiant_core.io.waypoints.region import load_region
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.power_diagram import polygon_area_m2
@@ -81,7 +82,8 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     require_file_to_be(request.out)
     require_run(request.new, "scene.ply")
     require_current(request.new)
-    given = load_task(CloudTask, request.new / "cloud")
+    # Runs made before a task could extend have no such key.
+    given = message_of(CloudTask, {"extends": None, **read_json(request.new / "cloud" / TASK_NAME, ("train", "num_dealt"))})
     old = load_ply(request.old if request.old.is_file() else _scene_of(request.old))
     move, origin, frames = _common_frame(request)
     new, cameras = _move_scene(load_ply(request.new / "scene.ply"), _virtual_cameras(request.new), move)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from radiant_app.commands.evaluate import DEFAULT_LONG_SIDE_PX
-from radiant_app.commands.steps import require_file_to_be, require_model, require_run, stage_bar
+from radiant_app.commands.evaluate import DEFAULT_LONG_SIDE_PX, load_scored_cameras
+from radiant_app.commands.steps import require_file_to_be, require_model, stage_bar
 from radiant_app.events import Warned
 from radiant_app.files.run_folder import create_folder
 from radiant_app.report.progress import ProgressDisplay
@@ -130,8 +130,10 @@ def _cameras(request: RenderRequest) -> Cameras:
         return load_cameras(request.cameras)
     if folder_kind(request.model) == "training":
         return held_out_of_training(load_run_view(request.model))
-    require_run(request.model, "evaluation/held_out.safetensors")
-    return load_cameras(request.model / "evaluation" / "held_out.safetensors")
+    cameras = load_scored_cameras(request.model)
+    if cameras is None:
+        raise BadInput(f"{request.model} has no held-out cameras: say from where to look by --trajectory orbit, --cameras or --keyframes.")
+    return cameras
 
 
 def held_out_of_training(run: RunView) -> Cameras:

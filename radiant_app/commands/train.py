@@ -107,9 +107,18 @@ def train(
 ) -> dict[str, Any]:
     """Train one model of all photographs of a source and score it on those held out.
 
-    `resume` goes on with what an interrupted training left in the output folder. Returns the
-    content of metrics.json, or figures of the training for a single PLY. BadInput for unusable
-    input, where nothing stays behind; StageFailed when the training diverges.
+    Args:
+        request: source, output and settings.
+        listen: receives the events of the training.
+        resume: go on with what an interrupted training left in the output folder.
+        clock: seconds, for tests.
+
+    Returns:
+        The content of metrics.json, or figures of the training for a single PLY.
+
+    Raises:
+        BadInput: unusable input, in one sentence; nothing stays behind.
+        StageFailed: the training diverges.
     """
     if request.out.suffix.lower() == ".ply":
         return _single_ply(request, listen, resume, clock)

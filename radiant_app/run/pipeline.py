@@ -80,11 +80,20 @@ class RunResult:
 def run(
     config: RunConfig, listen: Listener = lambda event: None, *, resume: bool = False, clock: Callable[[], float] = time.monotonic
 ) -> RunResult:
-    """Run everything in `config.out`; returns the folder and the metrics.
+    """Run everything in `config.out`; finished stages are skipped with `resume`.
 
-    `listen` receives every event as it happens; `resume` goes on with the run in the folder, by the
-    same settings; stage times are differences of `clock`, in seconds. BadInput for unusable input,
-    where nothing stays behind; StageFailed for a stage without its result: the finished ones stay.
+    Args:
+        config: what is asked for.
+        listen: receives every event of the run as it happens.
+        resume: go on with the run that is in the folder, by the same settings.
+        clock: seconds; the times of stages are its differences.
+
+    Returns:
+        The folder and the metrics; its `load_splats` reads the scene.
+
+    Raises:
+        BadInput: unusable input, in one sentence; nothing stays behind.
+        StageFailed: a stage ended without its result; finished ones stay and can be resumed.
     """
     from radiant_app.report.html import write_report
 

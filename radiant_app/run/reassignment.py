@@ -42,7 +42,8 @@ class Reassignment:
 
     def __call__(self, lost: Tree, begun: Collection[str]) -> None:
         """Reassign the photographs of `lost` while the nodes in `begun` run or are done."""
-        if lost.tier != "device":
+        # Scoring on a device, once the tree is done, has no photographs to reassign.
+        if lost.tier != "device" or lost.id not in {node.id for node in self.tree}:
             return
         dealer, positions = self.dealer, self.positions
         waiting = {node.name for node in self.tree if node.tier == "device" and node.id not in {*begun, lost.id}}

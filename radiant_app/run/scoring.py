@@ -31,7 +31,7 @@ from radiant_core.frames import Sim3
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.io.records import load_plan, save_plan
-from radiant_core.io.run_store import content_key, read_json
+from radiant_core.io.run_store import content_key, is_sealed, read_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,20 +61,22 @@ class Scoring:
     recipe: Recipe
     machines: Sequence[ScoringMachine]
     access_log: list[dict[str, Any]] = field(default_factory=list)
+    keys: dict[str, str] = field(default_factory=dict)
+    """Stage → the key of its seal, so that figures of another scene are not used."""
 
     def run(self, executor: Executor, progress: Progress) -> dict[str, Any]:
         """Score on every machine and combine the figures; raises as `combine_scores`."""
         nodes = tuple(Tree(id=machine.stage, tier="device") for machine in self.machines)
         executor.fold(Tree(id="scoring", tier="cloud", children=nodes), self._prepare, progress.listen)
         run = self.config.out
-        folders = [run / machine.stage for machine in self.machines]
-        scores = {folder.parent.name: folder / SCORES_NAME for folder in folders if (folder / SCORES_NAME).is_file()}
+        stages = [machine.stage for machine in self.machines]
+        folders = [run / stage for stage in stages if stage in self.keys and is_sealed(run / stage, self.keys[stage])]
         # Pictures of photographs leave a machine only where all are one owner's.
         for kind in PICTURE_KINDS if self.config.frames == "shared" or self.config.single_owner else ():
             for made in (folder / kind for folder in folders):
                 if made.is_dir():
                     shutil.copytree(made, run / "pictures" / kind, dirs_exist_ok=True)
-        return combine_scores(run, scores, lpips_network_of(self.config))
+        return combine_scores(run, {folder.parent.name: folder / SCORES_NAME for folder in folders}, lpips_network_of(self.config))
 
     def _prepare(self, node: Tree) -> NodeTask | None:
         """Copy the scene and the borders to a machine; its task holds the moves of its frame."""
@@ -103,7 +105,8 @@ class Scoring:
             given = [f"inbox/{path.name}" for path in sorted(inbox.iterdir())]
             sign_task(run, machine.edge, device, "score_task", folder, [TASK_NAME, *given])
         self.access_log.append({"node": node.id, "tier": "device", **count_received([inbox])})
-        return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task_key(task), inbox, *machine.inputs))
+        key = self.keys[node.id] = content_key(__version__, task_key(task), inbox, *machine.inputs)
+        return NodeTask(kind="score", stage=node.id, folder=folder, key=key)
 
 
 def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:

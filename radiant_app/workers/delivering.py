@@ -125,7 +125,7 @@ def accept_task(folder: Path, kind: Kind) -> None:
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
     delivery = _load_signed(folder / GIVEN, folder / IDENTITY / ABOVE_NAME, str(folder))
     if delivery.kind != kind:
-        raise BadInput(f"{folder / GIVEN} has a {delivery.kind}, expected a {kind}: send the task again.")
+        raise BadInput(f"{folder / GIVEN} is {delivery.kind!r}, expected {kind!r}: send the task again.")
     check_files(delivery, folder)
     require_nothing_else(delivery, folder)
     last, verdict = _last_task(folder, post).offer(_offer(delivery.receiver, delivery))
@@ -184,7 +184,7 @@ def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Pat
         try:
             delivery = _load_signed(folder / DELIVERIES / sender, folder / SENDERS / f"{sender}.pub", expected[sender])
             if delivery.kind != _KINDS[tier]:
-                raise BadInput(f"it sent a {delivery.kind}, expected a {_KINDS[tier]}.")
+                raise BadInput(f"it sent {delivery.kind!r}, expected {_KINDS[tier]!r}.")
             check_files(delivery, places[sender])
         except BadInput as error:
             found[sender] = str(error)

@@ -158,7 +158,7 @@ def without_signature(run: Path) -> None:
         (signed_as(run="f" * 32), "If the folder devices/a was put here from another run, remove it and go on with --resume."),
         (signed_as(receiver="edges/south"), "is addressed to 'edges/south', this is 'edges/north'"),
         (signed_as(node="devices/b"), "'devices/b' sends region 'a', which 'devices/a' is to deliver"),
-        (signed_as(node="edges/a"), "it sent a edge_model, expected a device_model"),
+        (signed_as(node="edges/a"), "it sent 'edge_model', expected 'device_model'"),
         (changed_on_its_way, "has other bytes than its sender signed"),
         (without_signature, "delivery.sig"),
     ],

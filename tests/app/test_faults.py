@@ -99,6 +99,16 @@ def test_a_lost_devices_photographs_go_to_those_that_have_not_begun_and_a_resume
     assert load_replan(tmp_path, plan_of(dealer)).edges is dealer.recipe.edge_plans, "another plan is left as it is"
 
 
+def test_a_device_that_cannot_score_loses_no_photographs(tmp_path: Path) -> None:
+    dealer, tree = planned(tmp_path)
+    device = next(node for node in tree if node.tier == "device")
+    events: list[Event] = []
+    Reassignment(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=events.append)(
+        Tree(id=f"{device.id}/score", tier="device"), set()
+    )
+    assert events == []
+
+
 def test_where_every_other_device_has_begun_the_plan_stays_and_the_loss_is_named(tmp_path: Path) -> None:
     dealer, tree = planned(tmp_path)
     plan, (lost, *_) = dealer.recipe.cloud_plan, [node for node in tree if node.tier == "device"]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from radiant_app.run.scoring import combine_scores
+from radiant_app.config.run_config import RunConfig
+from radiant_app.run.scoring import Scoring, ScoringMachine, combine_scores
 from radiant_app.workers.evaluation import SCORES_NAME, png_bytes, run_score
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, Move, ScoreTask
@@ -20,7 +22,7 @@ from radiant_core.geometry.similarity import move_splats
 from radiant_core.hierarchy.joining import moved_cameras
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_cameras, save_plan, save_scene, save_splats
-from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.run_store import read_json, seal, write_json
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
@@ -109,3 +111,17 @@ def test_a_machine_without_photographs_adds_nothing_and_alone_has_no_figures(run
     assert read_json(file)["images"] == [] and not (file.parent / "renders").exists()
     with pytest.raises(StageFailed, match="no device could score"):
         combine_scores(run, {"evaluation": file}, None)
+
+
+def test_figures_of_another_scene_are_not_used_where_scoring_anew_fails(run: Path, tmp_path: Path) -> None:
+    file = scored(run, "evaluation", CAMERAS)
+    seal(file.parent, "of an earlier scene", [SCORES_NAME])
+    save_ply(run / "cloud" / "scene.ply", SCENE)
+    machine = ScoringMachine(stage="evaluation", inputs=(file.parent / HELD_OUT_NAME,))
+    config = RunConfig(source=tmp_path, out=run)
+    recipe = SimpleNamespace(train=SimpleNamespace(long_side_px=192), backend="native")
+    scoring = Scoring(config=config, recipe=cast(Any, recipe), machines=[machine])
+    given_up = SimpleNamespace(fold=lambda tree, prepare, listen: [prepare(node) for node in tree])
+    with pytest.raises(StageFailed, match="no device could score"):
+        scoring.run(cast(Any, given_up), cast(Any, SimpleNamespace(listen=None)))
+    assert file.is_file() and scoring.keys

@@ -166,7 +166,7 @@ def test_a_task_for_somebody_else_of_another_run_or_kind_is_refused(tmp_path: Pa
     shutil.copytree(other / GIVEN, folder / GIVEN, dirs_exist_ok=True)
     assert "it is addressed to 'devices/a-2'" in refusal(folder)
     folder = given(run)
-    assert "has a device_task, expected a field_task" in refusal(folder, "field_task")
+    assert "is 'device_task', expected 'field_task'" in refusal(folder, "field_task")
     (run / "run.json").unlink()
     # The same keys, another number: a run that was copied and begun anew.
     exchange_keys(run, DEVICE, EDGE)

@@ -147,7 +147,7 @@ def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, join
 
 
 def exposures_decision(stage: str, balance: Balance) -> Decision:
-    """Whether models were balance_teachers, with how far the one that differs most is off."""
+    """Whether models were balanced, with how far the one that differs most is off."""
     choice = "models are balanced by a gain and an offset per channel" if balance.needed else "left as they are"
     if not balance.num_pairs:
         reason = "no two models show the same place"

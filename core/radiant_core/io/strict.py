@@ -39,8 +39,9 @@ def problem_sentence(error: ValidationError, kind: str, path: str = "", given: A
 def _keys_in(given: Any, parts: Sequence[int | str], is_missing: bool) -> Iterator[int | str]:
     """The parts of a place that are keys or indices of what was given; the last may be missing."""
     for number, part in enumerate(parts, 1):
-        if isinstance(part, int) or (isinstance(given, dict) and part in given):
+        # A pair that is too short lacks its second number.
+        if (isinstance(given, dict) and part in given) or (isinstance(given, list) and isinstance(part, int) and part < len(given)):
             yield part
-            given = given[part]
+            given = given[part]  # pyright: ignore[reportArgumentType, reportCallIssue]
         elif is_missing and number == len(parts):
             yield part

@@ -1,10 +1,11 @@
 """The contract of all rasterizers (EWA splatting, Zwicker 2002; 3DGS, Kerbl 2023).
 
-    image(p) = Σ_i c_i w_i + background · (1 − Σ_i w_i)    w_i = α_i Π_{k<i} (1 − α_k)     (Eqn. 2)
-    α_i = min(α_max, o_i exp(−½ (p − m_i)ᵀ Σ'_i⁻¹ (p − m_i)))                           (Eqn. 1)
-    Σ' = J W Σ Wᵀ Jᵀ + 0.3 px² I                                                        (Eqn. 3)
+    image(p) = Σ_i c_i w_i + background · (1 − Σ_i w_i)    w_i = α_i Π_{k<i} (1 − α_k)   (Eqn. 2)
+    α_i = min(α_max, o_i exp(−½ (p − m_i)ᵀ Σ'_i⁻¹ (p − m_i)))                         (Eqn. 1)
+    Σ' = J W Σ Wᵀ Jᵀ + 0.3 px² I                                                     (Eqn. 3)
 
-`rasterize.py` checks arguments, chooses the backend. C cameras, N Gaussians, K SH bases, H W px.
+Equations are numbered as in the paper. `rasterize.py` checks arguments and chooses the backend.
+C cameras, N Gaussians, K SH bases, H W px.
 """
 
 from __future__ import annotations

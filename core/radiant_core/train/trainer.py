@@ -97,9 +97,23 @@ class FitOptions:
 
 
 def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions = FitOptions()) -> TrainResult:
-    """Fit a copy of `initial` to `views`, for the steps or the time that `config` gives.
-    StageFailed where steps in a row ended in something not finite; BadInput where the initial model
-    or the cameras are not finite, or the options contradict the configuration."""
+    """Fit a copy of `initial` to `views`, for `config.num_steps` or `config.budget_s`, whichever
+    ends first.
+
+    Args:
+        initial: the Gaussians of the start, such as those of `first_splats`.
+        views: the images to fit, with their cameras.
+        config: the settings of training, such as `train_preset("default")`.
+        options: renderer, progress, checkpoints and validation.
+
+    Returns:
+        The fitted model and what it took.
+
+    Raises:
+        StageFailed: steps in a row ended in something not finite; the message says what.
+        BadInput: the initial model or the cameras are not finite, or the options contradict the
+            configuration.
+    """
     training = Training(initial, views, config, options)
     state = options.checkpoints.load()
     if state is not None:

@@ -135,6 +135,8 @@ def test_a_wrong_field_is_named_by_the_path_at_which_it_stands() -> None:
     ):
         with pytest.raises(BadInput, match=rf"message: train\.density\.{said}"):
             message_of(DeviceSettings, {**record, "train": {**record["train"], "density": wrong}})
+    with pytest.raises(BadInput, match=r"message: sites\[0\]\[1\] is missing"):
+        message_of(CloudTask, {**message_record(CLOUD), "sites": [[0.0]]})
 
 
 @settings(max_examples=60)

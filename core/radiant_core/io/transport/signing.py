@@ -70,7 +70,7 @@ def load_signing_key(folder: Path) -> Ed25519PrivateKey:
 
 
 def keeps_modes(folder: Path) -> bool:
-    """Whether a private file in `folder` stays so; NTFS, exFAT and many network drives do not."""
+    """Whether `folder` keeps a file private; NTFS, exFAT and many network drives do not."""
     probe = folder / f".mode-{secrets.token_hex(4)}"
     try:
         os.close(os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
