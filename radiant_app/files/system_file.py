@@ -18,6 +18,8 @@
     relative_speed = 2.0                 # divides init_s and train_s
     speed = 0.5                          # of an edge too: share of a core under --emulate
 
+`count = 3` in a device stands for three equal ones, north-1-1 to north-1-3.
+
 The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
 both has relative_speed and speed 0.5.
 
@@ -45,6 +47,7 @@ aggregate_alone_s and speed (none) and relative_speed (1).
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -98,8 +101,14 @@ class _Device(Strict):
     memory_gb: _Positive | None = None
     relative_speed: _Speed = 1.0
     speed: _Share | None = None
+    count: Annotated[int, Field(ge=1, le=10_000)] | None = None
 
-    def build(self, folder: Path) -> Device:
+    def build(self, folder: Path) -> tuple[Device, ...]:
+        """The device, or `count` equal ones with numbered ids."""
+        one = self._build_one(folder)
+        return (one,) if self.count is None else tuple(replace(one, id=f"{self.id}-{number + 1}") for number in range(self.count))
+
+    def _build_one(self, folder: Path) -> Device:
         profile = _profile_of(self, f"device {self.id!r}", ("init_s", "train_s", "model_mb"), folder)
         memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
         if profile is None:
@@ -160,7 +169,7 @@ class _Edge(Strict):
             lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
             aggregate_s=joined,
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
-            devices=tuple(device.build(folder) for device in self.device),
+            devices=tuple(device for table in self.device for device in table.build(folder)),
             speed=self.speed,
             aggregate_alone_s=alone,
             profile=profile,

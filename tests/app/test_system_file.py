@@ -92,6 +92,20 @@ def test_what_is_left_out_has_the_documented_default(tmp_path: Path) -> None:
     assert float(south.devices[0].init_s(10)) == pytest.approx(0.5, rel=1e-15)
 
 
+def test_a_device_may_stand_for_several_equal_ones(tmp_path: Path) -> None:
+    path = tmp_path / "system.toml"
+    path.write_text('[[edge]]\nid = "a"\n[[edge.device]]\nid = "gpu"\ncount = 3\nrelative_speed = 2.0\n[[edge.device]]\nid = "cpu"\n')
+    devices = load_system(path).devices
+    assert [device.id for device in devices] == ["gpu-1", "gpu-2", "gpu-3", "cpu"]
+    assert devices[0].train_s == devices[2].train_s != devices[3].train_s
+    path.write_text(path.read_text().replace('"cpu"', '"gpu-2"'))
+    with pytest.raises(BadInput, match="gpu-2"):
+        load_system(path)
+    path.write_text(path.read_text().replace("count = 3", "count = 0"))
+    with pytest.raises(BadInput, match="count"):
+        load_system(path)
+
+
 def test_the_text_written_is_the_system_read(tmp_path: Path) -> None:
     system = loaded(tmp_path, WHOLE)
     assert loaded(tmp_path, dump_system(system)) == system
