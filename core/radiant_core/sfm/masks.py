@@ -71,7 +71,7 @@ def undistort_masks(given: Path | None, model_folder: Path, work_folder: Path, n
 
 
 def without_masked_points(scene: SfmScene, masks: Path | None) -> SfmScene:
-    """The scene without observations in ignored pixels and points that have no other."""
+    """The scene without observations in ignored pixels and without points that have no other."""
     weights = pixel_weights(masks, scene.cameras)
     if weights is None:
         return scene

@@ -25,12 +25,12 @@ from radiant_core.errors import BadInput
 from radiant_core.train.losses import weighted_loss
 
 STATISTICS_BUDGET_BYTES = 1 << 30
-"""Of kept statistics, 36 bytes a pixel; without them the loss takes 1.8 times as long."""
+"""Memory for kept statistics, 36 bytes a pixel; without them the loss takes 1.8 times as long."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TargetStatistics:
-    """A target (H,W,3) float32 in 0..1 with what SSIM needs of it, blurred once for all steps."""
+    """A target (H,W,3) float32 in 0..1 with what SSIM needs of it: it is blurred only once."""
 
     target: Tensor
     """(H,W,3)."""
@@ -57,8 +57,8 @@ class TargetStatistics:
 
 
 class StatisticsCache:
-    """Statistics by view; the first that fit into the budget stay: epochs come in new orders, so
-    dropping the oldest would drop each of them just before its turn."""
+    """Statistics by view; the first that fit into the budget stay: views come in a new order every
+    epoch, so dropping the oldest would drop each of them just before its turn."""
 
     def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES) -> None:
         self._free_bytes = budget_bytes

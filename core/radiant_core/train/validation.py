@@ -32,7 +32,7 @@ def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -
 
 
 class BestModel(Part):
-    """The best of `num_looks` models over the second half of a run; `looks`: steps, PSNR in dB."""
+    """The best of `num_looks` models, evenly over the run's second half; `looks`: steps, dB."""
 
     name = "best"
 

@@ -77,7 +77,7 @@ def _move_to(edge: Edge, position: FloatArray) -> Edge:
 
 
 def _seeded_positions(positions: FloatArray, given: FloatArray, num_free: int, seed: int) -> FloatArray:
-    """Positions (num_free,2) m of the edges to place, beside the given ones (G,2) m."""
+    """Positions (num_free,2) m of the edges that may stand anywhere, beside given ones (G,2) m."""
     rng = np.random.default_rng(seed)
     sites = given
     for _ in range(num_free):
