@@ -111,7 +111,7 @@ class FrameUncertainty:
 
 def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
     """Metres east, north, up (P,3) of positions (P,3) [deg, deg, m] about an origin (3,), float64.
-    BadInput off the globe."""
+    Raises BadInput off the globe."""
     positions = check_array("lat_lon_alt", lat_lon_alt, (None, 3))
     origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     _require_on_globe(positions)
@@ -121,9 +121,9 @@ def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> 
 def geodetic_from_enu(positions_m: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
     """Latitude, longitude in ±180° and altitude (P,3) of metres (P,3) about an origin (3,).
 
-    The inverse of `enu_from_geodetic`, within 1e-6 m up to 10,000 km from the origin. BadInput for
-    an origin off the globe and for positions outside 1e6 to 1e8 m from the centre of the earth,
-    below which latitude loses its meaning.
+    The inverse of `enu_from_geodetic`, within 1e-6 m up to 10,000 km from the origin. Raises
+    BadInput for an origin off the globe and for positions outside 1e6 to 1e8 m from the centre of
+    the earth, below which latitude loses its meaning.
     """
     positions = check_array("positions_m", positions_m, (None, 3))
     origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))

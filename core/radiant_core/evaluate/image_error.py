@@ -100,7 +100,7 @@ def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
 
 def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float | None:
     """Mean FLIP of two sRGB images (H,W,3) in 0..1 at their `used` pixels, the others being taken
-    as equal; None without the package. BadInput on other shapes or values."""
+    as equal; None without the package. Raises BadInput on other shapes or values."""
     render, photograph = check_image_pair(render, photograph)
     render = replace_unused(render, photograph, used)
     if importlib.util.find_spec("flip_evaluator") is None:

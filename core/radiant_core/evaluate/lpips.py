@@ -137,8 +137,8 @@ def load_lpips(path: Path, network: LpipsNetwork) -> Lpips:
     `alexnet*.pth`) and the heads of `lpips` 0.1 (`vgg.pth`, `alex.pth`), or one safetensors file
     with the tensors of both.
 
-    Nothing in a .pth is executed. BadInput when a file is missing, ambiguous, broken or over 1 GiB,
-    or a tensor is missing, of another shape, not of a floating type or not finite.
+    Nothing in a .pth is executed. Raises BadInput when a file is missing, ambiguous, broken or over
+    1 GiB, or a tensor is missing, of another shape, not of a floating type or not finite.
     """
     if network not in get_args(LpipsNetwork):
         raise BadInput(f"LPIPS network {network!r} is unknown: use one of {', '.join(get_args(LpipsNetwork))}.")

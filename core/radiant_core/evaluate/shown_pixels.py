@@ -1,7 +1,6 @@
 """How many pixels each Gaussian makes. One render and its backward per view.
 
-    shown of Gaussian i = Σ over views and pixels of T_i α_i, Σ over i of that = Σ over pixels of
-    alpha
+    shown of Gaussian i = Σ over views and pixels of T_i α_i,  Σ_i shown = Σ over pixels of alpha
 
 the derivative of all pixels' sum by its colour.
 """

@@ -41,9 +41,9 @@ def free_vram_bytes(backend: str) -> int | None:
 
 
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
-    """`rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient. BadInput
-    where gsplat or CUDA is missing, for another type or device, and where the cameras ask for
-    gradients."""
+    """`rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient. Raises
+    BadInput where gsplat or CUDA is missing, for another type or device, and where the cameras ask
+    for gradients."""
     _check_gsplat(splats, viewmats, Ks)
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 

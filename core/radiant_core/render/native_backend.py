@@ -95,8 +95,8 @@ def rasterize_native(
 ) -> RenderOutput:
     """`rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64, without gradient.
     `instruction_set`: one of `instruction_sets()`, by default the fastest; `threads`: by default
-    torch.get_num_threads(). BadInput for another type or device, and where the cameras ask for
-    gradients."""
+    torch.get_num_threads(). Raises BadInput for another type or device, and where the cameras ask
+    for gradients."""
     _check_native(splats, viewmats, Ks, instruction_set)
     cameras, count = viewmats.shape[0], len(splats)
     shape = (cameras, view.height, view.width)

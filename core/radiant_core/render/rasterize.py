@@ -44,9 +44,9 @@ def rasterize(
     asks for `RenderOutput.absgrad`. Tensors and pictures are of one floating type, viewmats and Ks
     may be of a finer one; cameras and background may lie on another device than the splats.
 
-    BadInput naming tensor, count and first index of values that are not finite, and for a wrong
-    shape or type, no camera, one that is not rigid or no pinhole, pictures without pixels or a side
-    above 1,000,000 px, a degree without bases, near_m ≥ far_m, and what `backend` cannot do.
+    Raises BadInput naming tensor, count and first index of values that are not finite, and for a
+    wrong shape or type, no camera, one that is not rigid or no pinhole, pictures without pixels or
+    a side above 1,000,000 px, a degree without bases, near_m ≥ far_m, and what `backend` cannot do.
     """
     if backend not in get_args(Backend):
         raise BadInput(f"backend {backend!r} is unknown: use {', '.join(map(repr, get_args(Backend)))}.")

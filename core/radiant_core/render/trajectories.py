@@ -85,7 +85,7 @@ def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: in
 def middle_box(points: ArrayLike) -> FloatArray:
     """Lower and upper corner (2,3) of where most of points (N,3) lie: median ± twice the median
     distance from it, by axis; all of them where they spread evenly, hardly moved by a third that is
-    far away, such as sky and haze. BadInput without points."""
+    far away, such as sky and haze. Raises BadInput without points."""
     points = check_array("points", points, (None, 3))
     if not len(points):
         raise BadInput("there is no point to look at: give a model that holds some.")

@@ -53,8 +53,8 @@ class GivenPoses:
 
 
 def read_given_poses(source: Path, model_folder: Path | None) -> GivenPoses:
-    """The poses in `model_folder`, or else those beside the photographs of `source`. BadInput where
-    there are none, or where z is not up in them."""
+    """The poses in `model_folder`, or else those beside the photographs of `source`. Raises
+    BadInput where there are none, or where z is not up in them."""
     if model_folder is None and (source / "train" / "metadata").is_dir():
         return GivenPoses(cameras=read_mill19(source), photos=source, model=None)
     folder = model_folder or next((place for place in (source / "sparse" / "0", source / "sparse") if place.is_dir()), None)

@@ -50,7 +50,7 @@ def scene_from_mill19(
     folder: Path, work_folder: Path, report: Report, config: SfmConfig = DEFAULT_CONFIG, masks: Path | None = None
 ) -> SfmResult:
     """The scene of a Mill 19 / Mega-NeRF folder: its poses, points triangulated from its
-    photographs. BadInput for another layout, or an image or a mask that is unusable."""
+    photographs. Raises BadInput for another layout, or an image or a mask that is unusable."""
     cameras, copied = without_copies(read_mill19(folder), folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
     scene, repeats = without_repeats(scene, folder)
@@ -120,7 +120,7 @@ def scene_from_poses(
 
 def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple[str, ...]]:
     """The cameras without those whose photograph holds the same bytes as another's, and warnings.
-    BadInput where they are all copies of one."""
+    Raises BadInput where they are all copies of one."""
     copies = file_copies({name: photo_folder / name for name in cameras.names})
     if 0 < len(copies) == len(cameras) - 1:
         raise BadInput(f"all {len(cameras)} photographs are copies of one another: at least 2 that overlap are needed.")

@@ -72,8 +72,8 @@ def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "inc
 
 def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
     """The configuration within its `memory_bytes` for photographs of these sizes, and the decision
-    if there is a limit. BadInput where neither decoding one photograph fits, nor one thread at
-    `LEAST_SIDE_PX`, nor mapping with `LEAST_FEATURES` each."""
+    if there is a limit. Raises BadInput where neither decoding one photograph fits, nor one thread
+    at `LEAST_SIDE_PX`, nor mapping with `LEAST_FEATURES` each."""
     if config.memory_bytes is None:
         return config, ()
     _require_decoding(config.memory_bytes, sizes_wh)

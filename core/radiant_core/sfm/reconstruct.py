@@ -41,8 +41,8 @@ def reconstruct(
 
     `work_folder` gets undistorted/ and sparse/, whose COLMAP models are in the scene's frame, and
     masks/ for a folder of `masks`; features and matches of an interrupted attempt with the same
-    photographs, masks and settings are used, all else there is removed. BadInput when fewer than
-    two photographs can be used or they do not overlap, or `masks` or `placement` do not fit.
+    photographs, masks and settings are used, all else there is removed. Raises BadInput when fewer
+    than two photographs can be used or they do not overlap, or `masks` or `placement` do not fit.
     """
     report = number_phases(report, PHASES)
     listing = list_usable(photo_folder, report)

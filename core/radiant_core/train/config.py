@@ -204,7 +204,7 @@ def with_settings(config: TrainConfig, settings: Mapping[str, Any]) -> TrainConf
     """The configuration with other values, texts or typed, by the paths of their settings.
 
     Another "density.kind" keeps the knobs that the two policies share, and takes the defaults of
-    the others. BadInput as `parse_setting`, for a value out of range, or an unknown knob:
+    the others. Raises BadInput as `parse_setting`, for a value out of range, or an unknown knob:
 
         with_settings(config, {"sh_degree": "2", "density.kind": "mcmc", "density.every": "50"})
     """

@@ -42,7 +42,7 @@ def initial_splats(
     """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour above the horizon:
     at most `max_num_splats`, up to a quarter of them sky, none where `sky_rgb` is None. Duplicate
     points are merged, those at a camera's centre left out; too many are thinned out evenly along x,
-    their sorted order. BadInput with fewer than 4 different points."""
+    their sorted order. Raises BadInput with fewer than 4 different points."""
     points, first = np.unique(np.asarray(points, np.float64), axis=0, return_index=True)
     colors = np.asarray(colors)[first]
     away = _away_from_cameras(points, cameras)

@@ -92,8 +92,8 @@ def memory_plan(
     config: TrainConfig, cameras: Cameras, memory_bytes: int, base_bytes: int, *, validated: bool = False, masked: bool = False
 ) -> MemoryPlan:
     """The most Gaussians and the statistics that fit into `memory_bytes` with the photographs of
-    `cameras`, at their training size; `base_bytes`: held before they are loaded. BadInput where
-    fewer than `MIN_SPLATS` fit, with what would do."""
+    `cameras`, at their training size; `base_bytes`: held before they are loaded. Raises BadInput
+    where fewer than `MIN_SPLATS` fit, with what would do."""
     fixed = fixed_bytes(config, cameras, base_bytes, masked=masked)
     each = bytes_per_splat(config.sh_degree, validated=validated)
     free = memory_bytes - fixed

@@ -114,8 +114,8 @@ class PhotoListing:
         return replace(self, photographs=kept, skipped=(*self.skipped, *skipped))
 
     def without_copies(self) -> PhotoListing:
-        """The listing without photographs that hold the same bytes as another one. BadInput where
-        fewer than two are left."""
+        """The listing without photographs that hold the same bytes as another one. Raises BadInput
+        where fewer than two are left."""
         paths = {photo.name: photo.path for photo in self.photographs}
         copies = file_copies(paths)
         left = tuple(photo for photo in self.photographs if photo.name not in copies)
@@ -185,8 +185,8 @@ def unread_files(folder: Path) -> dict[str, int]:
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
     """GPS (degrees, degrees, metres or NaN) or None of the photographs in `folder`, by sorted name.
 
-    Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where
-    there is no such folder or no photograph.
+    Reads the head of each file only; `on_photo(done, total)` is called after each. Raises BadInput
+    where there is no such folder or no photograph.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -314,7 +314,7 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
 def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
     """Size in px (None for other formats), whether the file has its end, and its EXIF."""
     if data.startswith(TIFF_SIGNATURES):
-        # Where the pixels of a TIFF end its decoder alone finds out, which refuses a cut one.
+        # Where the pixels of a TIFF end its decoder alone finds out, which refuses one cut off.
         return read_tiff_size(data), True, read_exif(data)
     if data.startswith(_PNG_SIGNATURE):
         return _png_facts(data)

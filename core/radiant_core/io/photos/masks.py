@@ -91,7 +91,7 @@ def save_mask(path: Path, used: NDArray[np.bool_]) -> None:
 
 def pixel_weights(folder: Path | None, cameras: Cameras) -> tuple[NDArray[np.uint8], ...] | None:
     """Per camera the used share (H,W) of each of its pixels, 255 for all of it, from masks that
-    `save_mask` wrote; None without any. BadInput where a mask cannot be decoded."""
+    `save_mask` wrote; None without any. Raises BadInput where a mask cannot be decoded."""
     if folder is None or not any((folder / mask_name(name)).is_file() for name in cameras.names):
         return None
     sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]

@@ -61,7 +61,7 @@ _NODE = re.compile(r"[^\s/][^\n\0]{0,254}")
 
 @dataclass(frozen=True, kw_only=True)
 class SentFile:
-    """Length and SHA-256 of one file; of a folder, those of all its files and its `content_key`."""
+    """Length and SHA-256 of a file; of a folder the bytes of its files and its `content_key`."""
 
     bytes: int
     sha256: str

@@ -1,4 +1,4 @@
-"""Ed25519 keys of senders, as PEM files: private ones stay there, receivers register the public.
+"""Ed25519 keys of senders, as PEM files: a receiver registers the public one of each sender.
 
     <sender>/identity/signing_key.pem    private, PKCS 8, mode 0600; made once, never copied
     <sender>/identity/signing_key.pub    public; its copy <receiver>/senders/<sender>.pub registers
@@ -36,7 +36,7 @@ OTHERS = 0o077
 
 def make_signing_key(folder: Path) -> bool:
     """Make a key pair in `folder` (made with mode 0700); False where there is one, which stays.
-    BadInput when it cannot be written."""
+    Raises BadInput when it cannot be written."""
     private, public = folder / KEY_NAME, folder / PUBLIC_NAME
     if private.exists():
         write_atomic(public, _public_pem(load_signing_key(folder)))

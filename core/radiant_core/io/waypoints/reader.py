@@ -157,7 +157,7 @@ def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, 
 
 
 def _altitude_warnings(low: NDArray[np.bool_], geodetic: FloatArray) -> tuple[str, ...]:
-    """The warning about the photographs without altitude, those of `low` (P,), at (P,3)."""
+    """The warning about the photographs whose GPS (P,3) has no altitude, those of `low` (P,)."""
     if not low.any():
         return ()
     if low.all():

@@ -92,7 +92,7 @@ def forecast_borders(
 ) -> tuple[BorderForecast, ...]:
     """A forecast for every border of a plan whose P cameras have these views and footprints;
     half_band_m: half the width of the band, by default `band_of`. An edge's `buffers` count as its
-    own images. BadInput when their numbers differ or the band has no width."""
+    own images. Raises BadInput when their numbers differ or the band has no width."""
     if not len(plan.edge_of_camera) == len(views) == len(footprints):
         raise BadInput(f"the plan is of {len(plan.edge_of_camera)} cameras, there are {len(views)} views and {len(footprints)} footprints.")
     half_band_m = band_of(plan) if half_band_m is None else half_band_m

@@ -107,7 +107,7 @@ def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) 
     """What the edges make of the regions: cameras (C,2) m by the region they lie in, exact times.
     Edges without a camera in the cloud's plan get none. Cameras that an edge's devices cannot hold
     go to an edge with room, those for which the way grows least; then the plan is not certified.
-    BadInput when all edges together cannot hold them."""
+    Raises BadInput when all edges together cannot hold them."""
     positions = check_array("positions", positions, (None, 2))
     if regions.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the regions are of edges {', '.join(regions.edge_ids)}, the system has others: plan this system anew.")

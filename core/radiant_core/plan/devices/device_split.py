@@ -39,8 +39,8 @@ def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int
     partition `border` (V,2) m.
 
     `even`: as many to each device, instead of so many that the slowest is done first. An edge that
-    is known by its curve alone has nobody to deal to yet. BadInput when the devices cannot hold the
-    cameras.
+    is known by its curve alone has nobody to deal to yet. Raises BadInput when the devices cannot
+    hold the cameras.
     """
     if not edge.devices:
         return EdgePlan(

@@ -18,8 +18,8 @@ def capacity_curve(edge: Edge, num_cameras: int) -> FittedCurve:
     """T^m of an edge fitted by one curve over 1..`num_cameras` cameras; `worst_error` is the
     largest relative error at its samples.
 
-    T^m has a bend wherever a device comes in or is full, which one curve smooths. BadInput where
-    the edge can hold no camera.
+    T^m has a bend wherever a device comes in or is full, which one curve smooths. Raises BadInput
+    where the edge can hold no camera.
     """
     table = edge_table(edge, num_cameras)
     if table.capacity < 1:

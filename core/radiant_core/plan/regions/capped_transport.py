@@ -29,7 +29,7 @@ _BOXES_PER_SIDE = 64
 _CAMERAS_PER_BOX = 4
 _NEWTON_STEPS = 10
 _ROUNDING = 1e-14
-"""Share of the largest squared distance per camera that a chain must win: else rounding loops."""
+"""Share of the largest squared distance per camera that a chain must win, so as not to cycle."""
 
 
 def deal_within(positions: FloatArray, sites: FloatArray, capacities: Indices) -> Dealt:

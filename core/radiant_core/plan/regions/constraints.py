@@ -86,8 +86,8 @@ def deal_around(
     cameras: FloatArray, sites: FloatArray, system: System, constraints: PlanConstraints, reference: Reference
 ) -> ConstrainedDealing | str:
     """Deal cameras (C,2) m to sites (E,2) m under constraints; a sentence where memory forbids it.
-    BadInput for unknown edges and cameras, for a locked region without a plan to start from, and
-    for a camera of a locked region pinned elsewhere."""
+    Raises BadInput for unknown edges and cameras, for a locked region without a plan to start from,
+    and for a camera of a locked region pinned elsewhere."""
     ids = [edge.id for edge in system.edges]
     fixed, locked = _flags(ids, tuple(constraints.fixed_weights_m2)), _flags(ids, constraints.locked)
     weights = reference.weights.copy()

@@ -106,8 +106,8 @@ def plan_regions(  # noqa: PLR0913
     the same input for `exact` to start from. `tolerance`: `exact` leaves every camera at its
     nearest edge where that is slower than the bound by this share at most. `slack` ≥ 1: `exact` may
     take this many times the bound if that shortens Σ distance² (`slack.py`); `constraints`: `exact`
-    plans around them. BadInput for a tolerance or slack out of range, both or constraints with
-    them, and for positions that are not finite, none, or beyond 1e8 m.
+    plans around them. Raises BadInput for a tolerance or slack out of range, both or constraints
+    with them, and for positions that are not finite, none, or beyond 1e8 m.
     """
     _require_options(method, tolerance, slack, constraints)
     plane = _plane(positions, system)

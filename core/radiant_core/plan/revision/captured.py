@@ -35,8 +35,8 @@ def plan_captured(
     """The plan of `planned_xy` (P,2) m for photographs at `captured_xy` (C,2) m of the same frame;
     indices are rows of the latter. A device none of whose waypoints was captured has no camera and
     no time. status: optimal or converged where the captured counts happen to be, against the bound
-    of C cameras; else stopped. BadInput as `plan_of_owners` and `nearest_planned`, and when nothing
-    was captured."""
+    of C cameras; else stopped. Raises BadInput as `plan_of_owners` and `nearest_planned`, and when
+    nothing was captured."""
     planned = check_array("planned_xy", planned_xy, (None, 2))
     captured = check_array("captured_xy", captured_xy, (None, 2))
     require_plan_of(len(planned), cloud_plan, edge_plans)
@@ -51,8 +51,8 @@ def plan_of_owners(
     cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], device_of_captured: NDArray[np.int64], captured_xy: ArrayLike, *, system: System
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The regions and strips of a plan for photographs at `captured_xy` (C,2) m on devices (C,),
-    counted over all edges. BadInput when plan and system are not of one kind, or when a device
-    captured more than its memory holds."""
+    counted over all edges. Raises BadInput when plan and system are not of one kind, or when a
+    device captured more than its memory holds."""
     captured = check_array("captured_xy", captured_xy, (len(device_of_captured), 2))
     require_same_system(edge_plans, system)
     counts = np.bincount(device_of_captured, minlength=len(system.devices))

@@ -126,8 +126,8 @@ def replan(  # noqa: PLR0913
 ) -> Replan | ReplanInfeasible:
     """The new plan of positions (P,2) m; captured (P,) bool, none without it; tolerance: share by
     which the makespan may exceed the least, to move fewer. Every edge of `system` and `joining`
-    needs a position. BadInput when plan, positions and system do not belong together, for unknown
-    ids and tolerance < 0."""
+    needs a position. Raises BadInput when plan, positions and system do not belong together, for
+    unknown ids and tolerance < 0."""
     positions = check_array("positions", positions, (len(cloud_plan.edge_of_camera), 2))
     fixed = np.zeros(len(positions), bool) if captured is None else check_array("captured", captured, (len(positions),), np.int64) > 0
     if not (np.isfinite(tolerance) and tolerance >= 0):
@@ -334,7 +334,8 @@ def _solve_linear_program(points: FloatArray, owners: Indices, centres: FloatArr
 
 
 def _deal_new_in_strips(positions: FloatArray, before: Indices, after: Indices, held: Indices, system: System) -> Indices:
-    """Deal the positions that new devices of one edge received to them in strips."""
+    """Deal the positions that new devices of one edge received together to them, in strips along
+    the long side."""
     first = 0
     for edge in system.edges:
         new = [index for index in range(first, first + len(edge.devices)) if not held[index]]

@@ -133,7 +133,7 @@ def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan])
 
 def correct_system(system: System, planned: Iterable[PlannedStage], measured: Seconds) -> System:
     """The system with G, F_n and F_m scaled by what was measured so far; stages that were not
-    measured, or predicted or measured at 0 s, change nothing. BadInput as `stage_errors`."""
+    measured, or predicted or measured at 0 s, change nothing. Raises BadInput as `stage_errors`."""
     errors = stage_errors(planned, measured)
     ratio_of = {
         row.node: row.measured_s / row.predicted_s for row in errors if row.stage != "send" and min(row.predicted_s, row.measured_s) > 0
@@ -171,7 +171,7 @@ def time_left_s(
 
     expected_s: node → seconds of its own; parents: device → its edge, which waits for all of them;
     running_s: node → seconds so far. A node that has run longer than expected is taken to end now.
-    BadInput below one worker.
+    Raises BadInput below one worker.
     """
     if num_workers < 1:
         raise BadInput(f"{num_workers} workers cannot do anything: give at least one.")

@@ -69,7 +69,7 @@ class CenterErrors:
 
 def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> Sim3:
     """Least-squares similarity of pairs source (N,3) → target (N,3), N ≥ 2, with weights (N,) of
-    any positive sum. BadInput when all of one side coincide."""
+    any positive sum. Raises BadInput when all of one side coincide."""
     source, target = _check_pairs(source, target)
     if len(source) < 2:
         raise BadInput(f"{len(source)} pair of positions cannot fix a similarity: at least 2 are needed, 3 for the rotation.")
@@ -120,7 +120,7 @@ def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignmen
 def compare_centers(scene_centers: ArrayLike, reference_centers: ArrayLike) -> CenterErrors:
     """Distances of camera centres (N,3) from references (N,3) after the plain least-squares
     similarity, in which no outlier is left out, so that a single lost camera shows in the maximum.
-    BadInput for fewer than three cameras."""
+    Raises BadInput for fewer than three cameras."""
     source, target = _check_pairs(scene_centers, reference_centers)
     if len(source) < 3:
         raise BadInput(f"{len(source)} cameras cannot be compared with a reference: a similarity needs at least 3.")

@@ -67,7 +67,7 @@ def device_frame(
     scene: SfmScene, lat_lon_alt: Mapping[str, tuple[float, float, float]], origin_lat_lon_alt: ArrayLike, seed: int = 0
 ) -> DeviceFrame | RefusedFrame:
     """Fix a scene of any frame by the GPS `lat_lon_alt` [deg, deg, m] of its photographs, without
-    those that have none. BadInput when a position is not finite or off the globe."""
+    those that have none. Raises BadInput when a position is not finite or off the globe."""
     names = [name for name in scene.cameras.names if name in lat_lon_alt]
     if len(names) < MIN_POSITIONS:
         reason = f"only {len(names)} of its {len(scene.cameras)} placed photographs have GPS with an altitude"

@@ -17,8 +17,8 @@ NUM_REFITS = 30
 
 def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDArray[np.int64], up: FloatArray) -> Sim3:
     """Similarity to z up, the median point at the origin, a median camera–point distance of 10
-    units. Points (P,3), observations (T,2): point, camera index. BadInput when nothing is observed
-    at a distance."""
+    units. Points (P,3), observations (T,2): point, camera index. Raises BadInput when nothing is
+    observed at a distance."""
     distances = np.linalg.norm(points[observations[:, 0]] - cameras.centers[observations[:, 1]], axis=1)
     typical = float(np.median(distances)) if len(distances) else 0.0
     if not typical > 0:
