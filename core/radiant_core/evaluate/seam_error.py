@@ -155,7 +155,8 @@ def seam_sums(
 
 
 def squared_errors(render: NDArray[np.floating], photograph: NDArray[np.floating], mask: SeamMask) -> FloatArray:
-    """Mean over channels (H,W) of the squared difference; BadInput when the sizes differ."""
+    """Mean over channels (H,W) of the squared difference of two images; BadInput when they and the
+    mask differ in size."""
     if not render.shape == photograph.shape == (*mask.labels.shape, 3):
         raise BadInput(f"render {render.shape}, photograph {photograph.shape} and mask {mask.labels.shape} differ in size.")
     squared = ((np.asarray(render, np.float64) - photograph) ** 2).mean(axis=2)

@@ -44,7 +44,8 @@ def save_splats(path: Path, splats: Splats) -> None:
 
 
 def load_splats(path: Path) -> Splats:
-    """The model that `save_splats` wrote; StoreDamaged for a broken file, BadInput for another."""
+    """The model that `save_splats` wrote; StoreDamaged when broken, BadInput when it is no
+    model."""
     arrays, about = load_arrays(path, "radiant.splats", SPLATS_DTYPES)
     with name_file_in_errors(path):
         return Splats(**arrays, antialiased=about.get("antialiased") is True)
@@ -56,7 +57,7 @@ def save_cameras(path: Path, cameras: Cameras) -> None:
 
 
 def load_cameras(path: Path) -> Cameras:
-    """The cameras that `save_cameras` wrote; StoreDamaged for a broken file, BadInput for another,
+    """The cameras that `save_cameras` wrote; StoreDamaged when broken, BadInput for something else,
     a name that leads out of a folder, or a camera larger than any photograph."""
     arrays, about = load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
     with name_file_in_errors(path):
@@ -155,7 +156,7 @@ class PlanFile:
 
 
 def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The plan that `save_plan` wrote; StoreDamaged for a broken file, BadInput for another."""
+    """The plan that `save_plan` wrote; StoreDamaged when broken, BadInput when it is no plan."""
     found = load_plan_file(path)
     return found.cloud, found.edges
 

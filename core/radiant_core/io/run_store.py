@@ -99,7 +99,8 @@ def open_without_waiting(path: str, flags: int) -> int:
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:
-    """The bytes of a regular file of at most `max_bytes`; StoreDamaged for any other or none."""
+    """The bytes of a regular file of at most `max_bytes`; StoreDamaged when it is missing, no
+    regular file, or larger."""
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
             status = os.fstat(file.fileno())

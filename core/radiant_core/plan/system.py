@@ -90,7 +90,8 @@ class Edge:
     costs_from: str | None = None
     """As a device's."""
     time_s: CostCurve | None = None
-    """T^m, seconds against cameras from the first photograph to the model sent; no devices."""
+    """T^m, seconds against cameras from the first photograph to the model sent, given instead of
+    devices."""
     max_cameras: int | None = None
     """How many cameras its devices can hold together; only with `time_s`."""
     memory_bytes: float | None = None

@@ -89,7 +89,8 @@ class Waypoints:
 
     @property
     def heights_m(self) -> FloatArray | None:
-        """Heights (P,) above ground or take-off; None where neither is known for the altitudes."""
+        """Heights (P,) above ground or take-off; None where nothing says how far the altitudes are
+        above either of them."""
         altitudes = self.lat_lon_alt[:, 2]
         if self.ground_m is not None:
             return altitudes - self.ground_m
@@ -133,7 +134,8 @@ def clean_waypoints(
 
 
 def _unique_names(names: Sequence[str]) -> tuple[list[str], tuple[int, str] | None]:
-    """Names (P), those that came before with a number; how many, and the first of them."""
+    """Names (P) with a number behind those that came before; how many these are, and the first of
+    them. Linear in P."""
     taken = set(names)
     if len(taken) == len(names) and "" not in taken:
         return list(names), None

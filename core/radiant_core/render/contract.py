@@ -26,7 +26,8 @@ ALPHA_MAX = 0.999
 DILATION_PX2 = 0.3
 """Added to the diagonal of each 2D covariance: no Gaussian is narrower than a pixel's filter."""
 TRANSMITTANCE_CUT = 1e-4
-"""A Gaussian that would bring the transmittance to this or below is not drawn, nor any behind."""
+"""A Gaussian that would bring a pixel's transmittance to this or below is not blended, nor is any
+Gaussian behind it."""
 
 Renderer = Literal["gsplat", "native", "reference"]
 Backend = Literal["auto", Renderer]

@@ -60,7 +60,8 @@ def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int
 
 
 def without_repeats(scene: SfmScene, images: Path) -> tuple[SfmScene, tuple[str, ...]]:
-    """The scene without cameras that repeat another, by photographs in `images`; warnings."""
+    """The scene without cameras that repeat another, whose photographs lie in `images`, and the
+    warnings about them."""
     cameras, warnings = cameras_without_repeats(scene.cameras, scene.points, images)
     if not warnings:
         return scene, ()

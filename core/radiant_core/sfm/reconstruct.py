@@ -152,8 +152,8 @@ def scene_from_colmap(
 
 
 def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Path) -> None:
-    """BadInput unless every image of the model is there, in the shape of its camera, and in its
-    size where it has to be undistorted."""
+    """Raise BadInput unless every image of the model is there, in the shape of its camera, and in
+    its size where it has to be undistorted."""
     sizes = {photo.name: photo.size_wh for photo in listing.photographs}
     lost = [image.name for image in model.images if image.name not in sizes]
     if lost:

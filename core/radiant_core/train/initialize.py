@@ -113,7 +113,8 @@ def _above_horizon(cameras: Cameras) -> tuple[FloatArray, NDArray[np.bool_]]:
 
 
 def _sky_rgb(views: TrainingViews) -> FloatArray:
-    """Median colour (3,) in 0..1 of the pixels above the horizon, 9×9 each; `SKY_RGB` without."""
+    """Median colour (3,) in 0..1 of the pixels above the horizon, of a 9×9 grid per photograph;
+    `SKY_RGB` without any."""
     pixels, above = _above_horizon(views.cameras)
     found = np.zeros((0, 3), np.uint8)
     for index, (image, grid, up) in enumerate(zip(views.images, pixels.astype(np.int64), above, strict=True)):

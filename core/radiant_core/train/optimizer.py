@@ -118,8 +118,8 @@ class SelectiveAdam:
     def select_rows(self, tensors: Mapping[str, Tensor], rows: Tensor, fresh: Tensor) -> None:
         """Go on with `tensors`, whose row i keeps moments and step count of the old row rows[i]
         (M,), or zeros where `fresh` (M,) is True. Other names are left alone; gradients are
-        cleared. BadInput, with nothing changed, for a tensor that is missing, not contiguous, or of
-        another number of rows."""
+        cleared. Raises BadInput, with nothing changed, for a tensor that is missing, not
+        contiguous, or of another number of rows."""
         for name in self._groups:
             if name not in tensors or len(tensors[name]) != len(rows) or not tensors[name].is_contiguous():
                 raise BadInput(f"{name} is missing, not contiguous or has other than {len(rows)} rows: pass each optimised tensor's rows.")

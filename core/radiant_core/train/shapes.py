@@ -35,7 +35,8 @@ class ShapeCounts:
 
 @torch.no_grad()
 def limit_shapes(splats: SplatTensors, camera_centers: FloatArray, config: TrainConfig) -> ShapeCounts:
-    """Shorten, in place, axes beyond the limits for cameras at (C,3); count those Gaussians."""
+    """Shorten, in place, the axes that are beyond the limits for cameras at (C,3), and count the
+    Gaussians that had one."""
     logs = splats.log_scales
     if not logs.numel():
         return ShapeCounts()

@@ -43,7 +43,8 @@ class Worth:
 
 
 def images_worth(scene: SfmScene, views: TrainingViews) -> Worth:
-    """The views without repeats and blurred ones, at least one; `views.cameras`: the scene's."""
+    """The views without repeats and blurred ones; at least one is kept. `views.cameras` are the
+    scene's in the same order."""
     repeated = find_repeats(scene, views)
     sharpness = relative_sharpness(scene, views)
     blurred = _find_dispensable(scene, sharpness, ~repeated)

@@ -268,7 +268,7 @@ def _promises_too_much(size_wh: tuple[int, int], data: bytes) -> bool:
 
 
 def _subfolders(folder: Path) -> list[Skipped]:
-    """The folders in `folder` that hold JPEG files, as a camera starts one when one is full."""
+    """The folders in `folder` that hold JPEG files; a camera starts one when the last is full."""
     inner_folders = [inner for inner in folder.iterdir() if inner.is_dir() and os.access(inner, os.R_OK | os.X_OK)]
     counts = {inner.name: sum(_is_jpeg(path) for path in inner.iterdir()) for inner in inner_folders}
     reason = "is a subfolder with {} photographs (move them beside the others to use them)"

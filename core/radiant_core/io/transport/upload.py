@@ -57,7 +57,7 @@ def save_upload(path: Path, splats: Splats, upload_format: UploadFormat) -> None
 
 
 def load_upload(path: Path) -> Splats:
-    """The model in any of the formats; StoreDamaged for a broken file, BadInput for another one."""
+    """The model in any of the formats; StoreDamaged when broken, BadInput when it is no model."""
     schema = schema_of(path)
     if schema == FLOAT16_SCHEMA:
         return _load_float16(path)

@@ -28,7 +28,8 @@ from radiant_core.plan.system import Edge, System
 
 @dataclass(frozen=True, kw_only=True)
 class BufferRule:
-    """Which positions come into question; BadInput unless one of the first two is given."""
+    """Which positions come into question. Raises BadInput unless exactly one of the first two is
+    given, in its range."""
 
     min_share: float | None = None
     """Least share of the footprint inside the region, above 0 and at most 1."""

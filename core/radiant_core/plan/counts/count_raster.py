@@ -140,7 +140,8 @@ def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) 
 
 
 def _hand_over(chosen: NDArray[np.int64], power_m2: FloatArray, room: NDArray[np.int64]) -> int:
-    """Move cameras, in place, from edges above their `room` (E,), cheapest first; how many."""
+    """Move cameras, in place, from edges that hold more than their `room` (E,) to others, cheapest
+    first; returns how many were moved."""
     counts = np.bincount(chosen, minlength=len(room))
     moved = 0
     while (counts > room).any():

@@ -35,7 +35,8 @@ MAX_WEIGHT_M2 = 1e17
 
 @dataclass(frozen=True, kw_only=True)
 class PlanConstraints:
-    """What is given. BadInput for weights that are not finite, and for edges fixed and locked."""
+    """What is given. Raises BadInput for weights that are not finite and for edges that are both
+    fixed and locked."""
 
     fixed_weights_m2: Mapping[str, float] = field(default_factory=dict[str, float])
     """Weight per edge id, on the scale of the plan to start from."""

@@ -37,7 +37,8 @@ def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> t
 
 
 def clip_polygon(polygon: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
-    """The part of a convex polygon (V,2) with normal · x ≤ offset, turning alike; or (0,2)."""
+    """The part of a convex polygon (V,2) with normal · x ≤ offset, turning as before; (0,2) where
+    no area is left."""
     heights = polygon @ normal - offset
     corners: list[FloatArray] = []
     for here, there, low, high in zip(polygon, np.roll(polygon, -1, axis=0), heights, np.roll(heights, -1), strict=True):

@@ -395,7 +395,8 @@ def _result(  # noqa: PLR0913
 
 
 def _times_s(system: System, loads: Sequence[EdgeLoad], owners: Indices, lost: NDArray[np.bool_]) -> FloatArray:
-    """When each device (D,) has sent its model; inf: dead with positions, 0: without positions."""
+    """Time at which each device (D,) has sent its model; inf for a dead one with positions, 0 for
+    one without positions."""
     counts = dict(zip((d.id for d in system.devices), np.bincount(owners[~lost], minlength=len(system.devices)).tolist(), strict=True))
     alive = {machine.device.id: machine for load in loads for machine in load.machines}
     return np.array([alive[name].time_s(count) if name in alive else (np.inf if count else 0.0) for name, count in counts.items()])

@@ -94,7 +94,8 @@ class SolvedCounts:
 
 
 def solve_counts(loads: Sequence[EdgeLoad], num_positions: int, tolerance: float = 0.0) -> SolvedCounts | None:
-    """Quotas for all positions, within `tolerance` of the least makespan; None without room."""
+    """Quotas for all positions, within `tolerance` of the least makespan; None where the machines
+    cannot hold them."""
     tables = [_Table(load, num_positions) for load in loads]
     num_free = num_positions - sum(load.fixed for load in loads)
     owners, times_s = earliest_slots([table.time_s[1:] for table in tables], num_free)

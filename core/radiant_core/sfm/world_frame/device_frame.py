@@ -29,7 +29,8 @@ from radiant_core.sfm.world_frame.world import MAX_GPS_ROLL_DEG
 
 MIN_POSITIONS = 4
 MAX_RESIDUAL_SHARE = 0.25
-"""A residual per axis above this share of the positions' extent says nothing of the scale."""
+"""A residual per axis of more than this share of the positions' extent says nothing of scale and
+heading."""
 MAX_SCALE_UNCERTAINTY = 0.2
 MAX_ROTATION_UNCERTAINTY_RAD = np.radians(15.0)
 """Beyond these the models of neighbours cannot be found in each other's renders; `frame_refinement`

@@ -64,7 +64,7 @@ class Placement:
         return self.distance is not None or self.height_m is not None
 
     def check_names(self, names: Iterable[str], *, of_model: bool) -> None:
-        """BadInput where a photograph is named that is not among `names`, or a direction for
+        """Raise BadInput where a photograph is named that is not among `names`, or a direction for
         photographs that have no frame yet."""
         known = set(names)
         if self.distance is not None:
@@ -79,7 +79,8 @@ class Placement:
             raise BadInput(f"--up {self.up!r} is unknown: expected {UP_EXPECTED}.")
 
     def check_copies(self, copies: Mapping[str, str]) -> None:
-        """BadInput where a named photograph is left out as a copy; `copies`: copy → what stays."""
+        """Raise BadInput where a named photograph is left out as a copy of another one; `copies`:
+        copy → the one that stays."""
         if self.up not in UP_CHOICES and self.up in copies:
             raise BadInput(f"--up {self.up!r} is a copy of {copies[self.up]}: name that one.")
         if self.distance is not None:
