@@ -1,1 +1,1 @@
-"""Wires core and viewer together; only this package handles the command line and executors."""
+"""Wires core and viewer together; it alone knows the command line, paths and executors."""

@@ -74,7 +74,7 @@ class MemoryPeaked:
 
 @dataclass(frozen=True, kw_only=True)
 class TimeLeft:
-    """Remaining time of devices and edges after node `after`; `correction`: over the plan's."""
+    """Time left of devices and edges after the node `after`; `correction`: over the plan's time."""
 
     seconds: float
     correction: float

@@ -24,4 +24,5 @@ class Decision:
     forced: bool = False
     """Whether the user asked for this choice."""
     changes_nothing: bool = False
-    """Whether all stays as it was ("0 of 3 are left out"): listed in the report alone."""
+    """Whether all stays as it was, such as "0 of 3 photographs are left out": the report lists it,
+    the terminal does not."""

@@ -1,4 +1,4 @@
-"""World frames: the origin, latitude and longitude to metres, and similarity transforms.
+"""World frames: their origin, latitude and longitude as metres, and similarity transforms.
 
 Computed once per scene. WGS84 constants: NIMA TR8350.2. ECEF ↔ ENU as in Hofmann-Wellenhof et al.,
 GNSS (2008), ch. 8; latitude of a geocentric position by Bowring's iteration (Survey Review 1976).
@@ -18,7 +18,8 @@ from radiant_core.numerics import FloatArray, check_array
 WGS84_SEMI_MAJOR_M = 6378137.0
 WGS84_FLATTENING = 1 / 298.257223563
 MAX_REACH_M = 300e3
-"""Farthest that a position may lie from the middle of its site: beyond drones and aeroplanes."""
+"""Farthest that a position of one site may lie from the middle of all: generous for drones and
+aeroplanes, small against the globe."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +65,8 @@ class Sim3:
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise BadInput(f"the scale of a similarity is {self.scale}, expected a positive number.")
         rotation = np.clip(self.rotation, -10, 10)
-        # 1e-6: estimates in float64 are orthonormal to 1e-12, through float32 to 1e-7.
+        # 1e-6: an estimate in float64 is orthonormal to 1e-12, one through float32 to 1e-7; a
+        # scaled one misses by far more.
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
             raise BadInput("the rotation of a similarity is not orthonormal or mirrors: put its scale into `scale`.")
 
@@ -73,7 +75,7 @@ class Sim3:
         return self.scale * np.asarray(points, np.float64) @ self.rotation.T + self.translation
 
     def apply_to_poses(self, cam_from_world: ArrayLike) -> FloatArray:
-        """Poses (C,4,4) of the same cameras in the target frame and its unit (C,4,4)."""
+        """Poses (C,4,4) of the same cameras seen from the target frame, in its unit (C,4,4)."""
         poses = np.array(cam_from_world, dtype=np.float64)
         rotations = poses[:, :3, :3] @ self.rotation.T
         poses[:, :3, 3] = self.scale * poses[:, :3, 3] - rotations @ self.translation
@@ -88,7 +90,8 @@ class Sim3:
 @dataclass(frozen=True, kw_only=True)
 class FrameUncertainty:
     """Standard deviations of a model's frame, all positive and finite: of the middle of its cameras
-    in m per axis, of its scale as a share, of its rotation in rad about the worst axis."""
+    in m per axis, of its scale as a share, of its rotation in rad about the axis that is known
+    worst."""
 
     position_m: float
     scale: float
@@ -107,7 +110,8 @@ class FrameUncertainty:
 
 
 def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
-    """East, north, up (P,3) m of [deg, deg, m] (P,3) about an origin; BadInput off the globe."""
+    """Metres east, north, up (P,3) of positions (P,3) [deg, deg, m] about an origin (3,), float64.
+    Raises BadInput off the globe."""
     positions = check_array("lat_lon_alt", lat_lon_alt, (None, 3))
     origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     _require_on_globe(positions)
@@ -117,8 +121,9 @@ def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> 
 def geodetic_from_enu(positions_m: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
     """Latitude, longitude in ±180° and altitude (P,3) of metres (P,3) about an origin (3,).
 
-    The inverse of `enu_from_geodetic`, within 1e-6 m up to 10,000 km from the origin. BadInput for
-    an origin off the globe and for positions outside 1e6 to 1e8 m from the centre of the earth.
+    The inverse of `enu_from_geodetic`, within 1e-6 m up to 10,000 km from the origin. Raises
+    BadInput for an origin off the globe and for positions outside 1e6 to 1e8 m from the centre of
+    the earth, below which latitude loses its meaning.
     """
     positions = check_array("positions_m", positions_m, (None, 3))
     origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))

@@ -46,7 +46,8 @@ def utm_epsg(lat_deg: float, lon_deg: float) -> int:
 
 
 def utm_from_geodetic(lat_lon_deg: ArrayLike, epsg: int) -> FloatArray:
-    """Easting and northing (P,2) m in zone `epsg`; BadInput over 15° off its meridian."""
+    """Easting and northing (P,2) m in zone `epsg` of latitudes and longitudes (P,2) deg; BadInput
+    over 15° off its meridian."""
     places = check_array("lat_lon_deg", lat_lon_deg, (None, 2))
     meridian_deg, false_northing_m = _zone(epsg)
     off_deg = (places[:, 1] - meridian_deg + 180) % 360 - 180
@@ -63,7 +64,8 @@ def utm_from_geodetic(lat_lon_deg: ArrayLike, epsg: int) -> FloatArray:
 
 
 def geodetic_from_utm(east_north_m: ArrayLike, epsg: int) -> FloatArray:
-    """Latitude and longitude (P,2) deg of (P,2) m, the inverse of `utm_from_geodetic`."""
+    """Latitude and longitude (P,2) deg of eastings and northings (P,2) m, the inverse of
+    `utm_from_geodetic`."""
     places = check_array("east_north_m", east_north_m, (None, 2))
     meridian_deg, false_northing_m = _zone(epsg)
     eta, xi = (places[:, 0] - FALSE_EASTING_M) / _RADIUS_M, (places[:, 1] - false_northing_m) / _RADIUS_M

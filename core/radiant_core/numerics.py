@@ -37,7 +37,8 @@ def _convert(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
         raise BadInput(f"{name} is not an array of numbers: {error}: give rows of equal length.") from error
     if source.dtype.kind not in "biuf":
         raise BadInput(f"{name} has elements of type {source.dtype}, expected numbers: convert them first.")
-    # A double beyond float32 becomes infinite here and is refused with a count, without a warning.
+    # A double beyond float32 becomes infinite here and is then refused with a count, instead of a
+    # warning about a cast.
     is_ours = not source.flags.writeable and source.base is None and source.flags.c_contiguous
     if is_ours and source.dtype == np.dtype[Any](dtype):
         return source
@@ -49,7 +50,7 @@ def _convert(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
 
 
 def require_finite(name: str, array: NDArray[Any]) -> None:
-    """Raise BadInput with the count and the first index of values that are NaN or infinite."""
+    """Raise BadInput naming the array, count and first index of values that are not finite."""
     bad = ~np.isfinite(array)
     if bad.any():
         first = tuple(int(axis[0]) for axis in np.nonzero(bad))
@@ -65,7 +66,7 @@ def unit_quats(quats: ArrayLike) -> FloatArray:
 
 
 def rotmats_from_quats(quats: ArrayLike) -> FloatArray:
-    """Rotation matrices (N,3,3) of quaternions wxyz (N,4); zero becomes the identity."""
+    """Rotation matrices (N,3,3) of quaternions wxyz (N,4) of any length; identity for zero."""
     w, x, y, z = np.moveaxis(unit_quats(quats), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -51,7 +51,7 @@ class SfmScene:
         return np.flatnonzero(inside), pixels[inside].astype(np.int64)
 
     def restricted_to(self, camera_indices: NDArray[np.int64]) -> SfmScene:
-        """The scene of these cameras (K,) alone: they, their points and their observations."""
+        """The scene as these cameras (K,) know it: they, their points and their observations."""
         points = self.seen_by(camera_indices)
         new_point = np.full(len(self.points), -1)
         new_point[points] = np.arange(len(points))

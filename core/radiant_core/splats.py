@@ -1,4 +1,4 @@
-"""`Splats`: a 3D Gaussian model as numpy arrays, stored values (before activation)."""
+"""`Splats`: a 3D Gaussian model as numpy arrays of the stored values (before activation)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class Splats:
     """N Gaussians, float32: means (N,3) m; quats (N,4) wxyz; log_scales (N,3) ln m; logit_opacities
     (N,); sh0 (N,1,3); shN (N,K-1,3) with K in 1, 4, 9, 16.
 
-    Raises BadInput on a wrong shape or a value that is not finite, naming tensor, count and index.
+    Raises BadInput on a wrong shape or a value that is not finite, naming the tensor, the count and
+    the first index.
     """
 
     means: NDArray[np.float32]
@@ -38,7 +39,8 @@ class Splats:
     sh0: NDArray[np.float32]
     shN: NDArray[np.float32]
     antialiased: bool = False
-    """Whether opacities fade where a Gaussian is smaller than a pixel (Mip-Splatting)."""
+    """Whether it was fitted, and is to be drawn, with opacities that fade where a Gaussian is
+    smaller than a pixel (Mip-Splatting)."""
 
     def __post_init__(self) -> None:
         # A single number has no length; its shape is refused below.
@@ -90,9 +92,10 @@ def concatenate_splats(parts: Sequence[Splats]) -> Splats:
 
 
 def morton_order(means: ArrayLike) -> NDArray[np.int64]:
-    """Order (N,) of points (N,3) along a Z curve, near in space near in memory; 21 bits an axis.
+    """Order (N,) of points (N,3) along a Z curve: what is near in space is near in memory.
 
-    The bits of a coordinate are spread by doubling gaps (x | x ≪ 32, 16, 8, 4, 2). Stable.
+    The bits of a coordinate are spread by doubling gaps (x | x ≪ 32, 16, 8, 4, 2). 21 bits an axis;
+    stable.
     """
     points = np.asarray(means, np.float64)
     if not len(points):

@@ -24,8 +24,9 @@ def machine_independent(metrics: Sequence[Metric]) -> list[Metric]:
 
 
 def check_against_baseline(file: Path, name: str, metrics: Sequence[Metric]) -> int:
-    """Compare the figures of the benchmark `name` with its part of `file`; the number of those.
-    StageFailed names each that is worse or missing; BadInput where a unit or direction changed."""
+    """Compare the figures of the benchmark `name` with its part of `file`; returns how many there
+    are. Raises StageFailed naming each that is worse or missing, BadInput for a changed unit or
+    direction."""
     blessed = [metric for metric in _load(file) if metric.key.startswith(f"{name}.")]
     if worse := regressions(machine_independent(metrics), blessed):
         raise StageFailed("worse than the baseline:\n  " + "\n  ".join(worse) + f"\nmend that, or add --bless where {file} is to change.")

@@ -49,7 +49,7 @@ from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews
 
 DEVICE_SPEEDS = (1.0, 0.6)
-"""Of an edge's devices, in turn: unequal, so that plans by time and by number differ."""
+"""Speeds of an edge's devices, in turn: unequal, so that plans by time and number differ."""
 MAX_NUM_SPLATS = 200_000
 """Of a device's model."""
 
@@ -125,7 +125,8 @@ def layout_of(text: str) -> Layout | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BenchScene:
-    """A scene at the size of the comparison, in two parts; photographs are loaded once."""
+    """A scene at the size of the comparison, in two parts: for training and held out. Photographs
+    are loaded once."""
 
     name: str
     training: SfmScene
@@ -147,7 +148,7 @@ class BenchScene:
 
 
 def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
-    """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput for a small one."""
+    """A run, a folder of `radiant sfm` or a COLMAP project; BadInput if none can be held out."""
     scene, _, images = load_scored_scene(source)
     held = held_out_mask(scene.cameras.names)
     if held.sum() < 2 or (~held).sum() < 8:
@@ -173,7 +174,7 @@ class ModelCache:
     folder: Path
 
     def train(self, task: DeviceTask, views: TrainingViews, reporter: Reporter) -> DeviceModel:
-        """As `train_device`; the summary also has `cpu_s` and the `training_px` of all steps."""
+        """As `train_device`; the summary also has `cpu_s`, and `training_px` of all steps."""
         key = content_key(__version__, replace(task, upload="float32"), views)
         model, record = self.folder / f"{key}.safetensors", self.folder / f"{key}.json"
         if not (model.is_file() and record.is_file()):
@@ -241,7 +242,7 @@ class Cell:
 
 
 def bench_settings(long_side_px: int, num_steps: int, upload: UploadFormat = "float16") -> DeviceSettings:
-    """How devices train: as by `radiant run --train-preset draft` with that size and steps."""
+    """How devices train: as by `radiant run --train-preset draft`, with that size and length."""
     backend = resolve_backend("auto")
     overrides = Overrides(long_side_px=long_side_px, num_steps=num_steps, max_num_splats=MAX_NUM_SPLATS)
     return DeviceSettings(train=fit_to_backend(train_preset("draft"), backend, overrides)[0], backend=backend, upload=upload)
@@ -278,8 +279,8 @@ def run_cell(run: Path, cache: ModelCache) -> Cell:
     """The scene of a finished run under the run's own plan, system and settings.
 
     Its recipe makes the run's scene bit for bit where every device delivered and none has a limit
-    of memory: such a limit counts what the device's process held besides. BadInput unless the run
-    pooled its photographs (`--frames shared`) and its edges have joined.
+    of memory: such a limit counts what the device's process held besides. Raises BadInput unless
+    the run pooled its photographs (`--frames shared`) and its edges have joined.
     """
     tasks = [load_task(EdgeTask, path.parent, "edge task") for path in sorted(run.glob("edges/*/task.json"))]
     if not tasks:

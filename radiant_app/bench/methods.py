@@ -72,7 +72,8 @@ class MethodBench:
     upload: UploadFormat = "float16"
     """What devices and edges send."""
     max_gaussians: int | None = None
-    """Of a larger model those are kept that training cameras see most; nothing is refitted."""
+    """Most Gaussians of any method's model: of a larger one those are left that show most to the
+    training cameras, and nothing is fitted again. None: as many as a method makes."""
 
     def __post_init__(self) -> None:
         if unknown := sorted(set(self.methods) - set(METHODS)):
@@ -210,7 +211,7 @@ METHODS: Mapping[str, Arm] = {
 
 
 def epochs_arm(name: str, num_epochs: int) -> Arm:
-    """`ours` or `paper` with other epochs at both tiers; 0 is the plain cut for both."""
+    """`ours` or `paper` with another number of epochs at both tiers; 0 is the plain cut."""
     if num_epochs == 0:
         return METHODS["crop"]
     if num_epochs == aggregate_preset({"ours": "default", "paper": "paper"}[name]).num_epochs:
@@ -220,7 +221,7 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:
-    """A line per scene and method: means over cells."""
+    """A line per scene and method: mean PSNR, Gaussians, CPU seconds, pixels and seams' excess."""
     lines = ["| scene | method | PSNR dB | seam excess dB | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|---|"]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
     for (scene, method), group in _group_rows(rows).items():
@@ -236,7 +237,7 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
 
 
 def seam_excess_db(row: ArmRow, reference: ArmRow) -> float | None:
-    """(band − interior) of an arm minus the reference's; None where too few seams are seen."""
+    """(band − interior) of an arm minus the centralised model's; None with too few seams seen."""
     gaps_db = [of.band_db - of.interior_db for of in (row, reference) if of.band_db is not None and of.interior_db is not None]
     return gaps_db[0] - gaps_db[1] if len(gaps_db) == 2 else None
 

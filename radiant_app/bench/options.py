@@ -67,7 +67,7 @@ class BenchOptions:
     plot: Path | None = None
     """PNG of the curves."""
     methods: tuple[str, ...] = ()
-    """Of those to compare (methods), sections (paper) or ablations (train); empty for all."""
+    """Methods to compare (methods), sections (paper) or ablations (train); empty for all."""
     layout: str = "2x2"
     """Edges x devices per edge, or `OF_RUN`."""
     num_placements: int = 1

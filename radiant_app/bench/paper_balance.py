@@ -32,7 +32,7 @@ NAMES = ("even", "balanced")
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceTime:
-    """A device: its speed relative to this machine, and CPU seconds here, mean over seeds."""
+    """A device: relative speed, photographs, and CPU seconds of training here, mean over seeds."""
 
     device: str
     speed: float
@@ -47,7 +47,7 @@ class DeviceTime:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Side:
-    """Devices and joined scene of one plan; photograph_s: mean CPU seconds over both plans."""
+    """Devices and scene of one plan; photograph_s: CPU seconds per photograph over both plans."""
 
     name: str
     devices: list[DeviceTime]

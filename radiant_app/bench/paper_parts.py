@@ -221,7 +221,8 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """Where the plain cut falls most behind the centralised model at a border, by each method."""
+    """The place at a border where the plain cut falls most behind the centralised model, rendered
+    by each method."""
     from radiant_viewer.charts.healing_chart import Healed, healing_picture
 
     del quick

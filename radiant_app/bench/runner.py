@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 
 def run_bench(name: BenchName, json_file: Path | None, options: BenchOptions) -> None:
-    """Run a benchmark and report; BadInput for options and files, StageFailed for worse figures."""
+    """Run the benchmark `name` and report. Raises BadInput for unusable options and files,
+    StageFailed for a figure worse than in `options.baseline`."""
     options.check(name)
     for file in (json_file, options.plot, options.baseline if options.bless else None):
         if file is not None and not file.parent.is_dir():

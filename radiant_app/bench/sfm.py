@@ -29,7 +29,7 @@ MatchingKind = Literal["spatial", "exhaustive"]
 NUM_RUNS = 3
 QUICK_FEATURES = 1500
 _TIME_TOLERANCE, _ERROR_TOLERANCE = 0.3, 0.5
-"""Shares by which a time and an error (order of threads) may differ between runs."""
+"""Shares by which a time (load) and an error (order of threads) may differ between runs."""
 
 
 @dataclass(frozen=True, kw_only=True)

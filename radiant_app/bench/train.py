@@ -5,9 +5,10 @@ whole process, which do not depend on the load of the machine. Equal for all pre
 photographs, size, budgets, seeds, held-out photographs; every row states its number of Gaussians.
 Each preset is also trained with half of each budget, and its difference to the reference at the
 full budget is stated with the 95 % bounds of a bootstrap over images and seeds. More `splits` hold
-out other photographs, each with its own models; the bootstrap draws from the images of all splits,
-and with one seed it does not cover how a split's model varies. `ablations`: the first preset with
-one part switched off at a time, at the first budget, paired. Rows in a folder are not made again.
+out other photographs, each with its own models, so that a single photograph weighs less; the
+bootstrap draws from the images of all splits, and with one seed it does not cover how a split's
+model varies. `ablations`: the first preset with one part switched off at a time, at the first
+budget, paired. With a folder for its rows an interrupted benchmark resumes.
 """
 
 from __future__ import annotations
@@ -155,7 +156,7 @@ class _Split:
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
     """All rows, and the metrics `train.<scene>.<variant>.<budget>s.<…>` with the differences; the
-    scene is any source. BadInput where nothing can be held out."""
+    scene is any source. Raises BadInput where nothing can be held out."""
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
         source = _load(bench.scene, Path(folder))
         splits = _splits(source, bench.splits)
@@ -182,7 +183,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
 
 
 def bench_of(options: BenchOptions) -> TrainBench:
-    """The benchmark by the options; `quick` has two budgets of seconds at a small size."""
+    """The benchmark that the options ask for; `quick` has budgets of seconds and small images."""
     ablations = options.ablations
     budgets_s = options.budgets_s or ((4.0, 8.0) if options.quick else (ABLATION_BUDGET_S,) if ablations else BUDGETS_S)
     num_seeds = options.num_seeds or (len(ABLATION_SEEDS) if ablations and not options.quick else 1)

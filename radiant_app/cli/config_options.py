@@ -23,7 +23,8 @@ def option(path: str, *names: str, help: str | None = None) -> Any:  # noqa: A00
 
 
 def with_config_options(command: Callable[..., None]) -> Callable[..., None]:
-    """`command` with an option per field of `RunConfig` for its `**`, see `given_values`."""
+    """`command` with an option per field of `RunConfig` in place of its `**`; see
+    `given_values`."""
     own = [each for each in inspect.signature(command, eval_str=True).parameters.values() if each.kind is not each.VAR_KEYWORD]
     first = [each for each in own if each.default is each.empty]
     made = [_parameter(field) for field in config_fields().values() if field.option is not None and field.path != "source"]

@@ -1,4 +1,4 @@
-"""Standard output and error of a command that goes on for hours though they break.
+"""Standard output and error of a command of hours, which goes on where they break.
 
 Standard error carries progress: a full disk under its log or a reader that went away (`2>&1 |
 head`) silences it and ends nothing. Standard output carries results: there only a reader that went
@@ -14,7 +14,7 @@ from typing import Any, TextIO
 
 
 class CannotPrint(OSError):
-    """What was to be printed did not arrive; what was made for it is whole."""
+    """What was to be printed did not arrive, as on a full disk; what was made for it is whole."""
 
 
 class LastingStream(io.TextIOWrapper):

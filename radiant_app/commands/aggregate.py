@@ -1,4 +1,4 @@
-"""`radiant aggregate`: join the device models of a run again, otherwise and without limits."""
+"""`radiant aggregate`: join a run's device models again, with other settings and without limits."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
 
 
 def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tuple[SceneModel, float]:
-    """The scene that a run's edges and cloud make of its device models; seconds of the edges."""
+    """The scene that a run's tiers make of its device models, and the seconds edges retrained."""
     cloud_plan, edge_plans = load_plan(run / "plan.json")
     folders = [run / "edges" / plan.edge_id for plan in edge_plans if len(plan.camera_indices)]
     tasks = {folder.name: load_task(EdgeTask, folder) for folder in folders if (folder / "inbox").is_dir()}

@@ -1,4 +1,4 @@
-"""What this machine has and what it lacks. Once per call of `radiant doctor`."""
+"""What this machine has: versions, native module, GPU, display, memory, disk. Once per call."""
 
 from __future__ import annotations
 

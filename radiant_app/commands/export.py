@@ -154,7 +154,7 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:
-    """The scene, if not of a run without copies of photographs, as training takes it."""
+    """The scene; without copies of photographs unless it is a run's, as training takes it."""
     from radiant_core.sfm.copies import without_repeats
     from radiant_viewer.runs.unplanned import unplanned_photographs
 

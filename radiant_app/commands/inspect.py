@@ -27,7 +27,7 @@ EDITS = "_edits.json"
 
 def plan_file_of(source: Path) -> Path | None:
     """The plan file that `source` is, or a folder's only plan; None for a run and anything else.
-    BadInput for a folder with several plans, and for a run that lost its manifest."""
+    Raises BadInput for a folder with several plans, and for a run that lost its manifest."""
     if source.is_file():
         return source if source.suffix == ".json" else None
     if not source.is_dir() or (source / "manifest.json").is_file():
@@ -44,7 +44,8 @@ def plan_file_of(source: Path) -> Path | None:
 
 
 def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None) -> int:
-    """Show a run or a plan; returns the exit code. BadInput as `plan_file_of` and the readers."""
+    """Show a run or a plan until its window is closed; returns the exit code. Raises BadInput as
+    `plan_file_of` and the readers."""
     from radiant_app.commands.inspect_feeds import feeds_of
     from radiant_viewer.window.inspector import open_window
 

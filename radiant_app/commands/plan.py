@@ -85,7 +85,7 @@ class PlanRequest:
     compare: bool = False
     """Whether all other methods are measured on the same positions."""
     train_preset: Preset = "default"
-    """What will be trained: decides what memory holds and whether measured curves fit."""
+    """What will be trained: it decides what memory holds and whether measured curves are of it."""
     overrides: Overrides = Overrides()
     """Sizes and steps of that training."""
     raster_cell_m: float | None = None
@@ -102,7 +102,7 @@ class PlanRequest:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PlanInput:
-    """Positions (C,2) m about `origin`, names (C), and how much each camera sees (C,) if known."""
+    """What is planned: positions (C,2) m about `origin`, names (C), content (C,) where known."""
 
     positions: FloatArray
     origin: FloatArray | None
@@ -123,8 +123,8 @@ class _Plan:
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write the plan and what goes beside it; returns what the command line prints. BadInput for an
-    unusable input, system or place, where nothing stays behind."""
+    """Write the plan and what goes beside it; returns what the command line prints. Raises BadInput
+    for an unusable input, system or place, where nothing stays behind."""
     _require_places(request.out)
     system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
     with stage_bar(display, "plan") as report:
@@ -302,7 +302,8 @@ def _require_places(out: Path) -> None:
 
 @contextmanager
 def write_folder_atomically(target: Path) -> Iterator[Path]:
-    """A hidden folder in `target`; its content moves there if the block ends well."""
+    """A hidden folder inside `target` whose content moves there when the block ends well, and
+    vanishes when it does not."""
     folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
     try:
         yield folder

@@ -103,7 +103,7 @@ def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
 
 
 def shorten_training(train: TrainConfig, num_steps: int) -> TrainConfig:
-    """The same training in fewer steps, with as many rounds of density control."""
+    """The same training in fewer steps, with as many rounds of density control and Gaussians."""
     density = train.density
     if not isinstance(density, NoDensification):
         density = replace(density, every=max(1, round(density.every * num_steps / train.num_steps)))
@@ -127,7 +127,8 @@ class Measuring:
     """What the nodes still to come are expected to take."""
     note: str = ""
     edges_pool: bool = True
-    """Whether edges leave joining to the cloud, as if it has no limits; else they retrain."""
+    """Whether edges leave joining to the cloud, as they do unless the system file limits the cloud;
+    else they retrain."""
     _begun_s: float = 0.0
 
     def measure(self, time_s: float) -> Measured:
@@ -186,7 +187,8 @@ class Measuring:
         )
 
     def _edge(self, count: int, num_steps: int, num_devices: int, num_epochs: int) -> EdgeSample:
-        """Join the model of so many photographs with itself, half the cameras each."""
+        """Join the model of so many photographs with itself, half the cameras each, or take it as
+        it is: one device has nothing to join."""
         folder = self._folder(f"edges/{count}-{num_devices}")
         cameras = self.scene.cameras
         names = [f"device-{index + 1}" for index in range(num_devices)]

@@ -40,7 +40,7 @@ MIN_OPAQUE = 0.1
 ORBIT_ELEVATION_DEG, ORBIT_RADII = 35.0, 0.9
 """Distance of an orbit, in diagonals of the regions."""
 FLIGHT_HEIGHTS = 0.5
-"""Height of a flight along a border over the cameras' own; at least a twentieth of the border."""
+"""Height along a border as a share of the cameras' own; at least a twentieth of the border."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +60,8 @@ class RenderRequest:
 
 
 def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write PNG pictures into the new folder `out`, or a film; returns what was written. BadInput
-    before anything is rendered, and where a picture does not fit into memory."""
+    """Write PNG pictures into the new folder `out`, or a film; returns what was written. Raises
+    BadInput before anything is rendered, and where a picture does not fit into memory."""
     is_film = request.out.suffix.lower() in ENDINGS
     if request.out.suffix.lower() in OTHER_FILMS:
         raise BadInput(f"{request.out.name} is a film of a kind that is not written here: let its name end in {', '.join(ENDINGS)}.")

@@ -75,7 +75,7 @@ def require_run(folder: Path, name: str = "plan.json") -> None:
 
 
 def require_model(model: Path) -> None:
-    """Raise BadInput where a folder holds no model, with what makes one; files have readers."""
+    """Raise BadInput where a folder holds no model, saying what makes one; readers check files."""
     from radiant_viewer.runs.run_view import no_model_text
 
     if not model.exists():

@@ -1,1 +1,1 @@
-"""The one configuration of a run: its fields, and the options, files and `--set` paths of them."""
+"""The one configuration of a run: its fields, and the options, files and paths made from them."""

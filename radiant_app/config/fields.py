@@ -73,7 +73,8 @@ class ConfigField:
         return self.option.parse(value) if self.option is not None and self.option.parse is not None else value
 
     def read(self, value: Any, kind: str | None = None) -> Any:
-        """The value in a `kind` of file, or of `--set`'s text; BadInput says what is expected."""
+        """The value in a `kind` of file, or the text given to `--set`; "none" is None. BadInput
+        names the place and what is expected."""
         from pydantic import ConfigDict, TypeAdapter, ValidationError
 
         if isinstance(value, str) and value.strip().lower() == "none" and type(None) in get_args(self.kind):

@@ -50,7 +50,7 @@ class EmulatedExecutor:
 
 
 def require_emulable(system: System) -> None:
-    """Raise BadInput unless every machine has a speed and this machine's cores suffice for all."""
+    """Raise BadInput unless every machine has a speed and cores suffice for all at once."""
     for machine in _machines(system).values():
         if machine.speed is None:
             kind = "device" if isinstance(machine, Device) else "edge"

@@ -31,7 +31,7 @@ from radiant_app.events import UPLINK, Event, StageDone, StageProgress, StageSta
 PERIOD_S = 0.1
 """One period of running and pausing: shorter costs wake-ups, longer distorts short nodes."""
 BUSY_SHARE = 0.85
-"""A node that got less of its share is reported: its time depends on this machine's load."""
+"""A node that got less than this part of its share is reported: its time depends on the load."""
 PRODUCTS = ("upload.safetensors", "model.safetensors")
 """The file that a node sends: the first of these in its folder."""
 PROGRESS_S = 0.5
@@ -72,7 +72,7 @@ def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int
         ahead_s = _cpu_s(process.pid) - speed * (time.monotonic() - begun_s)
         if running != (ahead_s < (half_s if running else -half_s)):
             running = not running
-            # Not Popen.send_signal, which collects a process that has just ended.
+            # Not Popen.send_signal, which collects a process that just ended and its CPU time.
             signal.pidfd_send_signal(ended, signal.SIGCONT if running else signal.SIGSTOP)
         # One thread gains less than a second in a second; stopped, it falls behind by `speed`.
         wait_s = min(max(half_s - ahead_s, SHORTEST_S), PERIOD_S) if running else (ahead_s + half_s) / speed

@@ -72,7 +72,7 @@ class Runner(Protocol):
 
     def wait(self, timeout_s: float) -> tuple[str, Event | NodeStarted | NodeEnded | None] | None:
         """The next message of a running node: an event, its end, or None for a heartbeat; None
-        after the timeout. StageFailed: the runner itself is lost."""
+        after the timeout. Raises StageFailed when the runner itself is lost."""
         ...
 
     def stop(self, node_id: str) -> None:
@@ -110,7 +110,7 @@ class RetryPolicy:
     deadlines: Deadlines | None = None
     """None: no node has a deadline."""
     on_given_up: Callable[[Tree, Collection[str]], None] = lambda node, begun: None
-    """Called with a node that is done without, and the ids of nodes that run or are done."""
+    """Called with a node that the run goes on without, and ids of nodes that run or are done."""
 
 
 @dataclass(kw_only=True)

@@ -127,7 +127,7 @@ class _Processes:
 
 
 def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
-    """How a node ended whose process reported `failure` and exited with `code` (−signal)."""
+    """How a node ended whose process reported `failure` and exited with `code` (−N: signal N)."""
     if failure is not None and failure.cannot_write:
         return NodeEnded(error=CannotWrite(f"{task.stage}: {failure.message}"))
     if failure is not None:

@@ -13,7 +13,8 @@ from radiant_core.aggregate.tree import Tree
 
 @dataclass(frozen=True, kw_only=True)
 class NodeTask:
-    """A node ready to run: its folder holds all it may read; `key` is of inputs and settings."""
+    """A node ready to run; its folder holds all it may read, `key` is of its inputs and
+    settings."""
 
     kind: str
     """Which worker runs it: sfm, device, teacher, edge, cloud or evaluate."""

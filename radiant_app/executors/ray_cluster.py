@@ -53,7 +53,7 @@ DRIVER = "import sys; from radiant_app.executors.ray_driver import main; sys.exi
 
 @dataclass(kw_only=True)
 class RayExecutor:
-    """Nodes as tasks of the Ray cluster at `address`; "local": one here, for this fold."""
+    """Nodes as tasks of the Ray cluster at `address`, host:port; "local": one for this fold."""
 
     address: str
     log: Path
@@ -72,7 +72,7 @@ class RayExecutor:
 
 
 def require_cluster(address: str) -> None:
-    """Raise BadInput if Ray is not installed or no cluster answers; cheap, before a run starts."""
+    """Raise BadInput for a malformed address and without Ray or a cluster; cheap, before a run."""
     if find_spec("ray") is None:
         raise BadInput("Ray is not installed: pip install 'radiant-splats[cluster]', or leave out --executor ray.")
     if address == "local":

@@ -70,7 +70,8 @@ def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
 
 
 def dump_constraints(constraints: PlanConstraints, names: Sequence[str], plan: str) -> str:
-    """TOML text that `load_constraints` reads back; `plan`: the file beside that it refers to."""
+    """Constraints on cameras with these names as TOML text that `load_constraints` reads back;
+    `plan`: the file beside it that they refer to."""
     lines = [f"plan = {_quote(plan)}", f"locked = [{', '.join(map(_quote, constraints.locked))}]"]
     if constraints.fixed_weights_m2:
         lines += ["", "[fixed_weights_m2]"]

@@ -141,7 +141,8 @@ def library_profiles() -> dict[str, Path]:
 
 
 def find_profile(name: str, beside: Path) -> Profile:
-    """The profile that a system file in the folder `beside` names: the library's, or a file."""
+    """The profile that a system file in the folder `beside` names: one of the library, or a curve
+    file relative to it."""
     if name.endswith(SUFFIXES):
         return load_profile(beside / name, name)
     known = library_profiles()

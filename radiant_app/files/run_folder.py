@@ -167,8 +167,8 @@ def _record_outcome(manifest: Manifest) -> Iterator[Manifest]:
 def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[None]:
     """The folder of `radiant sfm` for a `task`, which it keeps in task.json; held by one process.
 
-    With `resume`, what an interrupted one left, whose features and matches are used. BadInput as
-    `create_folder`, and with `resume` where the folder is of another task, or finished.
+    With `resume`, what an interrupted one left, whose features and matches are used. Raises
+    BadInput as `create_folder`, and with `resume` where the folder is of another task, or finished.
     """
     if resume and out.is_dir() and _has_content(out):
         with RunLock(out):
@@ -196,8 +196,9 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
 
 @contextmanager
 def create_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
-    """A folder for results, with its parents; BadInput when it is a file, not empty, or impossible.
-    After a BadInput within, what was made here goes again; if `resumable`, not for a full disk."""
+    """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot
+    be made. After a BadInput within, everything that was made here goes again; where it is
+    `resumable`, not after a full disk."""
     made = _create_folders(out, resumable=resumable)
     with _remove_after_bad_input(out, made, resumable=resumable):
         yield
@@ -230,7 +231,7 @@ def _has_content(out: Path) -> bool:
 
 @contextmanager
 def _remove_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
-    """After a BadInput within, empty `out` and remove the folders `made`, unless `keep` fits."""
+    """After a BadInput within, empty `out` and remove folders `made`, unless a file fits `keep`."""
     try:
         yield
     except BadInput as error:

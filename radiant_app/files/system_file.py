@@ -230,7 +230,8 @@ def dump_system(system: System) -> str:
 
 
 def even_system(num_edges: int, devices_per_edge: int) -> System:
-    """Equal edges with equal devices at the file's defaults, to be placed; BadInput below one."""
+    """Equal edges with equal devices at the file's defaults, placed among the cameras later;
+    BadInput below one of either."""
     if num_edges < 1 or devices_per_edge < 1:
         raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
     names = [f"edge-{index + 1}" for index in range(num_edges)]

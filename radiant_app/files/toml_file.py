@@ -1,4 +1,4 @@
-"""Reading a user's TOML file: one sentence for everything in it that cannot be used."""
+"""Reading a user's TOML file: one sentence with file, key, what came and what is expected."""
 
 from __future__ import annotations
 

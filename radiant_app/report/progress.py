@@ -28,7 +28,7 @@ MAX_BAR_WIDTH = 30
 
 
 def track_items(items: Sequence[_Item], what: str) -> Iterator[_Item]:
-    """The items with a bar on a terminal, for a loop of items that take about as long."""
+    """The items, with a bar on a terminal, for a loop whose items take about equally long."""
     console = Console(stderr=True)
     return iter(track(items, description=what, console=console, disable=not console.is_terminal))
 

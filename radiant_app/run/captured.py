@@ -143,7 +143,8 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
 
 
 def _origin_of(known: FloatArray) -> FloatArray:
-    """The median of positions (P,3), rounded to about ten metres: all devices receive it."""
+    """The median of positions (P,3), rounded to about ten metres: it is sent to all devices, and a
+    median is one's position."""
     if not len(known):
         raise BadInput(
             "no photograph has a GPS position with an altitude, which --frames gps needs: give poses with --frames known, or pool them "
@@ -198,7 +199,7 @@ def _reason(error: BadInput | StageFailed | OSError) -> str:
 
 
 def _middle(lat_lon_alt: FloatArray) -> FloatArray:
-    """The median (3,) of positions (P,3); longitudes count from the first: the 180th meridian."""
+    """The median (3,) of (P,3); longitudes from the first: a site may span the 180th meridian."""
     turned = lat_lon_alt.copy()
     turned[:, 1] = (lat_lon_alt[:, 1] - lat_lon_alt[0, 1] + 180) % 360 - 180
     middle = np.median(turned, axis=0)
@@ -223,7 +224,7 @@ def photo_folder(source: Path) -> Path:
 
 
 def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path, progress: Progress) -> Captured:
-    """Positions from the given poses; in device folders each is of the device with the file."""
+    """Positions from given poses; with device folders each belongs to the device with its file."""
     names = poses.cameras.names
     if folders is None:
         copies = file_copies({name: poses.photos / name for name in names})

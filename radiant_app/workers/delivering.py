@@ -1,4 +1,4 @@
-"""Identities and keys of nodes: what a node sends is signed, what it receives is verified.
+"""Keys of nodes: what one sends is signed, what it receives is verified in its own process.
 
     <run>/run.json                    the run's number: a delivery is valid in this run only
     <node>/identity/                  post.json: run, node, receiver (its parent); own key pair
@@ -149,7 +149,8 @@ def _key_of_above(folder: Path) -> str:
 
 
 def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
-    """Sign the files by their names in the receiver's inbox; the names of record and signature."""
+    """Sign the files that a node sends, `paths`: name in the receiver's inbox → file; returns the
+    names of record and signature."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
     delivery = Delivery(
         run=post["run"],
@@ -168,7 +169,8 @@ def belongs_to_run(folder: Path) -> bool:
 
 
 def sign_upload(folder: Path) -> list[str]:
-    """Sign the model that a node of a run sends; the names written, none in other folders."""
+    """Sign the model that a node of a run sends; returns the names written, none in a folder made
+    by hand."""
     return deliver(folder, model_files(folder)) if belongs_to_run(folder) else []
 
 

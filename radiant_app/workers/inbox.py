@@ -1,6 +1,7 @@
 """Reads the models that arrived at an edge or the cloud. Once per join.
 
-Signatures, lengths and hashes are checked here, before a model is read.
+Signatures, lengths and hashes are checked here, before a model is read; its content is checked by
+`radiant_core.hierarchy.joining`.
 """
 
 from __future__ import annotations

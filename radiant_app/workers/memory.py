@@ -74,7 +74,8 @@ def _machine_bytes(proc: Path) -> int:
 
 
 def _container_bytes(proc: Path, groups: Path) -> Iterator[int]:
-    """Bytes that this process's control groups (v2, v1) leave; cached files count as free."""
+    """Bytes that the control groups (v2, v1) of this process leave of their limits; cached files
+    count as free."""
     try:
         lines = [line.split(":", 2) for line in (proc / "self" / "cgroup").read_text().splitlines()]
     except OSError:

@@ -50,7 +50,8 @@ def plan_regions_of_task(task: RegionsTask) -> CloudPlan:
 
 
 def plan_from_raster(system: System, positions: FloatArray, cell_m: float, method: PlanMethod) -> CloudPlan:
-    """Plan from the raster of cameras (C,2) m, for placed edges; raises as the function above."""
+    """Plan from the raster of cameras (C,2) m for placed edges; raises as
+    `plan_regions_of_task`."""
     regions = plan_regions_of_task(regions_task(count_raster(positions, cell_m), system, method))
     return assign_to_regions(regions, positions, system)
 

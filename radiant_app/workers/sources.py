@@ -92,8 +92,8 @@ def load_scene_of(folder: Path) -> SfmScene:
 
 
 def load_scored_scene(folder: Path) -> tuple[SfmScene, tuple[str, ...], Path]:
-    """A scene without photographs that repeat others, warnings about those, and its photographs:
-    a held-out one must not be trained on under another name."""
+    """A scene without photographs that repeat others, warnings about those, and the folder of its
+    photographs: a held-out one must not be trained on under another name."""
     from radiant_core.sfm.copies import without_repeats
 
     scene, images = load_scene_of(folder), images_folder_of(folder)

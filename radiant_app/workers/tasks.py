@@ -158,13 +158,13 @@ class ScoreTask:
     """Score the finished scene in inbox/ on the held-out photographs of this machine."""
 
     corrections: tuple[Move, ...]
-    """From the frame of their cameras to the scene's, in order."""
+    """From the frame of the held-out cameras to the scene's, in order."""
     long_side_px: PixelCount
     backend: Renderer
     lpips: LpipsNetwork | None
     owned: bool
-    """Whether they are a device's own, whose folder is that above: figures then come under numbers
-    and with the leakage of its synthetic views."""
+    """Whether the photographs are a device's own, whose folder is the one above: figures then come
+    under numbers and with the leakage of its synthetic views."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,8 @@
-"""Whether one method beats another: a mean difference with bounds. Once per comparison, 10 ms.
+"""Whether one method beats another: a mean difference with its bounds. Once per comparison.
 
 Both methods are run with the same seeds S on the same images I of each scene, so that differences d
-(S,I) are pairwise. Seeds and images of every scene are drawn anew, each on their own; per draw
+(S,I) are taken pairwise. Seeds and images of every scene are drawn anew, with replacement, each on
+its own, 10,000 times in some 10 ms; a draw gives
     mean + mean over scenes of [ √(S/(S−1)) (mean of the drawn seeds' rows − mean)
                                + √(I/(I−1)) (mean of the drawn images' columns − mean) ]
 which is the part of Owen's (2007) bootstrap for crossed seeds and images that is linear in either;
@@ -29,7 +30,7 @@ MAX_COUNTS = 2_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class PairedDifference:
-    """Mean difference a − b in the figure's unit, scenes weighted equally, and its bounds."""
+    """Mean difference a − b in the figure's unit, with every scene weighted equally, and bounds."""
 
     mean: float
     low: float
@@ -41,12 +42,13 @@ class PairedDifference:
     """One-sided: the difference is at most this, with the same confidence."""
     confidence: float
     degrees_of_freedom: float
-    """After Satterthwaite, infinite where nothing varies; few mean too few seeds or images."""
+    """After Satterthwaite, infinite where nothing varies: a few say that seeds or images are too
+    few for narrow bounds."""
     num_scenes: int
     num_images: int
     """Over all scenes."""
     num_seeds: int
-    """The fewest of any scene; with 1 the bounds leave other seeds out."""
+    """The fewest of any scene; with 1 the bounds say nothing of other seeds."""
 
 
 def paired_bootstrap(
@@ -57,10 +59,11 @@ def paired_bootstrap(
     num_draws: int = 10_000,
     seed: int = 0,
 ) -> PairedDifference:
-    """Bounds of the mean of a − b, arrays (S,I) over seeds and images, or one such array per scene.
+    """Bounds of the mean of a − b: arrays (S,I) over seeds and images, or one such array per scene.
 
-    The same input gives the same bounds. BadInput when shapes differ, a scene has no seed or under
-    2 images, a value is not finite, `confidence` not in 0.5 to 1 or `num_draws` in 100 to 1e7.
+    The same input gives the same bounds. Raises BadInput when shapes differ, a scene has no seed or
+    fewer than 2 images, a value is not finite, `confidence` is not between 0.5 and 1, or
+    `num_draws` is not from 100 to 10 million.
     """
     if not 0.5 < confidence < 1:
         raise BadInput(f"confidence is {confidence}, expected more than 0.5 and less than 1.")

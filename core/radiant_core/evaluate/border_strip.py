@@ -1,8 +1,9 @@
-"""A model from straight above along a border: a strip of pixels. One small render per border.
+"""What a model looks like from straight above along a border. One small render per border.
 
 A pinhole `ALTITUDE` strip lengths above the ground stands for an orthographic camera, which the
-rasterizer lacks: rays are off the vertical by at most 1 / (2 · `ALTITUDE`). Gaussians are moved to
-the middle of the border in float64 first, so that a far origin or altitude costs no digits.
+rasterizer lacks: rays are off the vertical by at most 1 / (2 · `ALTITUDE`), at the ends of the
+strip. Gaussians are moved to the middle of the border in float64 first, so that a far origin or
+altitude costs no digits.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ if TYPE_CHECKING:
 ALTITUDE = 100.0
 MAX_STRIP_PX = 20_000_000
 CEILING_M = 40.0
-"""What stands higher over the middle ground than roofs and trees is sky or haze: left out."""
+"""What stands higher over the middle ground than roofs and trees is sky or haze and left out."""
 _REACH_SIGMAS = 3.5
 """Beyond this a Gaussian's α is below 1/255 whatever its opacity."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderStrip:
-    """T rows across, S columns along a border between rows T/2 − 1 and T/2, its left side above.
+    """T rows across a border, which lies between rows T/2 − 1 and T/2, and S columns along it.
 
-    image (T,S,3) in 0..1 over black; alpha (T,S); height_m (T,S) in the world, NaN where nothing
-    was hit; density (T,S) opacities per m² of the centres of Gaussians; px_m metres per pixel;
-    ends (2,2) m.
+    Its left side is in the upper rows. image (T,S,3) in 0..1 over black; alpha (T,S); height_m
+    (T,S) in the world, NaN where nothing was hit; density (T,S) Gaussians per m², weighted by
+    opacity, at their centres; px_m metres per pixel; ends (2,2) m.
     """
 
     image: NDArray[np.float32]
@@ -47,10 +48,11 @@ class BorderStrip:
 
 
 def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float, px_m: float, backend: Backend = "auto") -> BorderStrip:
-    """The strip within `half_width_m` of the border between `ends` (2,2) m, in whole pixels.
+    """The strip within `half_width_m` of the straight border between `ends` (2,2) m.
 
-    BadInput where the border is shorter than a pixel, a width or pixel is not positive and finite,
-    or the strip would have more than 20 million pixels.
+    Both sizes are rounded down to whole pixels. Raises BadInput where the border is shorter than a
+    pixel, a width or pixel is not positive and finite, or the strip would have more than 20 million
+    pixels.
     """
     ends = check_array("ends", ends, (2, 2))
     if not (0 < px_m < np.inf and px_m <= half_width_m < np.inf):
@@ -75,7 +77,7 @@ def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float,
     near, inside = near & low, inside & low
     moved = _move(splats.select(np.flatnonzero(near)), local[near], ground_m)
     camera = _camera_above(along, columns, 2 * half_rows, px_m)
-    # Here, since it brings torch, which other measures need not wait for.
+    # Imported here, since it brings torch: whoever measures no seam need not wait for it.
     from radiant_core.render.rendered_view import render_views
 
     (view,) = render_views(moved, camera, backend)

@@ -1,11 +1,12 @@
-"""LPIPS (Zhang et al. 2018), version 0.1: image distance in a network's features. Once per image.
+"""LPIPS (Zhang et al. 2018) 0.1: the distance of two images in a network's features. Per image.
 
     LPIPS(a, b) = Σ over taps l of mean over pixels of Σ over channels c of w_lc (â_lc − b̂_lc)²
 
 with â the features after a ReLU, divided at every pixel by their length over the channels, and
-inputs x in 0..1 scaled to (2x − 1 − shift) / scale, of torchvision's VGG16 or AlexNet with five
-taps. Trained weights are the user's to bring (`load_lpips`): a backbone as torchvision publishes it
-and the heads w as the authors' package `lpips` does.
+inputs x in 0..1 scaled to (2x − 1 − shift) / scale. The networks are the convolutions of
+torchvision's VGG16 or AlexNet with five taps. Trained weights are the user's to bring
+(`load_lpips`): a backbone as torchvision publishes it and the heads w as the authors' package
+`lpips` does.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ MAX_FILE_BYTES = 2**30
 
 @dataclass(frozen=True, kw_only=True)
 class _Conv:
-    """A convolution with its ReLU: its number in `features`, a max-pool of stride 2 before it."""
+    """A convolution with its ReLU: its number in `features`, and a max-pool of stride 2 before."""
 
     number: int
     channels: tuple[int, int]
@@ -99,7 +100,8 @@ class Lpips:
 
     network: LpipsNetwork
     weights: Mapping[str, Tensor]
-    """`features.N.weight` (out,in,k,k), `.bias` (out,), `linL.model.1.weight` (1,C,1,1)."""
+    """`features.N.weight` (out,in,k,k), `features.N.bias` (out,), `linL.model.1.weight` (1,C,1,1);
+    finite float32."""
 
     @property
     def min_side_px(self) -> int:
@@ -107,7 +109,8 @@ class Lpips:
         return MIN_SIDE_PX[self.network]
 
     def __call__(self, render: ArrayLike, photograph: ArrayLike) -> float:
-        """LPIPS of images (H,W,3) in 0..1, 0 where equal; BadInput on other or too small ones."""
+        """LPIPS of two images (H,W,3) in 0..1, 0 where they are equal; BadInput on other shapes or
+        values, or a side that is too short."""
         pair = check_image_pair(render, photograph)
         height, width = pair[0].shape[:2]
         if min(height, width) < self.min_side_px:
@@ -130,11 +133,12 @@ class Lpips:
 
 
 def load_lpips(path: Path, network: LpipsNetwork) -> Lpips:
-    """The network with weights from `path`: a folder of torchvision's backbone (`vgg16*.pth`,
-    `alexnet*.pth`) and the heads of `lpips` 0.1 (`vgg.pth`, `alex.pth`), or one safetensors file.
+    """The network with weights from `path`: a folder with torchvision's backbone (`vgg16*.pth`,
+    `alexnet*.pth`) and the heads of `lpips` 0.1 (`vgg.pth`, `alex.pth`), or one safetensors file
+    with the tensors of both.
 
-    Nothing in a .pth is executed. BadInput when a file is missing, ambiguous, broken or over 1 GiB,
-    or a tensor is missing, of another shape, not of a floating type or not finite.
+    Nothing in a .pth is executed. Raises BadInput when a file is missing, ambiguous, broken or over
+    1 GiB, or a tensor is missing, of another shape, not of a floating type or not finite.
     """
     if network not in get_args(LpipsNetwork):
         raise BadInput(f"LPIPS network {network!r} is unknown: use one of {', '.join(get_args(LpipsNetwork))}.")
@@ -190,7 +194,8 @@ def _convolve(image: Tensor, conv: _Conv, weights: Mapping[str, Tensor]) -> Tens
 
 
 def _tap_distance(a: Tensor, b: Tensor, head: Tensor) -> float:
-    """Mean of the weighted squared difference of features (C,H,W) that are made one long."""
+    """Mean over the pixels of the weighted squared difference of two features (C,H,W) after each is
+    made one long."""
     squared = (a / (a.norm(dim=0) + LENGTH_EPSILON)).sub_(b / (b.norm(dim=0) + LENGTH_EPSILON)).square_()
     return float(torch.tensordot(head[0, :, 0, 0], squared, dims=1).mean(dtype=torch.float64))
 

@@ -14,14 +14,15 @@ from typing import Any, Literal, get_args
 from radiant_core.errors import BadInput
 
 Direction = Literal["lower", "higher", "info"]
-"""lower: smaller is better; higher: larger is better; info: never compared."""
+"""lower: smaller is better; higher: larger is better; info: it is never compared."""
 
 JSON_KEYS = ("key", "value", "unit", "direction")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """One figure. BadInput for an empty key, an unknown direction, a number that is not finite."""
+    """One figure. Raises BadInput when the key is empty, the value or tolerance not finite, or the
+    direction unknown."""
 
     key: str
     """Dotted name, for example "raster.S.random.native.fwd_cpu_ms"."""
@@ -54,7 +55,7 @@ def metrics_to_json(metrics: Sequence[Metric]) -> list[dict[str, str | float]]:
 
 
 def metrics_from_json(rows: Any) -> tuple[Metric, ...]:
-    """The metrics of a parsed JSON list, tolerance 0; BadInput names the row and the reason."""
+    """The metrics of a parsed JSON list, tolerance 0; a BadInput names the row and the reason."""
     if not isinstance(rows, list):
         raise BadInput(f"metrics come as {type(rows).__name__}, expected a list of {{key, value, unit, direction}}.")
     for index, row in enumerate(rows):
@@ -68,7 +69,8 @@ def metrics_from_json(rows: Any) -> tuple[Metric, ...]:
 def regressions(new: Sequence[Metric], blessed: Sequence[Metric]) -> tuple[str, ...]:
     """One sentence per blessed metric that is worse by more than its tolerance or not measured now.
 
-    A key that is only in `new` is none. BadInput when unit or direction of a key changed.
+    A key that is only in `new` is no regression. Raises BadInput when the unit or direction of a
+    key changed: bless the list anew.
     """
     new_by_key = _by_key(new)
     sentences = []

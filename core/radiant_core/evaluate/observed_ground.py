@@ -1,12 +1,13 @@
 """How well places of the ground were observed. Once per plan, O(C · K).
 
     share of x = min(1, coverage(x) / median coverage of the scene's own points),   0 where fewer
-    than `MIN_VIEWS` images show x, fewer than `MIN_POINTS` points lie near, or below `MIN_SHARE`
+    than `MIN_VIEWS` images show x, fewer than `MIN_POINTS` points lie near, or it is below
+    `MIN_SHARE`
 
 `coverage` sums the resolution of the images that show x (`geometry.coverage`). x stands at the
 middle height of the `NUM_NEAREST` points around it; occlusion does not count. Where structure from
-motion placed no points, no two images agreed on what stands there: a model's haze. C cameras,
-K places, P points.
+motion placed no points, no two images agreed on what stands there: a model's haze, about which no
+statement is made. C cameras, K places, P points.
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ from radiant_core.scene import SfmScene
 MIN_VIEWS = 2
 """What one image alone shows has no depth."""
 MIN_SHARE = 0.25
-"""With less than a quarter of the usual resolution a place lies beside what was photographed."""
+"""Where the images' resolution adds up to less than a quarter of what it usually does, the place
+lies beside what was photographed."""
 MIN_POINTS = 3
 NUM_NEAREST, NUM_SAMPLED = 16, 1000
 
 
 def observed_coverage(places_xy: ArrayLike, scene: SfmScene, reach: float) -> FloatArray:
-    """Share (K,) of the usual coverage of places (K,2), 0 to 1, 0 where not observed; `reach`: how
-    near points must lie, in the frame's unit."""
+    """Share (K,) of the usual coverage that each of the places (K,2) has, 0 to 1; 0 where it was
+    not observed. `reach`: how near points must lie, in the frame's unit."""
     places_xy = check_array("places_xy", places_xy, (None, 2))
     if len(scene.points) < MIN_POINTS or not len(scene.cameras):
         return np.zeros(len(places_xy))

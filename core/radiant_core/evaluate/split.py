@@ -46,9 +46,10 @@ def validation_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
 
 
 def training_validation_mask(training_names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
-    """Mask (C,) of the validation part of training photographs (C), without the held-out ones.
+    """Mask (C,) of the validation part of training photographs (C), none of them held out.
 
-    ⌈C / every⌉ in sorted order, or none where C < `every`. Raises as `held_out_mask`.
+    The first, ninth, … in sorted order: ⌈C / every⌉ of them, or none where C < `every`. Raises as
+    `held_out_mask`.
     """
     mask = _every_nth(training_names, np.ones(len(training_names), bool), every)
     return mask if len(training_names) >= every else np.zeros(len(training_names), bool)

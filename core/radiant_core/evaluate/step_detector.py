@@ -39,7 +39,8 @@ THRESHOLDS: dict[Quantity, float] = {"colour": 4.40, "height": 3.05, "density": 
 """Together 5 % false alarms on 216 virtual borders of 144 m in six centralised models (town,
 caliterra, lewis; 2 seeds, 640 px, 150 s): `python -m radiant_app.bench.step_detector --borders 36
 MODEL…`. Cross-validated 6.9 %. Power by that command: height 5 cm 1.00 in the town, 0.44 in
-caliterra, 0 in lewis; grey 20/255 0.61, 0.44, 0; grey 2/255 0 everywhere: texture steps more."""
+caliterra, 0 in lewis; grey 20/255 0.61, 0.44, 0; grey 2/255 0 everywhere, since texture alone steps
+by more."""
 
 PX_M = 0.1
 HALF_WIDTH_M = 10.0
@@ -47,8 +48,9 @@ PIECE_M = 0.5
 """Length of the border in which colours are averaged."""
 PARALLELS_M: FloatArray = np.concatenate([np.arange(-7.0, -1.9, 0.5), np.arange(2.0, 7.1, 0.5)])
 COLOR_WIDTH_M = 0.4
-"""Narrow, though a step is blurred over as much: texture grows faster with the distance. A step of
-20/255 was found at 0.71 of 90 virtual borders, with 1 m at 0.54, with lines over 1.5 m at 0.38."""
+"""Narrow, though a step is blurred over as much: texture grows faster with the distance than the
+step does. With 0.4 m a grey step of 20/255 was found at 0.71 of 90 virtual borders, with 1 m at
+0.54, with straight lines through 1.5 m on either side at 0.38."""
 DENSITY_WIDTH_M = 2.0
 GAP_WIDTH_M, BESIDE_GAP_M = 0.3, 1.0
 """Half the width of the line, and to where opacity beside it is taken."""
@@ -82,9 +84,11 @@ class BorderSteps:
 
     @property
     def limits(self) -> dict[Quantity, float]:
-        """The least step that would have been found, in its unit (of colour that of grey); or NaN.
+        """The least step that would have been found, in each quantity's unit (of colour that of
+        grey).
 
-        A step blurs beyond its bands: a planted one has to be larger, of grey twice as large.
+        NaN where there is too little to say. A step blurs over more than its bands: a planted one
+        has to be larger, of grey about twice as large.
         """
         return {quantity: THRESHOLDS[quantity] * self.scatters[quantity] for quantity in QUANTITIES}
 
@@ -95,10 +99,10 @@ class BorderSteps:
 
 
 def border_steps(splats: Splats, ends: ArrayLike, *, backend: Backend = "auto") -> BorderSteps:
-    """Look for a seam along the border between `ends` (2,2) m; "left" is seen from first to second.
+    """Look for a seam along the straight border between `ends` (2,2) m of a metric model.
 
-    Raises BadInput for ends that are not finite or nearer than a pixel, or a strip over 20 million
-    pixels (100 km).
+    "Left" is seen from the first end to the second. Raises BadInput for ends that are not finite or
+    nearer than a pixel, or a strip of more than 20 million pixels (100 km).
     """
     ends = check_array("ends", ends, (2, 2))
     strip = render_border_strip(splats, ends, half_width_m=HALF_WIDTH_M, px_m=PX_M, backend=backend)
@@ -122,7 +126,7 @@ def _offsets_m() -> FloatArray:
 
 
 class _Score(NamedTuple):
-    """Step at the border, scatter of the parallels, responses (1 + 22,) in units of that."""
+    """Step at the border, scatter of the parallels in its unit, responses (1 + 22,) over that."""
 
     step: float
     scatter: float
@@ -130,7 +134,7 @@ class _Score(NamedTuple):
 
 
 def _score(values: FloatArray) -> _Score:
-    """The border and its parallels (1 + 22,) in units of the parallels' own scatter."""
+    """The pooled figures (1 + 22,) of border and parallels in units of the parallels' scatter."""
     known = np.isfinite(values)
     if not known[0] or known[1:].sum() < len(PARALLELS_M) // 2:
         return _Score(np.nan, np.nan, np.full(len(values), np.nan))
@@ -142,12 +146,14 @@ def _score(values: FloatArray) -> _Score:
 
 
 def _strongest(rows: list[_Score]) -> _Score:
-    """Step and scatter of grey; the responses of whichever channel stands out most."""
+    """Step and scatter of grey, and the responses of grey or of a difference of channels, whichever
+    stands out most at the border."""
     return rows[0]._replace(responses=max((row.responses for row in rows), key=lambda responses: abs(responses[0])))
 
 
 def _location(values: FloatArray, scales: FloatArray) -> FloatArray:
-    """Location (O,) of (O,K): fixed point of v = Σ q x / Σ q, q = 1 / (s² + (x − v)²)."""
+    """Location (O,) of values (O,K) with scales (K,): fixed point of v = Σ q x / Σ q, q = 1 / (s² +
+    (x − v)²), from the median on."""
     location = np.median(values, axis=1)
     for _ in range(20):
         weights = 1 / (scales**2 + (values - location[:, None]) ** 2)
@@ -208,7 +214,7 @@ def _heights(splats: Splats, ends: FloatArray) -> FloatArray:
 
 
 def _roughness_m(first: NDArray[np.int64], second: NDArray[np.int64], differences: FloatArray, count: int) -> FloatArray:
-    """Roughness around each centre (N,): square of the mean root of |difference| of pairs (M,)."""
+    """Roughness around each centre (N,): square of the mean root of |difference| of its pairs."""
     ends, roots = np.concatenate([first, second]), np.tile(np.sqrt(np.abs(differences)), 2)
     return (np.bincount(ends, roots, count) / np.maximum(np.bincount(ends, minlength=count), 1)) ** 2
 

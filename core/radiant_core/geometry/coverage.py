@@ -2,9 +2,9 @@
 
     coverage of x by cameras = Σ over the images that show x of  min(1, 4 r) / z · f / width
 
-r is how far inside the image x lies (0 at its rim, 1 in its middle); z is depth. Occlusion does not
-count: with depths compared, models whose depths are wrong in places lost those to neighbours that
-were no better (docs/experiments/aggregation.md).
+r is how far inside the image x lies (0 at its rim, 1 in its middle), so that what is only grazed
+counts little; z is depth. Occlusion does not count: with depths compared, models whose depths are
+wrong in places lost those to neighbours that were no better (docs/experiments/aggregation.md).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _RIM = 0.25
 
 
 def coverage(places: ArrayLike, cameras: Cameras) -> FloatArray:
-    """Coverage (P,) of places (P,3) m as above, in image widths per unit of length; 0 unseen."""
+    """How well cameras cover places (P,3), as above, in image widths per unit of length."""
     # Rows of coordinates, and only what is shown goes on: half the time of (P,3) arrays.
     rows = np.ascontiguousarray(np.asarray(places, np.float64).T)
     covered = np.zeros(rows.shape[1])

@@ -1,4 +1,4 @@
-"""The frames of neighbouring models at once, from pairs and GPS with errors. Once per edge.
+"""The frames of all neighbouring models at once, from pairs, GPS and their errors. Per edge.
 
     min Σ_m ‖ξ(S_m)‖²_{G_m} + Σ_(a,b) ‖ξ(S_a M_ab S_b⁻¹)‖²_{C_ab}
 over one correction S_m per model. ξ = (shift m, rotation rad, ln scale) about the middle of a
@@ -22,7 +22,7 @@ from radiant_core.numerics import FloatArray, check_array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameEdge:
-    """What a pair of models `a`, `b` (indices) says: the similarity of b's frame to a's."""
+    """What a pair of models `a`, `b` (indices) says: the similarity that takes b's frame to a's."""
 
     a: int
     b: int
@@ -42,7 +42,7 @@ class SolvedFrames:
 
 
 def uncertainty_of(covariance: FloatArray) -> FrameUncertainty:
-    """The figures of a covariance (7,7) of ξ: RMS of the axes of the place, worst of rotation."""
+    """Three figures of a covariance (7,7) of ξ: RMS of the axes of the place, worst of rotation."""
     return FrameUncertainty(
         position_m=float(np.sqrt(np.trace(covariance[:3, :3]) / 3)),
         scale=float(np.sqrt(covariance[6, 6])),
@@ -77,7 +77,8 @@ def edge_xi(edge: FrameEdge, a_move: Sim3, b_move: Sim3) -> FloatArray:
 
 
 def spread_to(center: FloatArray, model_center: FloatArray, prior: FrameUncertainty, bias_m: float) -> FloatArray:
-    """Variances (7,) that a frame's uncertainty gives to ξ about another `center` (3,)."""
+    """Variances (7,) that a frame's uncertainty gives to ξ about another `center` (3,): turns and
+    scale shift what is far."""
     distance = float(np.linalg.norm(center - model_center))
     variances = np.square(prior.sigmas)
     variances[:3] += bias_m**2 + (distance * prior.rotation_rad) ** 2 + (distance * prior.scale) ** 2

@@ -30,7 +30,8 @@ MIN_VIEWS = 2
 MIN_SEEN_SHARE = 0.05
 MIN_KNOWING_CAMERAS = 3
 KNOWN_WITHIN = 1.5
-"""A camera resolves what it sees within this many median viewing distances of its model."""
+"""A camera resolves what it sees within this many times its model's median viewing distance;
+beyond, pixels are too coarse to match."""
 MIN_COMMON_PIXELS = 0.05
 MAX_SAMPLES = 2000
 NUM_FEATURES = 1500
@@ -42,7 +43,8 @@ COARSE_TOLERANCE = 0.03
 """Rendered depth and feature together, as a share of the distance to the camera."""
 MIN_COARSE_PAIRS = 25
 MIN_COARSE_SHARE = 0.03
-"""Places with nothing in common: at most 8 of 859 features agreed; with little: 113 of 2,054."""
+"""Of two places that have nothing in common, at most 8 of 859 features agreed; of those with little
+in common, 113 of 2,054."""
 MIN_FINE_PAIRS = 25
 MIN_FINE_SHARE = 0.25
 MAX_DEPTH_ERROR = 0.1
@@ -58,7 +60,8 @@ IDENTITY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlap:
     """The cameras of either model that see the other's surface, best first, and `share`: of what
-    one model covers by three near cameras, how much the other covers, the larger of both ways."""
+    one model covers, by three cameras near enough, the other covers that much (the larger of both
+    ways)."""
 
     a_cameras: Cameras
     b_cameras: Cameras
@@ -85,7 +88,7 @@ def find_overlap(a_surface: FloatArray, a_cameras: Cameras, b_surface: FloatArra
 
 
 def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int) -> PairFit | str:
-    """The similarity a ← b of two models in nearly one frame, or why none was found."""
+    """The similarity a ← b of two models in nearly one frame, or a clause on why there is none."""
     a, b = without_background(a, overlap.a_cameras), without_background(b, overlap.b_cameras)
     coarse = coarse_match(a, b, overlap, seed)
     if isinstance(coarse, str):
@@ -158,7 +161,7 @@ def _first(cameras: Cameras, count: int) -> Cameras:
 
 
 def tracked_pairs(a: ModelViews, b: ModelViews, a_from_b: Sim3) -> PointPairs:
-    """P points followed through cameras of both models, each in its own model's frame."""
+    """P points followed through cameras of both models and triangulated in each one's frame."""
     parts = [_track_from(a, index, b, a_from_b.inverse()) for index in range(len(a.cameras))]
     for index in range(len(b.cameras)):
         there = _track_from(b, index, a, a_from_b)
@@ -220,7 +223,7 @@ def _nearest(cameras: Cameras, center: FloatArray, count: int = MAX_PARTNERS) ->
 
 
 def _features(views: ModelViews, index: int) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
-    """Points (P,3) at rendered depth, tolerances (P,) m, descriptors (P,128) of one view."""
+    """Points (P,3) at the rendered depth, tolerances (P,) m, descriptors (P,128) of one view."""
     sift = cv2.SIFT.create(nfeatures=NUM_FEATURES, contrastThreshold=0.01)
     keypoints, descriptors = sift.detectAndCompute(views.grey[index], _erode(views.views[index].alpha > MIN_ALPHA))
     if descriptors is None:
@@ -231,7 +234,7 @@ def _features(views: ModelViews, index: int) -> tuple[FloatArray, FloatArray, ND
 
 
 def _match_features(a: tuple, b: tuple) -> _Matched:
-    """Points (P,3) of a, of b and tolerances (P,) m of features with one clear best match."""
+    """Points (P,3) of a, of b and tolerances (P,) m of features with one clearly best match."""
     if len(a[0]) < 2 or len(b[0]) < 2:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     candidates = cv2.BFMatcher().knnMatch(a[2], b[2], k=2)
@@ -254,7 +257,8 @@ def _sees(cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
 
 
 def _covers(cameras: Cameras, sees: NDArray[np.bool_], points: FloatArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Points (P,) near enough to three cameras, measured by the distances of the `own` ones."""
+    """Which points (P,) at least three cameras see from near enough, measured by how far they are
+    from the model's `own` points."""
     distances = np.linalg.norm(points[None] - cameras.centers[:, None], axis=2)
     seen_own = sees & own
     if not seen_own.any():

@@ -31,7 +31,8 @@ from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 
 GPS_BIAS_M = 1.5
-"""What the GPS of two flights may differ by per axis; residuals within a flight cannot show it."""
+"""What the GPS of two flights may differ by as a whole, per axis; residuals within one flight
+cannot show it."""
 MAX_SIGMAS = 4.0
 BEND = np.array([0.3, 0.3, 0.3, 0.005, 0.005, 0.005, 0.005])
 """What models bend by (m, rad, 1) beyond the errors of their pairs: loops may stay open by this."""
@@ -41,7 +42,8 @@ photographs a camera calibrates itself badly (brighton: two halves with focal le
 so that their common strip differed by 3 % of scale)."""
 MIN_SHARE = 0.05
 EXPECTED_SHARE = 0.35
-"""Models with so much common ground match: in the town all from 0.36 on, one of 0.10 not."""
+"""Models that have so much known ground in common match: on the town all pairs from 0.36 on did,
+one with 0.10 did not."""
 ALONE_MAX_SCALE = 0.05
 ALONE_MAX_ROTATION_RAD = np.radians(5.0)
 """A model that no neighbour holds is not merged when GPS fixes its frame to no better than this."""
@@ -90,7 +92,7 @@ class RefinedFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Pair:
-    """A fit that agrees with GPS, one that contradicts it (`reason`), or none."""
+    """A pair's outcome: a fit that agrees with GPS, one that contradicts it (`reason`), or none."""
 
     a: int
     b: int
@@ -212,10 +214,11 @@ def _groups(num_models: int, used: Sequence[_Pair]) -> list[int]:
 
 
 def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int], sizes: list[int], named: list[str]) -> dict[int, str]:
-    """The models that must not be merged: of two contradicting groups that with fewer photographs.
+    """The models that must not be merged, each with the reason.
 
-    A contradiction is a pair that disagrees with GPS or with the loops, or, for a model joined to
-    no other, one that should match and does not.
+    Of two groups that contradict each other it is the one with fewer photographs. A contradiction
+    is a pair that disagrees with GPS or with the loops, or, for a model joined to no other, one
+    that should match and does not.
     """
     photographs = {number: sum(size for size, other in zip(sizes, group, strict=True) if other == number) for number in set(group)}
     refusals: dict[int, str] = {}

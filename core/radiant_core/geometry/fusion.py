@@ -3,8 +3,8 @@
     python -m radiant_core.geometry.fusion FOLDER
     bytes = `BASE_BYTES` + blocks · `BYTES_PER_BLOCK`,  blocks of 16³ voxels ∝ 1 / voxel²
 Open3D ends the process by a signal where its tables are too small; here that is a sentence. The
-views lie in a temporary folder, some 2 MB each at 640 px, beside the result on request, since /tmp
-may be memory: they are counted first, then fused, 0.2 s each.
+views lie in a temporary folder, some 2 MB each at 640 px, beside the result where the caller says
+so, since /tmp may be memory: they are counted first, then fused, 0.2 s each.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ _SETTINGS, _MESH = "settings.json", "mesh.safetensors"
 
 @dataclass(frozen=True, kw_only=True)
 class FusionSettings:
-    """voxel in the model's unit, coarser where its blocks exceed max_blocks, unless `is_fixed`."""
+    """voxel, in the model's unit, coarser where its blocks of 16³ are more than max_blocks unless
+    it `is_fixed`; depth up to max_depth."""
 
     voxel: float
     is_fixed: bool
@@ -138,7 +139,8 @@ def _load_mesh(path: Path) -> Mesh:
 
 
 def main(folder: Path, say: IO[str]) -> int:
-    """Count and fuse the views in `folder`; the last line of `say` holds the figures."""
+    """Count and fuse the views in `folder`; the last line of `say` holds the figures, the mesh lies
+    beside the views."""
     from safetensors.numpy import load_file, save_file
 
     settings = FusionSettings(**json.loads((folder / _SETTINGS).read_text()))

@@ -1,11 +1,12 @@
-"""Views of a model, and what a point in one shows in another. Once per pair of models and round.
+"""Rendered views of a model, and what a point in one shows in another. Per pair and round.
 
 A point u of a hub view is followed into another view in two steps: the rendered depth predicts
 where every pixel of the hub lies there, the other view is warped by that into the hub, and
 Lucas–Kanade finds what is left between the two, forth and back. The rendered depth need only be
 near: what counts is which rays meet, and `triangulate` intersects them. Measured on the town, depth
 itself is off by 0.2 to 0.6 m, the intersection by 0.06 m (docs/experiments/frames.md). Sources:
-Lucas and Kanade, IJCAI (1981); Hartley and Sturm, Triangulation (1997) for reprojection errors.
+Lucas and Kanade, IJCAI (1981); Hartley and Sturm, Triangulation (1997) for the least squares over
+reprojection errors.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ class ModelViews:
         return (in_camera - pose[:3, 3]) @ pose[:3, :3], depths
 
     def project(self, index: int, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pixels (N,2) and depths (N,) of points (N,3) in one view; no pixel where depth ≤ 0."""
+        """Pixels (N,2) and depths (N,) of world points (N,3) in one view; pixels mean nothing where
+        the depth is not positive."""
         K, pose = self.cameras.Ks[index], self.cameras.cam_from_world[index]
         in_camera = points @ pose[:3, :3].T + pose[:3, 3]
         depths = in_camera[:, 2]
@@ -85,7 +87,7 @@ def sample_bilinear(image: NDArray[Any], pixels: FloatArray) -> FloatArray:
 
 
 def corners(views: ModelViews, index: int, count: int) -> FloatArray:
-    """At most `count` textured pixels (N,2) of one view (Shi and Tomasi, CVPR 1994)."""
+    """At most `count` well textured pixels (N,2) where the model is (Shi and Tomasi, CVPR 1994)."""
     known = (views.views[index].alpha > MIN_ALPHA).astype(np.uint8)
     found = cv2.goodFeaturesToTrack(views.grey[index], count, 0.01, 6, mask=known)
     return np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64) + 0.5
@@ -102,7 +104,7 @@ def hub_map(hub: ModelViews, index: int) -> tuple[FloatArray, tuple[int, int]]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hub:
-    """A view whose points (N,2) px are followed, with coarse world points (G,3) in a grid."""
+    """A view whose points (N,2) px are followed, with a coarse grid of its world points (G,3)."""
 
     views: ModelViews
     index: int
@@ -122,7 +124,8 @@ class Rays:
 
 def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) were
-    found there and back. Rendered depths that differ by over `max_depth_error` hide a pixel."""
+    found there and back. A pixel is hidden where the other view's rendered depth differs by more
+    than the share `max_depth_error`."""
     grey = hub.views.grey[hub.index]
     height, width = grey.shape
     there, depths = other.project(index, other_from_hub.apply(hub.grid))
@@ -170,7 +173,8 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
         gradient = np.zeros((num_points, 3))
         np.add.at(H, seen, np.einsum("o,oki,okj->oij", weights, jacobian, jacobian) / SIGMA_PX**2)
         np.add.at(gradient, seen, np.einsum("o,oki,ok->oi", weights, jacobian, residuals) / SIGMA_PX**2)
-        # A lone ray, or parallel ones, leave a direction open: 1e-6/m² holds it, at 1000² m².
+        # A lone ray, or parallel ones, leave a direction open: 1e-6/m² holds it, and the covariance
+        # of 1000² m² says so.
         H += 1e-6 * np.eye(3)
         points = points + np.linalg.solve(H, gradient[..., None])[..., 0]
     counts = np.maximum(1, np.bincount(seen, minlength=num_points))

@@ -1,7 +1,8 @@
 """What Open3D computes: ICP with scale of surface points, once per pair of models; a mesh from
 depth views by a truncated signed distance and its heights, once per surface model.
 
-    (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target in a falling radius.
+    (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖², c(i) the nearest target within a falling radius,
+    anew in each iteration.
 A free scale may collapse: a shrunken cloud has a near neighbour everywhere. So the result says how
 it fared both ways. Sources: Besl and McKay, PAMI 14 (1992); Umeyama, PAMI 13 (1991).
 """
@@ -38,7 +39,8 @@ RAYS_AT_ONCE = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthView:
-    """image (H,W,3) uint8; depth (H,W) along the axis, 0 unknown; K (3,3) px; pose (4,4)."""
+    """image (H,W,3) uint8; depth (H,W) along the axis, 0 where nothing is known; K (3,3) px;
+    cam_from_world (4,4)."""
 
     image: NDArray[np.uint8]
     depth: NDArray[np.float32]
@@ -48,7 +50,8 @@ class DepthView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IcpFit:
-    """Similarity target ← source, share of source points within the last radius, their RMS in m."""
+    """Similarity target ← source, the share of source points that met a target within the last
+    radius, and their RMS distance in m."""
 
     target_from_source: Sim3
     overlap: float
@@ -56,15 +59,16 @@ class IcpFit:
 
 
 def surface_points(splats: Splats, largest_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Means (K,3) m and mask (N,) of what makes a surface: opaque, at most `largest_m` wide."""
+    """Means (K,3) m of the Gaussians that make a surface, and which (N,) those are: opaque, and at
+    most `largest_m` wide, so no sky and no haze."""
     opaque = splats.logit_opacities > np.log(SURFACE_OPACITY / (1 - SURFACE_OPACITY))
     chosen = opaque & (splats.log_scales.max(axis=1, initial=-np.inf) < np.log(largest_m))
     return splats.means[chosen].astype(np.float64), chosen
 
 
 def icp_with_scale(source: ArrayLike, target: ArrayLike, start: Sim3, radii_m: Sequence[float]) -> IcpFit | None:
-    """Align source (N,3) to target (M,3) from `start` with falling radii; None with under 50 points
-    or when the scale runs away (20 %). BadInput on shapes or values that are not finite."""
+    """Align source (N,3) to target (M,3) from `start` with falling radii; None with fewer than 50
+    points or when the scale runs away (20 %). BadInput on shapes or values that are not finite."""
     import open3d as o3d
 
     source, target = check_array("source", source, (None, 3)), check_array("target", target, (None, 3))
@@ -123,8 +127,8 @@ def fused_mesh(
     marching cubes, without pieces below a square of `MIN_PIECE_VOXELS`. May be empty. Source:
     Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
 
-    `num_blocks` by `count_blocks` spares the grid to grow, which doubles it; the mesh is made of
-    `blocks_at_once` and less.
+    `num_blocks` of `count_blocks` keeps the grid from growing, which would double it; the mesh is
+    made of `blocks_at_once` and less.
     """
     import open3d as o3d
 
@@ -195,8 +199,8 @@ def _pieces(grid: Any, voxel: float, blocks_at_once: int) -> Iterator[tuple[Floa
 
 
 def _boxes(keys: NDArray[np.int64], blocks_at_once: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Boxes, lower corner inclusive and upper one exclusive, of all blocks `keys` (B,3), each with
-    those around it no more than so many, or a single block."""
+    """Boxes, lower corner inclusive and upper one exclusive, that hold all blocks `keys` (B,3),
+    each with those around it no more than so many, or a single block."""
     if not len(keys):
         return
     waiting = [(keys.min(axis=0), keys.max(axis=0) + 1)]
@@ -247,7 +251,10 @@ def _weld_mesh(pieces: Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]
 
 
 def heights_from_above(mesh: Mesh, places: ArrayLike) -> FloatArray:
-    """Height (P,) of the top surface over (P,2), NaN where none is; in float32, near the origin."""
+    """Height (P,) of the topmost surface over places (P,2), NaN where there is none.
+
+    Rays are cast in float32: keep coordinates near the origin.
+    """
     import open3d as o3d
 
     places = check_array("places", places, (None, 2))

@@ -1,10 +1,10 @@
 """The similarity between two models from pairs of 3D points. Once per pair of models and round.
 
     min Σ_i ρ(r_iᵀ C_i⁻¹ r_i),   r_i = a_i − S b_i,   C_i = A_i + s² R B_i Rᵀ,   ρ Geman–McClure
-by reweighted Gauss–Newton in ξ = (shift m, rotation rad, ln scale) about the middle of the pairs.
-Pairs of one patch of ground err together, so the covariance is the cluster-robust one, H⁻¹ (Σ_c g_c
-g_cᵀ) H⁻¹ with the gradients g_c summed over patches c, never under a floor. Sources: Umeyama, PAMI
-13 (1991); Liang and Zeger, Biometrika 73 (1986).
+by reweighted Gauss–Newton in the seven unknowns ξ = (shift m, rotation rad, ln scale) about the
+middle of the pairs. Pairs of one patch of ground err together, so the covariance is the
+cluster-robust one, H⁻¹ (Σ_c g_c g_cᵀ) H⁻¹ with the gradients g_c summed over patches c, never under
+a floor. Sources: Umeyama, PAMI 13 (1991); Liang and Zeger, Biometrika 73 (1986).
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def compose(outer: Sim3, inner: Sim3) -> Sim3:
 
 
 def similarity_about(center: FloatArray, xi: FloatArray) -> Sim3:
-    """Turns and grows about `center` (3,), then shifts; xi (7,): shift m, rotation, ln scale."""
+    """The similarity that turns and grows about `center` (3,) and then shifts it: xi (7,) = shift
+    m, rotation vector rad, ln scale."""
     scale, rotation = float(np.exp(xi[6])), Rotation.from_rotvec(xi[3:6]).as_matrix()
     return Sim3(scale=scale, rotation=rotation, translation=center + xi[:3] - scale * rotation @ center)
 
@@ -86,7 +87,7 @@ def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int 
     for _ in range(NUM_TRIALS):
         picked = rng.choice(len(a), 3, replace=False)
         sides = [np.linalg.norm(points[picked] - points[np.roll(picked, 1)], axis=1) for points in (a, b)]
-        # Pairs near each other fix no rotation, sides of another ratio no similarity: cheaper here.
+        # Near pairs fix no rotation, sides of another ratio no similarity: cheaper to see here.
         if min(sides[0].min(), sides[1].min()) <= MIN_SIDE_SHARE * spread or (np.abs(np.log(sides[1] / sides[0])) > MAX_SCALE_CHANGE).any():
             continue
         fit = fit_sim3(b[picked], a[picked])
@@ -105,7 +106,8 @@ def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int 
 
 
 def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
-    """The robust fit from `start`; BadInput under 4 pairs, or all in one place or on a line."""
+    """The robust fit from `start`; BadInput under 4 pairs or where they cannot fix seven unknowns
+    (all in one place or on a line)."""
     if len(pairs) < 4:
         raise BadInput(f"{len(pairs)} pairs of points cannot fix a similarity with its error: at least 4 are needed.")
     center = np.median(pairs.a, axis=0)

@@ -1,8 +1,9 @@
 """A similarity applied to a model of 3D Gaussians. Once per model that changes its frame.
 
     x → s R x + t      q → q_R q      ln σ → ln σ + ln s      f_l → D_l(R) f_l per degree l,
-where D_l keeps every colour at its direction: Y_l(R d) D_l f = Y_l(d) f for all unit d, solved for
-in float64 from 64 directions over the sphere; orthogonal to 1e-14, as the basis is orthonormal.
+where D_l keeps every colour at its direction: Y_l(R d) D_l f = Y_l(d) f for all unit d. D_l is
+solved for in float64 from 64 directions over the sphere and is orthogonal to 1e-14, as the basis is
+orthonormal.
 """
 
 from __future__ import annotations
@@ -21,15 +22,17 @@ from radiant_core.splats import SH_BASES, Splats
 
 NUM_DIRECTIONS = 64
 SHORTEST_QUAT, LONGEST_QUAT = 1e-30, 1e30
-"""Shorter quaternions lose their direction in float32, longer ones overflow when turned."""
+"""Lengths of quaternions: shorter ones lose their direction in float32, longer ones overflow when
+they are turned."""
 
 
 def move_splats(splats: Splats, similarity: Sim3) -> Splats:
-    """N Gaussians in the target frame of `similarity`; opacities, quaternion lengths and colours
-    in their turned directions stay.
+    """N Gaussians in the target frame of `similarity`.
 
-    Computed in float64 and rounded to float32 once: colours in turned directions agree to 1e-6. A
-    zero quaternion, drawn unturned, becomes the rotation itself. BadInput beyond float32.
+    Opacities, lengths of quaternions and colours in their turned directions stay. Computed in
+    float64 and rounded to float32 once: colours agree to 1e-6 of the coefficients. A zero
+    quaternion, which is drawn unturned, becomes the rotation itself. Raises BadInput when a result
+    leaves float32.
     """
     means = similarity.apply(splats.means)
     log_scales = splats.log_scales.astype(np.float64) + np.log(similarity.scale)

@@ -1,12 +1,13 @@
-"""A model's surface: rendered depth fused into a mesh, and its heights as a grid. Once per surface.
+"""A model's surface: depth of many cameras fused into a mesh, and its heights as a grid.
 
     reach R = median over views of the median depth
     box = the cameras', R wider on each side, and in it depth up to `MAX_DEPTH` · R
     o' = 1 / (1 + exp(−4 (logit o − logit 0.3)))
-Rendered depth is a mean over all that a ray meets, haze included, so it is rendered with opacities
-o' that are nearly 0 or 1: then it is that of the first surface. A pixel counts where the model is
-opaque and where depth does not jump: at an edge the mean lies between the surfaces. C renders of
-`long_side_px`, then some 0.2 s of fusion each, in a process of its own.
+Rendered depth is a mean over all that a ray meets, haze before the surface included, so it is
+rendered with opacities o' that are nearly 0 or 1: then it is that of the first surface. A pixel
+counts where the model is opaque and where depth does not jump: at an edge the mean lies between the
+surfaces, where there is none. Once per surface. C renders of `long_side_px`, then some 0.2 s of
+fusion each, in a process of its own.
 """
 
 from __future__ import annotations
@@ -31,11 +32,13 @@ from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
 
 SHARPENING, MIDDLE_OPACITY = 4.0, 0.3
-"""Of the demo's town, 320 px: median error of depth 0.35 % in 0.82 of the pixels; with opacities as
-they are 1.14 % in 0.82; without those below 0.3 0.32 % in 0.41 (docs/experiments/surface.md)."""
+"""Of the demo's town, 320 px: median error of depth at its sparse points 0.35 % in 0.82 of the
+pixels; with opacities as they are 1.14 % in 0.82; without the Gaussians below 0.3 0.32 % in 0.41
+(docs/experiments/surface.md)."""
 MIN_ALPHA = 0.5
 MAX_JUMP = 0.04
-"""Greatest range of depth among neighbours, as a share: a slope of 85° from above, 640 px, 60°."""
+"""Greatest range of depth among a pixel's neighbours, as a share of it: seen from straight above,
+640 px in 60°, a slope of 85°."""
 MAX_DEPTH = 3.0
 MAX_CELLS, CELLS_AT_ONCE = 100_000_000, 1 << 22
 PIXELS_PER_CELL = 2.0
@@ -46,7 +49,8 @@ _REACH_VIEWS, _REACH_PX = 12, 96
 class Surface:
     """The mesh in the model's frame, of num_views; voxel, its resolution, in the model's unit.
 
-    finest_voxel: what was asked for, below `voxel` where that did not fit; num_blocks of 16³.
+    finest_voxel: what was asked for, below `voxel` where that did not fit; num_blocks of 16³ voxels
+    that it took.
     """
 
     mesh: Mesh
@@ -57,7 +61,7 @@ class Surface:
 
     @property
     def most_covered(self) -> float:
-        """Most of its box on the map that the mesh can cover: area over area, 1 at most."""
+        """Most of its box on the map that the mesh can cover: area of triangles over the box's."""
         corners = self.mesh.vertices[self.mesh.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         box = np.ptp(self.mesh.vertices[:, :2], axis=0)
@@ -75,8 +79,8 @@ def extract_surface(  # noqa: PLR0913
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> Surface:
     """The surface that C cameras see of a model; `resolution` by default two pixels on the ground
-    at the usual depth, or what `memory_bytes` allow. `scratch` takes some 2 MB per camera. `report`
-    gets views done, rendered and then fused, and their total.
+    at the usual depth, or what `memory_bytes` allow. `scratch` is the folder for temporary files,
+    some 2 MB per camera. `report` gets views done, rendered and then fused, and their total.
 
     Raises BadInput without cameras, for a resolution that is no positive number, finer than 2,000
     voxels across the reach or more than fits, and where no camera sees the model.
@@ -121,7 +125,8 @@ def extract_surface(  # noqa: PLR0913
 
 
 def depth_in_box(depth: NDArray[np.float32], camera: Cameras, low: FloatArray, high: FloatArray) -> NDArray[np.float32]:
-    """Depth (H,W) of one camera, 0 outside a box on the map, which then takes no memory."""
+    """Depth (H,W) of one camera, 0 where its pixel lies outside a box on the map: what would be cut
+    off the mesh takes no memory then."""
     height, width = depth.shape
     K, pose = camera.Ks[0], camera.cam_from_world[0]
     x, y = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0], (np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]
@@ -141,7 +146,7 @@ def sharpen_opacities(splats: Splats) -> Splats:
 
 
 def trusted_depth(view: RenderedView, max_depth: float) -> NDArray[np.float32]:
-    """Depth (H,W) of a view, 0 where it is too far or jumps, or the model is not opaque."""
+    """Depth (H,W) of a view, 0 where it is too far or jumps, or where the model is not opaque."""
     depth = np.where((view.alpha >= MIN_ALPHA) & (view.depth < max_depth), view.depth, 0).astype(np.float32)
     kernel = np.ones((3, 3), np.uint8)
     jump = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)

@@ -40,7 +40,8 @@ def stream_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about:
 
 
 def _metadata(schema: str, about: Mapping[str, Any]) -> dict[str, str]:
-    # One entry only: safetensors writes several in any order, and keys hash these bytes.
+    # One entry only: safetensors writes several in an order that differs from process to process,
+    # and keys hash these bytes.
     record = {"schema": schema, "version": VERSION, "about": dict(about)}
     return {METADATA_NAME: json.dumps(record, allow_nan=False, sort_keys=True)}
 
@@ -51,9 +52,10 @@ def _record(file: Any) -> Any:
 
 
 def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tuple[dict[str, NDArray], dict[str, Any]]:
-    """Arrays and "about" of a file of exactly this schema, version and dtypes; None: any names.
+    """Arrays and the parsed "about" of a file with this schema, version, names and dtypes.
 
-    Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
+    `names` None: any. Raises StoreDamaged when the file is missing or broken, BadInput when it
+    holds something else.
     """
     with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
@@ -65,14 +67,16 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
 
 
 def schema_of(path: Path) -> str:
-    """The schema of a file of `save_arrays`, "" where it says none; StoreDamaged when broken."""
+    """The schema that a file of `save_arrays` says it has; "" where it says none. Raises
+    StoreDamaged when it is missing or broken."""
     with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
         return str(record.get("schema", "")) if isinstance(record, dict) else ""
 
 
 def header_of(path: Path) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]]:
-    """What a file of `save_arrays` says, and its arrays' shapes, unread; raises as `schema_of`."""
+    """What a file of `save_arrays` says of itself, and the shapes of its arrays, which are not
+    read; raises as `schema_of`."""
     with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
         names = file.keys()

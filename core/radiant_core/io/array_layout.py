@@ -26,7 +26,7 @@ _DTYPE_BYTES = {dtype: num_bytes for num_bytes, dtypes in _DTYPES_OF_BYTES.items
 
 
 def require_layout(path: Path) -> None:
-    """Raise StoreDamaged unless `path` has a bounded, well-formed header and exactly its arrays."""
+    """Raise StoreDamaged unless `path` has a bounded, well-formed header that its arrays fit."""
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
             status = os.fstat(file.fileno())

@@ -65,7 +65,7 @@ def _camera(path: Path, scale: float) -> tuple[FloatArray, FloatArray, tuple[int
     fx, fy, cx, cy = _numbers(metadata, "intrinsics", (4,), path)
     world_from_camera = _numbers(metadata, "c2w", (3, 4), path)
     rotation = _OPENGL_FROM_OPENCV @ world_from_camera[:, :3].T @ _WORLD_FROM_DRB.T
-    # float32 rotations are orthonormal to 1e-7; the nearest rotation keeps what follows exact.
+    # float32 rotations are orthonormal to 1e-7 only; the nearest rotation keeps the rest exact.
     U, singular, Vt = np.linalg.svd(rotation)
     if np.abs(singular - 1).max() > 1e-3 or round(np.linalg.det(U @ Vt)) != 1:
         raise BadInput(f"{path}: the first three columns of c2w are no rotation: export the metadata again.")
@@ -110,7 +110,7 @@ def _unpacked_bytes(path: Path) -> int:
 def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> FloatArray:
     """The finite numbers of `shape` under `key`."""
     found = tuple(getattr(loaded.get(key), "shape", shape))
-    # Before any conversion: by its strides a tensor of a few bytes holds billions of numbers.
+    # Before anything is converted: by its strides a small tensor holds billions of numbers.
     if found != shape and (shape or any(side != 1 for side in found)):
         raise BadInput(f"{path}: {key!r} has shape {found}, expected {shape}.")
     try:
@@ -123,7 +123,8 @@ def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Pat
 
 
 def _of_shape(value: Any, shape: tuple[int, ...]) -> Any:
-    """A tensor, or counted nested lists: a small list named repeatedly unfolds to any size."""
+    """A tensor, or nested lists after counting them: the same small list, named again and again,
+    unfolds to any size."""
     if not isinstance(value, list | tuple):
         return value
     if not shape or len(value) != shape[0]:

@@ -35,9 +35,11 @@ SPZ_MAX_LOG_SCALE = 5.9375
 _SPZ_HEADER = struct.Struct("<4sIIBBBBI12x")
 _SPZ_STREAM = struct.Struct("<QQ")
 MAX_ZSTD_RATIO = 2**15
-"""A block of Zstandard is 128 KiB at most and 4 bytes or more; nothing is allocated beyond."""
+"""A block of Zstandard is 128 KiB at most and 4 bytes or more: a stream that promises more is none,
+and nothing is allocated for it."""
 _END_ALPHA = 0.25 / 255
-"""The ends of the 8-bit opacities, 0 and 1, are read as the middle of what was rounded to them."""
+"""What the ends of the 8-bit opacities, 0 and 1, are read as: the middle of what was rounded to
+them, where the logit is finite."""
 
 
 def open3d_point_cloud(splats: Splats, max_sh_degree: int = 2) -> o3d.t.geometry.PointCloud:
@@ -45,7 +47,8 @@ def open3d_point_cloud(splats: Splats, max_sh_degree: int = 2) -> o3d.t.geometry
 
     positions (N,3); scale (N,3) linear; rot (N,4) wxyz of length 1; opacity (N,1) logit; f_dc
     (N,3); f_rest (N,K-1,3), cut to degree 2, all that is drawn. Raises BadInput on a degree outside
-    0 to 3 or a scale beyond float32. Source: what open3d 0.20 gives when it reads a 3DGS PLY.
+    0 to 3 or a scale that float32 cannot hold. Source: what open3d 0.20 gives when it reads a 3DGS
+    PLY.
     """
     import open3d as o3d
 
@@ -126,7 +129,8 @@ def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:
 
 @contextmanager
 def _log_instead_of_output() -> Iterator[None]:
-    """Open3D reports SPZ files on standard output, where JSON may go: on standard error here."""
+    """Open3D reports each SPZ file on standard output, where a command may be printing JSON: those
+    reports go to standard error."""
     sys.stdout.flush()
     kept = os.dup(1)
     os.dup2(2, 1)

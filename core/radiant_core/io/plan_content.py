@@ -1,4 +1,4 @@
-"""A plan's footprints as plain values for plan.json: borders and buffer captures. Once per plan."""
+"""What a plan says of footprints, as plain values for plan.json: borders and buffer captures."""
 
 from __future__ import annotations
 

@@ -59,8 +59,8 @@ def save_ply(path: Path, splats: Splats) -> None:
 def load_ply(path: Path) -> Splats:
     """The Gaussians of a 3DGS PLY file; other scalar properties are skipped.
 
-    Raises BadInput naming the file when it is missing, no such file, of another length than its
-    header says, or not finite.
+    Raises BadInput naming the file when it is missing, is not such a file, has another length than
+    its header says, or holds a value that is not finite.
     """
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
@@ -90,7 +90,8 @@ def _rows(splats: Splats) -> NDArray[np.float32]:
 
 
 def _read_header(file: IO[bytes]) -> tuple[int, np.dtype, bool]:
-    """Count of Gaussians, type of a record, antialiased or not; the file stands behind it."""
+    """Number of Gaussians, the type of one record, and whether the model is antialiased; the file
+    stands behind the header."""
     if _header_words(file) != ["ply"] or _header_words(file) != ["format", "binary_little_endian", "1.0"]:
         raise BadInput("it does not begin as a binary little-endian PLY file of version 1.0")
     count: int | None = None

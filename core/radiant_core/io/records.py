@@ -44,7 +44,8 @@ def save_splats(path: Path, splats: Splats) -> None:
 
 
 def load_splats(path: Path) -> Splats:
-    """The model of `save_splats`; StoreDamaged when broken, BadInput when something else."""
+    """The model that `save_splats` wrote; StoreDamaged when broken, BadInput when it is no
+    model."""
     arrays, about = load_arrays(path, "radiant.splats", SPLATS_DTYPES)
     with name_file_in_errors(path):
         return Splats(**arrays, antialiased=about.get("antialiased") is True)
@@ -56,15 +57,16 @@ def save_cameras(path: Path, cameras: Cameras) -> None:
 
 
 def load_cameras(path: Path) -> Cameras:
-    """The cameras of `save_cameras`; StoreDamaged when broken, BadInput when something else, a name
-    that leads out of a folder, or a camera larger than any photograph."""
+    """The cameras that `save_cameras` wrote; StoreDamaged when broken, BadInput for something else,
+    a name that leads out of a folder, or a camera larger than any photograph."""
     arrays, about = load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
     with name_file_in_errors(path):
         return _cameras(about["names"], arrays)
 
 
 def save_scene(path: Path, scene: SfmScene) -> None:
-    """Write cameras, points, observations and frame, atomically; raises as `write_atomic`."""
+    """Write cameras, points, colours, observations and frame, atomically; raises as
+    `write_atomic`."""
     arrays = {
         **_camera_arrays(scene.cameras),
         "points": scene.points,
@@ -144,8 +146,8 @@ def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanFile:
-    """Both levels of a plan, the waypoints it was made from, and the altitude of the ground (m)
-    that their altitudes count with, where it was given."""
+    """What a plan's file holds: both levels, the waypoints it was made from, and the altitude of
+    the ground (m) that their altitudes count with, where it was given."""
 
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
@@ -154,13 +156,14 @@ class PlanFile:
 
 
 def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The plan of `save_plan`; StoreDamaged when broken, BadInput when something else."""
+    """The plan that `save_plan` wrote; StoreDamaged when broken, BadInput when it is no plan."""
     found = load_plan_file(path)
     return found.cloud, found.edges
 
 
 def load_plan_waypoints(path: Path) -> Waypoints | None:
-    """The waypoints of a plan, one per camera; None for one of a scene. Raises as `load_plan`."""
+    """The waypoints that a plan was made from, one per camera; None where it was made from a scene.
+    Raises as `load_plan`."""
     return load_plan_file(path).waypoints
 
 
@@ -202,7 +205,7 @@ def _texts(values: Any) -> tuple[str, ...]:
 
 
 def _cameras(names: Any, arrays: Mapping[str, NDArray]) -> Cameras:
-    """The cameras of a file, names being paths inside a folder, sizes those of photographs."""
+    """The cameras of a file: names are paths inside a folder, sizes those of photographs."""
     cameras = Cameras(names=_texts(names), **{name: arrays[name] for name in CAMERAS_DTYPES})
     outside = next((name for name in cameras.names if not is_image_name(name)), None)
     if outside is not None:

@@ -48,10 +48,12 @@ def require_room(folder: Path) -> None:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A name beside `path` for a library that writes itself; its file becomes `path` in the end.
+    """A name beside `path` for a library that writes files itself; what it wrote takes the place of
+    `path` when the block ends well.
 
     Temporary file in the same folder, fsync, replace, fsync of the folder: after a power cut the
-    old or the new file is there. Raises CannotWrite when the system refuses; the old file stays.
+    old or the new file is there. Raises CannotWrite when the system refuses (disk full, no such
+    folder, not allowed); the old file is then untouched.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
@@ -69,7 +71,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_writer(path: Path) -> Iterator[IO[bytes]]:
-    """A binary file that becomes `path` when the block ends well; raises as `atomic_path`."""
+    """A binary file that becomes `path` when the block ends well, else vanishes; raises as
+    `atomic_path`."""
     with atomic_path(path) as temporary, temporary.open("xb") as file:
         yield file
 
@@ -81,7 +84,7 @@ def write_atomic(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, obj: Any) -> None:
-    """Write `obj` as indented UTF-8 JSON with sorted keys; BadInput unless finite and JSON's."""
+    """Write `obj` as indented UTF-8 JSON with sorted keys; BadInput for what JSON cannot hold."""
     try:
         text = json.dumps(obj, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
         data = (text + "\n").encode()
@@ -96,7 +99,8 @@ def open_without_waiting(path: str, flags: int) -> int:
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:
-    """The bytes of a regular file of at most `max_bytes`; else, or missing, StoreDamaged."""
+    """The bytes of a regular file of at most `max_bytes`; StoreDamaged when it is missing, no
+    regular file, or larger."""
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
             status = os.fstat(file.fileno())

@@ -17,7 +17,8 @@ class Strict(BaseModel):
 
 
 def problem_sentence(error: ValidationError, kind: str, path: str = "", given: Any = None) -> str:
-    """The first problem at a key's `path` in a `kind` of file: its path, what came and is expected.
+    """The first problem at a key's `path` in a `kind` of file: its path, what came and what is
+    expected.
 
     With what was `given`, the path has only keys that stand there, without pydantic's union tags.
     """

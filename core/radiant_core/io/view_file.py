@@ -29,7 +29,8 @@ _VIEWS_DTYPES = {"images": "U8", "image_ends": "I64", "weights": "U8", "weight_e
 
 
 def save_view(path: Path, image: NDArray[np.uint8], weight: NDArray[np.uint8]) -> None:
-    """Write image (H,W,3) and weight (H,W) uint8, atomically; raises as `write_atomic`."""
+    """Write image (H,W,3) and weight (H,W) uint8, atomically; BadInput for another shape or type,
+    else raises as `write_atomic`."""
     if image.dtype != np.uint8 or weight.dtype != np.uint8 or image.shape != (*weight.shape, 3) or not weight.size:
         raise BadInput(
             f"a view has image {image.shape} {image.dtype} and weight {weight.shape} {weight.dtype}, expected (H,W,3), (H,W) uint8."
@@ -57,7 +58,8 @@ def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], N
 
 
 def save_views(path: Path, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> None:
-    """Write images (H,W,3), weights (H,W) of V views, with loss; raises as `write_atomic`."""
+    """Write images (H,W,3) and weights (H,W) of V views, both not lossless, atomically; raises as
+    `write_atomic`."""
     images = [_encode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]) for image, _ in views]
     coarse = [(np.rint(weight / WEIGHT_STEP) * WEIGHT_STEP).astype(np.uint8) for _, weight in views]
     weights = [_encode(".png", weight, [cv2.IMWRITE_PNG_COMPRESSION, 6]) for weight in coarse]
@@ -66,7 +68,7 @@ def save_views(path: Path, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.u
 
 
 def load_views(path: Path, sizes_wh: Sequence[tuple[int, int]]) -> list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    """The V views that `save_views` wrote, of these sizes, or none. Raises as `load_view`."""
+    """The V views that `save_views` wrote, of these sizes, maybe none. Raises as `load_view`."""
     arrays, _ = load_arrays(path, VIEWS_SCHEMA, _VIEWS_DTYPES)
     with name_file_in_errors(path):
         if not arrays["image_ends"].size:

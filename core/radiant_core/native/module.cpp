@@ -1,4 +1,4 @@
-// The Python border of the native kernels: checks arrays, releases the interpreter lock, calls.
+// The Python border of the native kernels: checks arrays, releases the interpreter lock, and calls.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 

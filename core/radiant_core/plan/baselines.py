@@ -34,7 +34,8 @@ NOBODY = -1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComparedPlan:
-    """edge_of_camera (C,), −1: no region; history: max|T − T̄| / T̄ per iteration, then at last."""
+    """One method: edge_of_camera (C,), −1 for a camera in no region; history: max|T − T̄| / T̄
+    before each iteration and at the end."""
 
     method: str
     edge_of_camera: Indices
@@ -53,7 +54,8 @@ class ComparedPlan:
 def compare(
     positions: ArrayLike, system: System, *, content: ArrayLike | None = None, max_iterations: int = 300
 ) -> tuple[ComparedPlan, ...]:
-    """All methods on cameras (C,2) m, edges with positions; content (C,) ≥ 0, for `content`."""
+    """All methods on cameras (C,2) m and edges with positions; content (C,) ≥ 0 weighs cameras for
+    `content`, which is left out without."""
     positions = check_array("positions", positions, (None, 2))
     weights = None if content is None else check_array("content", content, (len(positions),))
     if not len(positions) or (weights is not None and weights.min() < 0):
@@ -92,7 +94,8 @@ def compare(
 
 
 def kd_split(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> Indices:
-    """Edge (C,) per camera: land is halved across its longer side, equal weight per edge."""
+    """Edge (C,) of each camera: the land is halved across its longer side, edges in order along it,
+    equal weight per edge."""
     edge_of_camera = np.zeros(len(positions), np.int64)
     parts = [(np.arange(len(positions)), np.arange(len(sites)))]
     while parts:
@@ -113,7 +116,7 @@ def kd_split(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> I
 def _power_weights(
     positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], step_m: float, halved: bool, max_iterations: int
 ) -> tuple[Indices, tuple[float, ...]]:
-    """Alg. 1 with weight changes ∓ 2 d ‖P_m − P_nearest‖, to 5 % of the mean; last state."""
+    """Alg. 1 with weight changes ∓ 2 d ‖P_m − P_nearest‖, to 5 % of the mean; the last cells."""
     apart = np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0))
     np.fill_diagonal(apart, np.inf)
     unit = 2 * step_m * np.where(np.isfinite(apart.min(axis=1)), apart.min(axis=1), 0.0)
@@ -127,7 +130,8 @@ def _power_weights(
 def _half_planes(
     positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], step_m: float, threshold_s: float, max_iterations: int
 ) -> tuple[Indices, tuple[float, ...]]:
-    """Alg. 1 with an edge's Voronoi borders moved along their normals, neighbours regardless."""
+    """Alg. 1 with every border of an edge's Voronoi cell moved along its normal, whatever the
+    neighbour does."""
     squared = np.sum((positions[:, None] - sites) ** 2, axis=-1)
     apart = np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0))
     beyond_m = np.full(squared.shape, -np.inf)
@@ -150,7 +154,8 @@ def _move_borders(
     halved: bool,
     max_iterations: int,
 ) -> tuple[Indices, tuple[float, ...]]:
-    """Lines 5–11 of Alg. 1 on offsets (E,) in steps, to threshold, known state or limit."""
+    """Lines 5–11 of Alg. 1 on offsets (E,) in steps, until the threshold, a state that was there
+    before, or the limit."""
     offsets, length, last_turn = np.zeros(len(tables)), 1.0, np.zeros(len(tables))
     history: list[float] = []
     seen: set[bytes] = set()

@@ -14,8 +14,9 @@ from radiant_core.numerics import FloatArray, check_array
 
 PlanStatus = Literal["optimal", "converged", "stopped", "infeasible", "slack", "constrained"]
 """optimal: equals the lower bound with a certificate; converged: within the threshold; stopped:
-iteration limit; infeasible: not all cameras fit; slack: least distance for a longer makespan, with
-a certificate; constrained: least makespan and distance around decisions."""
+iteration limit; infeasible: not all cameras fit; slack: least distance for a makespan that may be
+longer, with a certificate; constrained: least makespan and distance around what was fixed, locked
+or pinned."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +88,8 @@ class EdgePlan:
     strips: tuple[FloatArray, ...]
     device_time_s: FloatArray
     dealt: bool = True
-    """False for an edge without known devices, device_of_camera −1: it deals its cameras later."""
+    """False where the edge is known by its curve alone: no devices, device_of_camera −1; the edge
+    deals its cameras itself, later."""
 
     def __post_init__(self) -> None:
         count = len(self.device_ids)

@@ -34,7 +34,8 @@ class Device:
     memory_bytes: float | None = None
     """What its training may hold, which limits its Gaussians; None without a limit."""
     speed: float | None = None
-    """Share of one core, at most 1, in emulation; whether the curves include it is theirs."""
+    """Share of one core, at most 1, when the system is emulated; what that means for the curves
+    above is for their author to say."""
     profile: Profile | None = None
     """What the three curves come from; None where they were spelt out."""
     costs_from: str | None = None
@@ -56,20 +57,25 @@ class Device:
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """A machine that owns a region and joins its devices' models (paper: edge m at P^m, F_m, B^m).
-    The cloud may have only its `time_s` and `max_cameras`: then it has no devices here.
+    """A machine that owns a region and joins its devices' models (paper: edge m at P^m with F_m and
+    B^m).
+
+    To the cloud it may be known by `time_s` and `max_cameras` alone: then it has no devices here
+    and deals its cameras itself, later.
     """
 
     id: str
     """Letters, digits, - and _; names the edge's folder."""
     position: tuple[float, float] | None
-    """x east, y north in the scene's frame, metres; None: placed by `seeded_positions` later."""
+    """x east, y north in the scene's frame, metres; None: placed by `seeded_positions` when the
+    scene is known."""
     lat_lon_deg: tuple[float, float] | None = None
     """Latitude and longitude instead of `position`, turned into metres about the scene's origin."""
     aggregate_s: CostCurve
     """F_m: seconds to aggregate against cameras. An edge whose cameras several devices share takes
     a + b · views whatever the cut, as it retrains on every view, or pools and makes a picture per
-    view; if only views at borders were shown, it would depend on where these run."""
+    view; if only views at borders were shown, it would depend on where these run, and makespan over
+    bound could only be reported for this model."""
     uplink_bytes_per_s: float
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]
@@ -77,13 +83,15 @@ class Edge:
     speed: float | None = None
     """As a device's."""
     aggregate_alone_s: CostCurve | None = None
-    """F_m where one device has all cameras and nothing is joined; by default `aggregate_s`."""
+    """F_m where one device has all the edge's cameras and nothing is joined; None:
+    `aggregate_s`."""
     profile: Profile | None = None
     """What the curves of aggregation come from; None where they were spelt out."""
     costs_from: str | None = None
     """As a device's."""
     time_s: CostCurve | None = None
-    """T^m, seconds against cameras until the model is sent, in place of devices."""
+    """T^m, seconds against cameras from the first photograph to the model sent, given instead of
+    devices."""
     max_cameras: int | None = None
     """How many cameras its devices can hold together; only with `time_s`."""
     memory_bytes: float | None = None
@@ -142,7 +150,8 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
-    """Limits of joining the scene, beyond which models are cut; None: the machine's memory."""
+    """What the cloud can spend on joining the scene, beyond which models are cut; None: no limit
+    but the machine's memory."""
 
     memory_bytes: float | None = None
     """Memory of the cloud's process."""

@@ -25,11 +25,13 @@ from radiant_core.numerics import FloatArray, check_array
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 """From the deepest sea to the edge of space."""
 HIGHEST_FLIGHT_M = 500.0
-"""Drones may not fly higher above ground, nor plan higher above take-off: it is absolute."""
+"""Drones are not allowed so high above the ground anywhere we know of, and flight planners take no
+more above take-off: larger altitudes are absolute."""
 NO_ALTITUDES = "planned by horizontal positions alone, and the lists hold no height to fly at"
 MAX_NAME_CHARACTERS = 255
 SAME_SPOT_SCALE = np.array([1e8, 1e8, 1e3])
-"""Parts of degrees, degrees and metres, about a mm each, to which equal waypoints agree."""
+"""Degrees, degrees and metres are rounded to these parts, about a millimetre each, before two
+waypoints are called one."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 
@@ -87,14 +89,15 @@ class Waypoints:
 
     @property
     def heights_m(self) -> FloatArray | None:
-        """Heights (P,) above ground or take-off; None where altitudes are known to neither."""
+        """Heights (P,) above ground or take-off; None where nothing says how far the altitudes are
+        above either of them."""
         altitudes = self.lat_lon_alt[:, 2]
         if self.ground_m is not None:
             return altitudes - self.ground_m
         return None if self.absolute or not self.altitude_known or altitudes.max() > HIGHEST_FLIGHT_M else altitudes
 
     def select(self, indices: ArrayLike) -> Waypoints:
-        """The waypoints at `indices` (K,) int, or where a mask (P,) is true; BadInput for none."""
+        """The waypoints at `indices` (K,) int or of a mask (P,), in order; BadInput for none."""
         chosen: NDArray[Any] = np.asarray(indices)
         picked: list[int] = np.arange(len(self))[chosen].tolist()
         angles = None if self.heading_pitch_deg is None else self.heading_pitch_deg[picked]
@@ -105,7 +108,7 @@ class Waypoints:
 def clean_waypoints(
     names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None, heading_pitch_deg: FloatArray | None = None
 ) -> tuple[Waypoints, tuple[str, ...]]:
-    """`Waypoints` of a list that is mended, with one warning per kind of repair; else BadInput. A
+    """`Waypoints` of a repaired list, with one warning per kind of repair; raises as `Waypoints`. A
     position that comes twice is planned once, under its first name; a name that comes twice or is
     empty gets a number, without a warning where nothing has a name, as in a flight planner's file;
     where `no_altitude` (P,) bool is true the altitude becomes 0, which moves a plan by less than
@@ -131,7 +134,8 @@ def clean_waypoints(
 
 
 def _unique_names(names: Sequence[str]) -> tuple[list[str], tuple[int, str] | None]:
-    """Names (P), numbered where they repeat, and how many do with the first of them."""
+    """Names (P) with a number behind those that came before; how many these are, and the first of
+    them. Linear in P."""
     taken = set(names)
     if len(taken) == len(names) and "" not in taken:
         return list(names), None

@@ -14,8 +14,11 @@ from radiant_core import _native
 
 
 def not_finite(tensor: Tensor, visible: Tensor | None = None, runs: NDArray[np.int32] | None = None) -> tuple[int, tuple[int, ...]]:
-    """How many values are NaN or infinite and the first's index; (0, ()) without. `visible` (N,)
-    limits this to its rows; `runs`, the same as (R,2) of `_native.visible_runs`, is for the CPU."""
+    """How many values are NaN or infinite and the index of the first; (0, ()) where none is.
+
+    `visible` (N,) limits this to its rows; `runs` are the same as (R,2) from
+    `_native.visible_runs`, needed on the CPU.
+    """
     tensor = tensor.detach()
     if tensor.device.type == "cpu" and tensor.dtype == torch.float32 and tensor.ndim:
         count, *first = _native.find_not_finite(tensor.contiguous(), runs, torch.get_num_threads())

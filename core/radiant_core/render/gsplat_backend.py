@@ -1,7 +1,8 @@
 """gsplat behind the contract: CUDA kernels for float32 (Ye et al. 2025), an optional extra.
 
-It culls a Gaussian by a box of its own, so pictures agree with the reference inside the frustum, up
-to pairs at a discrete decision. Once per image and training step.
+Its α_min, α_max, cut and low-pass filter are those of the contract. It culls a Gaussian by a box of
+its own, so pictures agree with the reference inside the frustum, up to pairs at a discrete
+decision. Once per image and training step.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ INSTALL = "pip install -e '.[cuda]'"
 
 @functools.cache
 def missing_for_gsplat() -> str | None:
-    """What gsplat lacks here, as the end of a sentence; None where it can be used. Asked once."""
+    """What this machine lacks for gsplat, to end a sentence; None if nothing. Asked once."""
     if not torch.cuda.is_available():
         return "no CUDA device that this PyTorch can use"
     if find_spec("gsplat") is None:
@@ -40,8 +41,9 @@ def free_vram_bytes(backend: str) -> int | None:
 
 
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
-    """`rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient. BadInput
-    where gsplat or CUDA is missing, for another type or device, and for cameras with gradients."""
+    """`rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient. Raises
+    BadInput where gsplat or CUDA is missing, for another type or device, and where the cameras ask
+    for gradients."""
     _check_gsplat(splats, viewmats, Ks)
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 
@@ -78,7 +80,8 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
 
 
 def _take_absgrad(means2d: Tensor) -> Tensor:
-    """Zeros that take `means2d.absgrad` of gsplat just before the gradient of means2d arrives."""
+    """Zeros that take what gsplat sets as `means2d.absgrad` in its backward pass, just before the
+    gradient of means2d arrives."""
     absolute = torch.zeros_like(means2d, requires_grad=False)
     if means2d.requires_grad:
         # A weak reference: a tensor held by its own hook would keep its graph until collection.

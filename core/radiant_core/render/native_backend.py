@@ -1,4 +1,4 @@
-"""The native rasterizer behind autograd: float32 on the CPU, C++ kernels (`native/raster*`).
+"""The native rasterizer behind autograd: float32 on the CPU (`native/raster*`).
 
 Two autograd steps, so that `means2d` lies on the way of the gradients as it does in the reference:
 
@@ -6,7 +6,8 @@ Two autograd steps, so that `means2d` lies on the way of the gradients as it doe
 
 The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend`
 yields ∂loss/∂means2d and, as gradient of `link`, the sums over pixels that all other gradients come
-from; so passes through one graph are independent. Once per image and training step.
+from; so passes through one graph are independent. The C++ kernels are for AVX-512, AVX2 or any CPU.
+Once per image and training step.
 """
 
 # pyright: reportIncompatibleMethodOverride=false
@@ -51,7 +52,7 @@ class _FreeViews:
         self._views.append(view)
 
     def close(self) -> None:
-        """Keep none from now on, as at exit the native module is destroyed."""
+        """Keep none from now on: at exit they must be gone before the native module is."""
         self._views = deque(maxlen=0)
 
 
@@ -60,7 +61,7 @@ atexit.register(_FREE_VIEWS.close)
 
 
 class _Rendering:
-    """Native views of C cameras; their memory returns to the pool with the last reference."""
+    """Native views of C cameras; their memory returns to the pool when nothing refers to this."""
 
     def __init__(self, num_cameras: int, threads: int) -> None:
         self.views = [_FREE_VIEWS.take() for _ in range(num_cameras)]
@@ -94,7 +95,8 @@ def rasterize_native(
 ) -> RenderOutput:
     """`rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64, without gradient.
     `instruction_set`: one of `instruction_sets()`, by default the fastest; `threads`: by default
-    torch.get_num_threads(). BadInput for another type or device, and for cameras with gradients."""
+    torch.get_num_threads(). Raises BadInput for another type or device, and where the cameras ask
+    for gradients."""
     _check_native(splats, viewmats, Ks, instruction_set)
     cameras, count = viewmats.shape[0], len(splats)
     shape = (cameras, view.height, view.width)
@@ -118,7 +120,8 @@ def rasterize_native(
 
 
 def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> int:
-    """Pixel–Gaussian pairs of one rendering: 16 per block of 4 × 4 px that a Gaussian reaches."""
+    """Pixel–Gaussian pairs of a rendering of one camera: 16 for each block of 4 × 4 px that a
+    Gaussian reaches."""
     shape, count, native = (height, width), len(splats), _native.RenderedView()
     image, alpha, depth = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
     native.forward(
@@ -146,7 +149,8 @@ def _float64(tensor: Tensor) -> np.ndarray:
 
 
 def _take_pooled(*shape: int) -> Tensor:
-    """An uninitialised float32 tensor in used memory: fresh pages cost more than writing."""
+    """An uninitialised float32 tensor in memory that was touched before: fresh pages cost more than
+    what is written."""
     return torch.from_numpy(_native.pooled_array(list(shape)))
 
 
@@ -155,7 +159,7 @@ def _arrays(tensors: Sequence[Tensor]) -> list[np.ndarray]:
 
 
 class _Project(torch.autograd.Function):
-    """Six tensors → means2d (C,N,2) and link (C,N,M), zeros without memory that tie `_Blend`."""
+    """Six tensors → means2d (C,N,2) and link (C,N,M), zeros that tie `_Blend` to it."""
 
     @staticmethod
     def forward(ctx: Any, call: _Call, *tensors: Tensor) -> tuple[Tensor, Tensor]:

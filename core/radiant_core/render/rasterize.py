@@ -1,4 +1,4 @@
-"""`rasterize`: renders Gaussians by the backend it chooses. Once per image and training step."""
+"""`rasterize`: the one call that renders Gaussians. Once per image and training step."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def rasterize(
     asks for `RenderOutput.absgrad`. Tensors and pictures are of one floating type, viewmats and Ks
     may be of a finer one; cameras and background may lie on another device than the splats.
 
-    BadInput naming tensor, count and first index of values that are not finite, and for a wrong
-    shape or type, no camera, one that is not rigid or no pinhole, pictures without pixels or a side
-    above 1,000,000 px, a degree without bases, near_m ≥ far_m, and what `backend` lacks.
+    Raises BadInput naming tensor, count and first index of values that are not finite, and for a
+    wrong shape or type, no camera, one that is not rigid or no pinhole, pictures without pixels or
+    a side above 1,000,000 px, a degree without bases, near_m ≥ far_m, and what `backend` cannot do.
     """
     if backend not in get_args(Backend):
         raise BadInput(f"backend {backend!r} is unknown: use {', '.join(map(repr, get_args(Backend)))}.")
@@ -71,12 +71,12 @@ def rasterize(
 
 
 def resolve_backend(backend: Backend) -> Renderer:
-    """What `auto` means for float32 models on this machine: gsplat where usable, else native."""
+    """The backend that `auto` means for float32 models here: gsplat where usable, else native."""
     return ("native" if missing_for_gsplat() else "gsplat") if backend == "auto" else backend
 
 
 def device_of(backend: str) -> str:
-    """Device of the tensors that `backend` renders: "cuda" for gsplat, else "cpu"."""
+    """Where the tensors of a model that `backend` renders lie: "cuda" for gsplat, else "cpu"."""
     return "cuda" if backend == "gsplat" else "cpu"
 
 
@@ -133,7 +133,7 @@ def _check_tensor(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
 
 
 def _is_rigid(pose: list[float]) -> bool:
-    """Whether 16 numbers are a rotation, to float32 of files, and a translation."""
+    """Whether 16 numbers are a rotation, to what float32 poses keep, and a translation."""
     x, y, z = pose[0:3], pose[4:7], pose[8:11]
     cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
     products = [sum(a * b for a, b in zip(*rows, strict=True)) for rows in ((x, x), (y, y), (x, y))]

@@ -29,7 +29,8 @@ PAIRS_PER_BLOCK = 2_000_000
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Projection:
     """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), log_opacities
-    (N,), extents (N,2) px, depths (N,) m, visible (N,); absolute (N,2): zeros for `absgrad`."""
+    (N,), extents (N,2) px, depths (N,) m, visible (N,); absolute (N,2), where it is requested:
+    zeros whose gradient is `RenderOutput.absgrad`."""
 
     means2d: Tensor
     conics: Tensor
@@ -77,7 +78,8 @@ class _WithAbsolute(torch.autograd.Function):
 
 
 class _Watched(torch.autograd.Function):
-    """ln α (tiles,K,P); `absolute` (tiles,K,2) gets the gradient Σ_p |∂loss/∂ln α · ∂ln α/∂m|."""
+    """ln α (tiles,K,P) as it is; `absolute` (tiles,K,2) gets as gradient Σ_p |∂loss/∂ln α ·
+    slopes|, slopes (tiles,K,P,2) = ∂ln α/∂m."""
 
     @staticmethod
     def forward(ctx: Any, log_alphas: Tensor, absolute: Tensor, slopes: Tensor) -> Tensor:
@@ -127,10 +129,11 @@ def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions
 def _jacobians(K: Tensor, x_over_z: Tensor, y_over_z: Tensor, z: Tensor, view: ViewOptions) -> Tensor:
     """Jacobians (N,2,3) px/m at points clamped to a window 1.3 times the image.
 
-    Beyond it EWA's linear projection would smear a Gaussian over the picture. Clamped are x/z and
-    y/z, not x and y: J_xz = −fx clamp(x/z) / z still depends on z, and autograd follows it. The
-    kernel of 3DGS holds the clamped x fixed, so that its gradient of J_xz by z is twice the
-    picture's; and its window lies evenly about the optical axis for any principal point.
+    Beyond it EWA's linear projection is far from the true one and would smear a Gaussian over the
+    picture. Clamped are x/z and y/z, not x and y: J_xz = −fx clamp(x/z) / z still depends on z, and
+    autograd follows it. The kernel of 3DGS holds the clamped x fixed, so that its gradient of J_xz
+    by z is twice the picture's; and its window lies evenly about the optical axis for any principal
+    point.
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     margin_x, margin_y = 0.15 * view.width / fx, 0.15 * view.height / fy
@@ -151,7 +154,8 @@ def _covariances_2d(splats: SplatTensors, viewmat: Tensor, jacobians: Tensor) ->
 
 
 def _rotations(quats: Tensor) -> Tensor:
-    """Rotation matrices (N,3,3) of quaternions wxyz (N,4); scaled first: no overflow."""
+    """Rotation matrices (N,3,3) of quaternions wxyz (N,4) of any length; scaled by the largest
+    entry first, so that none overflows."""
     largest = quats.detach().abs().amax(-1, keepdim=True)
     identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
     safe = torch.where(largest > 0, quats / torch.where(largest > 0, largest, 1.0), identity)
@@ -165,10 +169,10 @@ def _rotations(quats: Tensor) -> Tensor:
 
 
 def _invert_dilated(cov2d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Inverse (N,3) of the dilated covariance, √(det Σ / det Σ') (N,), and whether it is usable."""
+    """Inverse (N,3) of the dilated covariance, √(det Σ / det Σ') (N,); whether they are usable."""
     xx, xy, yy = cov2d.unbind(-1)
     dilated_xx, dilated_yy = xx + DILATION_PX2, yy + DILATION_PX2
-    # det(Σ + sI) = det Σ + s·tr Σ + s², as xx·yy − xy² cancels for long thin Gaussians.
+    # det(Σ + sI) = det Σ + s·tr Σ + s²: xx·yy − xy² alone cancels for long thin Gaussians.
     determinant = (xx * yy - xy * xy).clamp_min(0.0)
     dilated = determinant + DILATION_PX2 * (xx + yy) + DILATION_PX2**2
     usable = torch.isfinite(dilated) & torch.isfinite(1 / dilated)
@@ -227,7 +231,8 @@ def _tile_lists(projection: _Projection, tiles_x: int, tiles_y: int) -> tuple[Te
 
 
 def _blocks_of_tiles(tile_order: Tensor, counts: Tensor) -> list[Tensor]:
-    """Blocks of tiles, longest list first: at most 1.5 times padding, and the limit of pairs."""
+    """Cut tiles, longest list first, so that a block pads no list to more than 1.5 times and stays
+    under the pair limit."""
     lengths = counts[tile_order].tolist()
     blocks, start = [], 0
     for stop in range(1, len(lengths) + 1):
@@ -257,7 +262,7 @@ def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, start
 
 
 def _log_alpha_coefficients(projection: _Projection, chosen: Tensor, centres: Tensor, present: Tensor) -> Tensor:
-    """Coefficients (tiles,K,6) of 1, u, v, u², uv, v² in ln α; (u, v): pixel − tile's centre."""
+    """Coefficients (tiles,K,6) of 1, u, v, u², uv, v² in ln α; (u, v) from the tile's centre."""
     x, y = (projection.means2d[chosen] - centres[:, None]).unbind(-1)
     xx, xy, yy = projection.conics[chosen].unbind(-1)
     constant = projection.log_opacities[chosen] - 0.5 * (xx * x * x + yy * y * y) - xy * x * y

@@ -42,7 +42,8 @@ class Lens:
 
 
 def cameras_looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> Cameras:
-    """Cameras at positions (V,3) looking at targets (V,3), frame_00000 …; BadInput if equal."""
+    """Cameras at positions (V,3) that look at targets (V,3), named frame_00000 and so on; BadInput
+    where both coincide, or for no frame."""
     positions = check_array("positions", positions, (None, 3))
     targets = check_array("targets", targets, (len(positions), 3))
     if not 1 <= len(positions) <= MAX_FRAMES:
@@ -71,7 +72,8 @@ def cameras_looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> 
 
 
 def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: int, lens: Lens) -> Cameras:
-    """Once around `center` (3,), seen from `elevation_deg` above the horizon, without a repeat."""
+    """Once around `center` (3,) at a distance, seen from `elevation_deg` above the horizon; the
+    last frame ends before the first begins."""
     if not (np.isfinite(radius) and radius > 0 and -89 <= elevation_deg <= 89):
         raise BadInput(f"an orbit of radius {radius} at {elevation_deg}° was asked for, expected a positive radius and −89° to 89°.")
     center = check_array("center", center, (3,))
@@ -83,7 +85,7 @@ def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: in
 def middle_box(points: ArrayLike) -> FloatArray:
     """Lower and upper corner (2,3) of where most of points (N,3) lie: median ± twice the median
     distance from it, by axis; all of them where they spread evenly, hardly moved by a third that is
-    far away, such as sky and haze. BadInput without points."""
+    far away, such as sky and haze. Raises BadInput without points."""
     points = check_array("points", points, (None, 3))
     if not len(points):
         raise BadInput("there is no point to look at: give a model that holds some.")
@@ -98,7 +100,7 @@ def box_corners(box: FloatArray) -> FloatArray:
 
 
 def along_border(ends: ArrayLike, ground: float, height: float, num_frames: int, lens: Lens) -> Cameras:
-    """Along the line `ends` (2,2), `height` above the ground, looking ahead and 45° down."""
+    """Along the line between `ends` (2,2), `height` above ground, looking ahead and 45° down."""
     ends = check_array("ends", ends, (2, 2))
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if not (length > 0 and np.isfinite(height) and height > 0):
@@ -111,7 +113,8 @@ def along_border(ends: ArrayLike, ground: float, height: float, num_frames: int,
 
 
 def through_keyframes(times_s: ArrayLike, positions: ArrayLike, targets: ArrayLike, fps: float, lens: Lens) -> Cameras:
-    """A path through K ≥ 2 positions, targets (K,3) at rising times (K,), both ends included."""
+    """A path through K ≥ 2 positions and targets (K,3) at rising times (K,), `fps` frames a second,
+    first and last included."""
     from scipy.interpolate import Akima1DInterpolator
 
     times = check_array("times_s", times_s, (None,))

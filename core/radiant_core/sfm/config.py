@@ -15,7 +15,7 @@ from radiant_core.errors import BadInput
 from radiant_core.scene import SfmScene
 
 Mapper = Literal["auto", "incremental", "global"]
-"""auto: incremental, then the global mapper where more than a tenth is unregistered."""
+"""auto: incremental, then global where over a tenth is unregistered; others: that one alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,13 +33,15 @@ class SfmConfig:
     mapper: Mapper = "auto"
     """Which mapper estimates the poses: auto, incremental or global."""
     two_view_points: bool = False
-    """Whether points that only two photographs see are kept: with little overlap, half of all."""
+    """Whether points that only two photographs see are kept: where few overlap they are as many as
+    all others."""
     num_threads: int = 0
     """Threads, 0 for all cores."""
     seed: int = 0
     """Seed of every random choice; with several threads results differ in the last digits."""
     memory_bytes: float | None = None
-    """Memory limit: fewer threads, smaller photographs, fewer features to map; None: none."""
+    """What it may hold: fewer threads, then smaller photographs, while finding features; fewer
+    features to map. None without a limit."""
 
     def __post_init__(self) -> None:
         if self.memory_bytes is not None and not 0 < self.memory_bytes < math.inf:
@@ -83,7 +85,7 @@ def number_phases(report: Report, phases: Sequence[Phase]) -> Report:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SfmResult:
-    """The scene, its undistorted photographs, the photographs not in it, and the decisions."""
+    """The scene, where its undistorted photographs are, which are not in it, and the decisions."""
 
     scene: SfmScene
     undistorted_folder: Path
@@ -92,6 +94,6 @@ class SfmResult:
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...]
     unnamed_warnings: tuple[str, ...] = ()
-    """Of `reconstruct`: the same without names, for receivers that must not learn them."""
+    """Of `reconstruct`: the same with numbers for names, for receivers that must not learn them."""
     masks_folder: Path | None = None
     """Masks of the undistorted photographs (`radiant_core.io.photos.masks`); None without any."""

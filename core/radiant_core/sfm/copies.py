@@ -1,7 +1,8 @@
 """Photographs that show another's picture from its place, saved anew or turned. Once per scene.
 
 A copy of a photograph that scores a model would be trained on what is scored, so copies go before
-anything is split. Pictures are read only where two cameras stand in one place and look alike.
+anything is split. Pictures are read only where two cameras stand in one place and look in one
+direction.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ SAME_PLACE = 2e-3
 """Distance of two centres, in distances to what they see, under which they are one place."""
 SAME_DIRECTION_RAD = 2e-3
 SAME_LENS = 1e-2
-"""Difference of focal lengths and principal points, in picture sizes: a copy may be smaller."""
+"""Relative difference of focal lengths and principal points, in widths and heights of the picture:
+a copy may be smaller."""
 SAME_PICTURE = 4.0
-"""Mean difference, in steps of 8 bits, of two pictures at `THUMBNAIL_PX` that are one."""
+"""Mean difference, in steps of 8 bits, of pictures at `THUMBNAIL_PX` under which they are one."""
 THUMBNAIL_PX = 128
 
 Picture = NDArray[np.uint8]
@@ -35,7 +37,8 @@ Picture = NDArray[np.uint8]
 
 def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int], Picture]) -> dict[int, int]:
     """Repeat → the camera whose picture it shows from its place, as indices of C cameras above
-    points (P,3). `picture_of`: a camera's picture (H,W,3), of any size, if needed."""
+    points (P,3). `picture_of` gives the picture (H,W,3) of a camera, of any size; it is called once
+    for each camera that has another at its place."""
     centers, axes = cameras.centers, cameras.cam_from_world[:, :3, :3]
     lenses = cameras.Ks[:, :2] / cameras.sizes_wh[:, :, None]
     distance = float(np.median(KDTree(centers).query(points)[0])) if len(points) else 0.0
@@ -57,7 +60,8 @@ def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int
 
 
 def without_repeats(scene: SfmScene, images: Path) -> tuple[SfmScene, tuple[str, ...]]:
-    """The scene without cameras that repeat another of those in `images`, and warnings."""
+    """The scene without cameras that repeat another, whose photographs lie in `images`, and the
+    warnings about them."""
     cameras, warnings = cameras_without_repeats(scene.cameras, scene.points, images)
     if not warnings:
         return scene, ()

@@ -24,7 +24,8 @@ from radiant_core.sfm.world_frame.up import roll_deg
 
 NO_POINTS_2D, NO_IDS = np.zeros((0, 2)), np.zeros(0, np.int64)
 MAX_ROLL_DEG = 30.0
-"""Photographs are level or look down: with x axes farther from the horizontal, z is not up."""
+"""A photograph is taken level or looking down: where its x axes are farther from the horizontal
+than this, z is not up."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +38,8 @@ class GivenPoses:
     model: ColmapModel | None
 
     def deal(self, names: Sequence[str], folder: Path) -> bool:
-        """Write these poses into `folder`: poses/, a COLMAP model (True), or a safetensors file."""
+        """Write the poses of these photographs into `folder`: poses/, a COLMAP model, or
+        poses.safetensors; True for the former."""
         if self.model is None:
             save_cameras(folder / "poses.safetensors", self.cameras.named(names))
             return False
@@ -51,8 +53,8 @@ class GivenPoses:
 
 
 def read_given_poses(source: Path, model_folder: Path | None) -> GivenPoses:
-    """The poses in `model_folder`, or else those beside the photographs of `source`. BadInput where
-    there are none, or where z is not up in them."""
+    """The poses in `model_folder`, or else those beside the photographs of `source`. Raises
+    BadInput where there are none, or where z is not up in them."""
     if model_folder is None and (source / "train" / "metadata").is_dir():
         return GivenPoses(cameras=read_mill19(source), photos=source, model=None)
     folder = model_folder or next((place for place in (source / "sparse" / "0", source / "sparse") if place.is_dir()), None)

@@ -25,7 +25,7 @@ GIVEN, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
 
 def take_masks(folder: Path | None, photographs: Sequence[Photograph], work_folder: Path) -> Path | None:
     """Copy the masks of `photographs`, or else their alpha channels, checked, to where COLMAP looks
-    for them; None without any. BadInput as `load_mask`."""
+    for them; None without any. Raises BadInput as `load_mask`."""
     given = work_folder / GIVEN
     shutil.rmtree(given, ignore_errors=True)
     found = {} if folder is None else find_masks(folder, [photo.name for photo in photographs])
@@ -71,7 +71,7 @@ def undistort_masks(given: Path | None, model_folder: Path, work_folder: Path, n
 
 
 def without_masked_points(scene: SfmScene, masks: Path | None) -> SfmScene:
-    """The scene without observations in ignored pixels and points that have no other."""
+    """The scene without observations in ignored pixels and without points that have no other."""
     weights = pixel_weights(masks, scene.cameras)
     if weights is None:
         return scene

@@ -39,7 +39,7 @@ LEAST_FEATURES, FEATURES_STEP = 512, 64
 
 
 def features_bytes(num_threads: int, side_px: float, sizes_wh: Sizes) -> float:
-    """Peak bytes of finding features with so many threads at long sides of at most `side_px`."""
+    """Peak bytes of finding features with so many threads, long sides reduced to `side_px`."""
     reduced = any(max(size_wh) > side_px for size_wh in sizes_wh)
     pixels = [float(width * height) * min(1.0, side_px / max(width, height)) ** 2 for width, height in sizes_wh]
     whole = WHOLE_BYTES_PER_PX * _most_pixels(sizes_wh) if reduced else 0.0
@@ -52,7 +52,7 @@ def undistorting_bytes(num_threads: int, sizes_wh: Sizes) -> float:
 
 
 def undistorting_threads(config: SfmConfig, sizes_wh: Sizes) -> int:
-    """How many threads may undistort photographs of these sizes in `memory_bytes`, at least one."""
+    """How many threads may undistort photographs of these sizes in `memory_bytes`, one or more."""
     threads = config.threads
     while config.memory_bytes is not None and threads > 1 and undistorting_bytes(threads, sizes_wh) > config.memory_bytes:
         threads -= 1
@@ -64,15 +64,16 @@ def _most_pixels(sizes_wh: Sizes) -> float:
 
 
 def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "incremental") -> float:
-    """Peak bytes of mapping so many photographs and features each; of auto: of all it may try."""
+    """Peak memory in bytes of mapping so many photographs with so many features asked of each; of
+    auto: of all that it may try."""
     each = MAPPING_BYTES_PER_FEATURE if mapper == "incremental" else GLOBAL_BYTES_PER_FEATURE
     return PROCESS_BYTES + each * float(num_photographs) * num_features
 
 
 def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
     """The configuration within its `memory_bytes` for photographs of these sizes, and the decision
-    if there is a limit. BadInput where neither decoding one photograph fits, nor one thread at
-    `LEAST_SIDE_PX`, nor mapping with `LEAST_FEATURES` each."""
+    if there is a limit. Raises BadInput where neither decoding one photograph fits, nor one thread
+    at `LEAST_SIDE_PX`, nor mapping with `LEAST_FEATURES` each."""
     if config.memory_bytes is None:
         return config, ()
     _require_decoding(config.memory_bytes, sizes_wh)
@@ -107,7 +108,7 @@ def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tupl
 
 
 def _require_decoding(limit_bytes: float, sizes_wh: Sizes) -> None:
-    """BadInput where the largest photograph cannot be decoded and undistorted."""
+    """Raise BadInput where the largest photograph cannot be decoded and undistorted."""
     needed = undistorting_bytes(1, sizes_wh)
     if needed > limit_bytes:
         width, height = max(sizes_wh, key=lambda size_wh: size_wh[0] * size_wh[1])
@@ -118,7 +119,7 @@ def _require_decoding(limit_bytes: float, sizes_wh: Sizes) -> None:
 
 
 def _features_within(limit_bytes: float, num_photographs: int, most: int, mapper: Mapper) -> int:
-    """The most features per photograph, up to `most`, whose mapping fits; BadInput if too few."""
+    """The most features per photograph, up to `most`, whose mapping fits; BadInput for too few."""
     features = most
     while features > LEAST_FEATURES and mapping_bytes(num_photographs, features, mapper) > limit_bytes:
         features = max(LEAST_FEATURES, features - FEATURES_STEP)

@@ -41,8 +41,8 @@ def reconstruct(
 
     `work_folder` gets undistorted/ and sparse/, whose COLMAP models are in the scene's frame, and
     masks/ for a folder of `masks`; features and matches of an interrupted attempt with the same
-    photographs, masks and settings are used, all else there is removed. BadInput when fewer than
-    two photographs can be used or they do not overlap, or `masks` or `placement` do not fit.
+    photographs, masks and settings are used, all else there is removed. Raises BadInput when fewer
+    than two photographs can be used or they do not overlap, or `masks` or `placement` do not fit.
     """
     report = number_phases(report, PHASES)
     listing = list_usable(photo_folder, report)
@@ -152,7 +152,8 @@ def scene_from_colmap(
 
 
 def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Path) -> None:
-    """BadInput unless every image is there, in its camera's shape, if distorted in its size."""
+    """Raise BadInput unless every image of the model is there, in the shape of its camera, and in
+    its size where it has to be undistorted."""
     sizes = {photo.name: photo.size_wh for photo in listing.photographs}
     lost = [image.name for image in model.images if image.name not in sizes]
     if lost:
@@ -160,7 +161,8 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
     for image in model.images:
         camera = model.cameras[image.camera_id]
         width, height = (side / of_camera for side, of_camera in zip(sizes[image.name], camera.size_wh, strict=True))
-        # Reduced pinhole images may be off by a pixel; distorted ones need their own pixels.
+        # A reduced pinhole image may be off by a pixel of rounding; points of a distorted one are
+        # undistorted in its own pixels.
         fits = abs(width - height) <= 0.01 * max(width, height) if camera.is_pinhole else width == height == 1
         if not fits:
             raise BadInput(

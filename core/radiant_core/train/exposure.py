@@ -1,8 +1,9 @@
 """Exposure of each photograph: an affine map of rendered colours, learnt with the model.
 
     c' = (I + A_v) c + b_v,   with the gauge  mean over v of A_v and b_v = 0
-so that the model keeps the mean exposure of all photographs, for new views. The rate falls from
-`exposure_lr` to a tenth, as in 3DGS, whose maps have no gauge. Once per step of its view.
+so that the model keeps the mean exposure of all photographs, in which new views are rendered. The
+rate falls from `exposure_lr` to a tenth, as in 3DGS, whose maps have no gauge. Once per step of its
+view.
 """
 
 # pyright: reportIncompatibleMethodOverride=false
@@ -63,7 +64,8 @@ class Exposures(Part):
         return float(self._maps[:, :, :3].diagonal(dim1=1, dim2=2).abs().max()) if len(self._maps) else 0.0
 
     def show(self, moment: Moment, image: Tensor) -> Tensor:
-        """The image (H,W,3) mapped by its view's exposure, which `after_update` then steps."""
+        """The rendered image (H,W,3) mapped by the exposure of the step's view, whose gradient
+        `after_update` uses."""
         self._shown = self._maps[moment.view].clone().requires_grad_()
         if image.device.type == "cpu" and image.dtype == torch.float32:
             shown: Tensor = _NativeExposure.apply(image, self._shown)

@@ -1,4 +1,4 @@
-"""Gaussians that are rendered and never change: restored bit for bit. Once per step."""
+"""Gaussians that are rendered and never change: restored bit for bit after each step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""First Gaussians: sparse points as wide as neighbours are far, and a sky. Once per model."""
+"""The first Gaussians: one per sparse point, as wide as its neighbours are far, and a sky (Kerbl
+2023, Sec. 5.1). Once per model."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from radiant_core.train.views import TrainingViews
 INITIAL_OPACITY = 0.1
 NUM_SKY = 400
 SKY_OPACITY = 0.9
-"""The sky occludes nothing. It keeps this where no photograph shows it; less would look dark."""
+"""The sky occludes nothing. Where no photograph shows it, it keeps this: a lower one looks dark."""
 SKY_RGB = (0.75, 0.75, 0.75)
 """Colour of the sky where no photographs are given."""
 MIN_CAMERA_SHARE = 1e-3
@@ -41,7 +42,7 @@ def initial_splats(
     """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour above the horizon:
     at most `max_num_splats`, up to a quarter of them sky, none where `sky_rgb` is None. Duplicate
     points are merged, those at a camera's centre left out; too many are thinned out evenly along x,
-    their sorted order. BadInput with fewer than 4 different points."""
+    their sorted order. Raises BadInput with fewer than 4 different points."""
     points, first = np.unique(np.asarray(points, np.float64), axis=0, return_index=True)
     colors = np.asarray(colors)[first]
     away = _away_from_cameras(points, cameras)
@@ -69,7 +70,8 @@ def initial_splats(
 
 
 def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_]:
-    """Points (P,) at no camera's centre, where wrong matches would cover that camera's picture."""
+    """Which points (P,) lie at no camera's centre: a wrong match is triangulated there and would
+    cover that camera's picture."""
     if not (len(points) and len(cameras)):
         return np.ones(len(points), bool)
     distances = KDTree(cameras.centers).query(points)[0]
@@ -95,12 +97,13 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
 
 
 def sky_share(cameras: Cameras) -> float:
-    """Largest share of an image above the horizon (z up), from a 9×9 grid of pixels per camera."""
+    """Share above the horizon (z up) of the image that has most of it, estimated from a 9×9 grid of
+    pixels per camera."""
     return float(_above_horizon(cameras)[1].mean(axis=1).max(initial=0.0))
 
 
 def _above_horizon(cameras: Cameras) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """A 9×9 grid of pixels per camera (C,81,2) px; which look above the horizon (C,81)."""
+    """A 9×9 grid of pixels per camera (C,81,2) px, and whether each looks above the horizon."""
     steps = (np.arange(9) + 0.5) / 9
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     pixels = grid[None] * cameras.sizes_wh[:, None]
@@ -110,7 +113,8 @@ def _above_horizon(cameras: Cameras) -> tuple[FloatArray, NDArray[np.bool_]]:
 
 
 def _sky_rgb(views: TrainingViews) -> FloatArray:
-    """Median colour (3,) in 0..1 of pixels above the horizon, of 9×9 each; else `SKY_RGB`."""
+    """Median colour (3,) in 0..1 of the pixels above the horizon, of a 9×9 grid per photograph;
+    `SKY_RGB` without any."""
     pixels, above = _above_horizon(views.cameras)
     found = np.zeros((0, 3), np.uint8)
     for index, (image, grid, up) in enumerate(zip(views.images, pixels.astype(np.int64), above, strict=True)):
@@ -128,14 +132,15 @@ def camera_extent(cameras: Cameras) -> float:
 
 def _neighbour_distance(points: FloatArray) -> FloatArray:
     """Root mean square distance (P,) to the 3 nearest neighbours, at most 3 times the 90th
-    percentile: lone points, often wrong, would cover the image; a step took 8 times as long."""
+    percentile: lone points, often wrong, would cover the image, and a step took 8 times as long."""
     distances, _ = KDTree(points).query(points, k=4)
     spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
     return np.clip(spacing, 1e-7, 3 * np.quantile(spacing, 0.9))
 
 
 def _sky_points(points: FloatArray, cameras: Cameras, count: int) -> FloatArray:
-    """Points (count,3) on a far half sphere; none if less than `MIN_SKY_SHARE` looks up."""
+    """Points (count,3) on a half sphere far around everything; none when less than `MIN_SKY_SHARE`
+    of every image looks up."""
     if sky_share(cameras) < MIN_SKY_SHARE:
         return np.zeros((0, 3))
     everything = np.concatenate([points, cameras.centers])

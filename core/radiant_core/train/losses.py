@@ -13,7 +13,7 @@ _SIGMA_PX, _RADIUS_PX = 1.5, 5
 
 
 def weighted_loss(image: Tensor, target: Tensor, weights: Tensor | None, ssim_weight: float) -> Tensor:
-    """Scalar loss of image and target (H,W,3), weights (H,W) or ones; 0 without weight."""
+    """Scalar loss of image and target (H,W,3) in 0..1, weights (H,W) or ones; 0 if all are zero."""
     errors = (1 - ssim_weight) * (image - target).abs().mean(-1)
     if ssim_weight > 0:
         errors = errors + ssim_weight * (1 - ssim_map(image, target).mean(-1))

@@ -33,7 +33,7 @@ MAX_STATISTICS_SHARE = 0.25
 VRAM_SHARE = 0.8
 """Of free GPU memory, for Gaussians and a step. Not measured: no CUDA device was at hand."""
 PROCESS_BYTES = 300_000_000
-"""What a device's process holds, where it cannot be measured: 296 MB with its imports."""
+"""What a device's process holds before its photographs, if unknown: 296 MB with its imports."""
 MIN_SPLATS = 1_000
 """A limit that leaves room for fewer is refused."""
 
@@ -55,7 +55,7 @@ def bytes_per_splat(sh_degree: int, *, validated: bool = False) -> float:
 
 
 def fixed_bytes(config: TrainConfig, cameras: Cameras, base_bytes: int, *, masked: bool = False) -> int:
-    """What photographs, any masks, one step and the process take, without Gaussians."""
+    """What photographs, their masks if any, one step and the process take, without Gaussians."""
     pixels = cameras.sizes_wh.prod(axis=1)
     masks = MASK_BYTES_PER_PX * _copies(config) * float(pixels.sum()) if masked else 0.0
     return round(_fixed_bytes(config, float(pixels.sum()), float(pixels.max(initial=0)), base_bytes) + masks)
@@ -71,9 +71,9 @@ def _copies(config: TrainConfig) -> float:
 
 def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:
     """How many of `num_cameras` photographs fit into memory together with the Gaussians `splats_of`
-    so many (rising), at least `MIN_SPLATS`, at most the configuration's limit. The model above on
-    `PROCESS_BYTES`, nothing kept; photographs of 4:3, as a plan precedes them. 0 where none
-    fits."""
+    so many (rising): at least `MIN_SPLATS`, at most the configuration's limit. The model above on
+    `PROCESS_BYTES`, without what the loss may keep; photographs of 4:3, as a plan is made before
+    there are any. 0 where not even one fits."""
     pixels = 0.75 * config.long_side_px**2
     each = bytes_per_splat(config.sh_degree)
 
@@ -92,8 +92,8 @@ def memory_plan(
     config: TrainConfig, cameras: Cameras, memory_bytes: int, base_bytes: int, *, validated: bool = False, masked: bool = False
 ) -> MemoryPlan:
     """The most Gaussians and the statistics that fit into `memory_bytes` with the photographs of
-    `cameras`, at their training size; `base_bytes`: held before they are loaded. BadInput where
-    fewer than `MIN_SPLATS` fit, with what would do."""
+    `cameras`, at their training size; `base_bytes`: held before they are loaded. Raises BadInput
+    where fewer than `MIN_SPLATS` fit, with what would do."""
     fixed = fixed_bytes(config, cameras, base_bytes, masked=masked)
     each = bytes_per_splat(config.sh_degree, validated=validated)
     free = memory_bytes - fixed
@@ -133,7 +133,8 @@ def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: s
 
 
 def within_memory(config: TrainConfig, plan: MemoryPlan, memory_bytes: int, stage: str, asked: int | None) -> tuple[TrainConfig, Decision]:
-    """The configuration with the plan's limit of Gaussians, or `asked` where that is lower."""
+    """The configuration with the limit of Gaussians that a plan leaves, or the one `asked` for
+    where that is lower, and the decision."""
     count = plan.max_num_splats if asked is None else min(asked, plan.max_num_splats)
     decision = Decision(
         stage=stage,

@@ -25,12 +25,12 @@ from radiant_core.errors import BadInput
 from radiant_core.train.losses import weighted_loss
 
 STATISTICS_BUDGET_BYTES = 1 << 30
-"""Of kept statistics, 36 bytes a pixel; without them the loss takes 1.8 times as long."""
+"""Memory for kept statistics, 36 bytes a pixel; without them the loss takes 1.8 times as long."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TargetStatistics:
-    """A target (H,W,3) float32 in 0..1 with what SSIM needs of it, blurred once for all steps."""
+    """A target (H,W,3) float32 in 0..1 with what SSIM needs of it: it is blurred only once."""
 
     target: Tensor
     """(H,W,3)."""
@@ -41,8 +41,8 @@ class TargetStatistics:
 
     @staticmethod
     def of(target: Tensor) -> TargetStatistics:
-        """Statistics of a target on the CPU, taken to float32. BadInput for a shape other than
-        (H,W,3), for integers, and for values that are not finite or beyond 2e18."""
+        """Statistics of a target on the CPU, taken to float32. Raises BadInput for a shape other
+        than (H,W,3), for integers, and for values that are not finite or beyond 2e18."""
         if not target.is_floating_point():
             raise BadInput(f"target is {target.dtype}, expected floating numbers in 0..1: divide bytes by 255.")
         target = target.detach().to(torch.float32).contiguous()
@@ -57,8 +57,8 @@ class TargetStatistics:
 
 
 class StatisticsCache:
-    """Statistics by view; the first that fit into the budget stay: epochs come in new orders, so
-    dropping the oldest would drop each of them just before its turn."""
+    """Statistics by view; the first that fit into the budget stay: views come in a new order every
+    epoch, so dropping the oldest would drop each of them just before its turn."""
 
     def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES) -> None:
         self._free_bytes = budget_bytes
@@ -77,8 +77,8 @@ class StatisticsCache:
 
 def target_loss(image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float) -> Tensor:
     """`weighted_loss` of image and `statistics.target`, on the CPU in float32 by the native kernel,
-    else by torch. BadInput naming tensor, count and first index of values that are not finite or
-    beyond 2e18 and of negative weights, and for an ssim_weight outside 0..1."""
+    else by torch. Raises BadInput naming tensor, count and first index of values that are not
+    finite or beyond 2e18 and of negative weights, and for an ssim_weight outside 0..1."""
     if not 0 <= ssim_weight <= 1:
         raise BadInput(f"ssim_weight is {ssim_weight}, expected 0 to 1: it is SSIM's share of the loss.")
     if image.device.type == "cpu" and image.dtype == torch.float32:

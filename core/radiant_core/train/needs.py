@@ -51,7 +51,8 @@ _UNITS = {"long_side_px": "px", "num_steps": "steps", "max_num_splats": "Gaussia
 
 
 def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """The configuration reduced to what the backend finishes in minutes; a decision per change."""
+    """The configuration reduced to what this backend finishes in minutes, and a decision for each
+    number that differs."""
     limits = _LIMITS.get(backend, Overrides()) if config.reduce_on_cpu else Overrides()
     decisions = [_setting_decision(config, name, value) for name, value in overrides.settings.items()]
     if overrides.num_steps is not None:
@@ -165,7 +166,8 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
 
 def exposure_spread(scene: SfmScene, views: TrainingViews) -> float:
     """Standard deviation of V photographs' gains, as a share: of each the median ratio of
-    brightness at sparse points to the others' mean there. 0 where fewer than two compare."""
+    brightness at sparse points to the others' mean there. 0 where fewer than two can be
+    compared."""
     rows, pixels = views.observed_pixels(scene)
     point, view = scene.observations[rows].T
     # One step above black, where a ratio of brightness would be noise.

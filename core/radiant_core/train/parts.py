@@ -30,7 +30,7 @@ class Moment:
     progress: float
     """Share of the run that is spent before the step."""
     schedule_step: float
-    """Where schedules in steps of `TrainConfig.schedule_steps` stand after the step."""
+    """Where schedules given in steps of `TrainConfig.schedule_steps` stand after the step."""
 
 
 class Part(Protocol):
@@ -64,7 +64,8 @@ class Part(Protocol):
         return splats
 
     def after_step(self, step: int, progress: float, splats: SplatTensors) -> None:
-        """Look at the model after `step` steps, the last perhaps not taken, a share of the run."""
+        """Look at the model after `step` steps, of which the last may not have been taken;
+        `progress` is the share spent."""
         return
 
     def finish(self, result: TrainResult) -> TrainResult:
@@ -76,7 +77,8 @@ class Part(Protocol):
         return {}
 
     def state_numbers(self) -> dict[str, Any] | None:
-        """The numbers that change from step to step, as JSON; None without. Once per checkpoint."""
+        """The numbers that change from step to step, for JSON; None without. Once per
+        checkpoint."""
         return None
 
     def restore(self, arrays: dict[str, NDArray[Any]], numbers: Any, splats: SplatTensors) -> None:

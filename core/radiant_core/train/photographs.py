@@ -22,5 +22,5 @@ def load_images(folder: Path, cameras: Cameras) -> tuple[NDArray[np.uint8], ...]
 
 
 def load_training_views(images: Path, cameras: Cameras, masks: Path | None = None) -> TrainingViews:
-    """The photographs of `cameras` by name, at the cameras' sizes, with what masks leave."""
+    """The photographs of `cameras` by name, reduced to their sizes, with what masks leave."""
     return TrainingViews(cameras=cameras, images=load_images(images, cameras), weights=pixel_weights(masks, cameras))

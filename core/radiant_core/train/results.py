@@ -45,7 +45,7 @@ class TrainResult:
     density: DensityCounts = field(default_factory=DensityCounts)
     """What density control did; zeros without it."""
     shapes: ShapeCounts = field(default_factory=ShapeCounts)
-    """How many Gaussians limits of shape held in the end, and how many dead were removed."""
+    """How many Gaussians the limits of shape held in the end, and how many dead were removed."""
     num_rolled_back: int = 0
     """Steps that ended in something not finite and were not taken."""
     validation: tuple[tuple[int, float], ...] = ()

@@ -4,7 +4,8 @@
     longest axis ≤ max_elongation · second longest                             else spikes elsewhere
     opacity < 1/255                                                            dead: no gradient
 
-The limits are applied every few steps; the dead are left out of the result, changing no picture.
+The limits are applied every few steps; the dead are left out of the result, which changes no
+picture.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class ShapeCounts:
 
 @torch.no_grad()
 def limit_shapes(splats: SplatTensors, camera_centers: FloatArray, config: TrainConfig) -> ShapeCounts:
-    """Shorten axes beyond the limits, in place, for cameras at (C,3); count the Gaussians."""
+    """Shorten, in place, the axes that are beyond the limits for cameras at (C,3), and count the
+    Gaussians that had one."""
     logs = splats.log_scales
     if not logs.numel():
         return ShapeCounts()
@@ -57,7 +59,7 @@ def _clamp(logs: Tensor, limits: Tensor) -> int:
 
 
 def without_dead(splats: Splats) -> tuple[Splats, int]:
-    """The model without Gaussians that no pixel shows, but one; and how many they were."""
+    """The model without Gaussians that no pixel shows, and how many they were; one is kept."""
     with np.errstate(over="ignore"):
         alive = splats.opacities >= ALPHA_MIN
     if len(splats) and not alive.any():

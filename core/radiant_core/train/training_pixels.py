@@ -9,8 +9,9 @@ from radiant_core.train.trainer import view_of_step
 
 
 def training_pixels(cameras: Cameras, config: TrainConfig, num_steps: int) -> int:
-    """Σ over the steps of width × height of the view that `fit_splats` shows of `cameras`, reduced
-    at first. BadInput where a budget of time ends the run, after unknown steps."""
+    """Σ over the steps of width × height of the view that `fit_splats` shows of `cameras`, at the
+    reduced size it begins with. Raises BadInput where a budget of time ends the run: the steps are
+    not known then."""
     if config.budget_s is not None:
         raise BadInput("a training that ends by time does not tell its pixels beforehand: give it a number of steps.")
     full = cameras.sizes_wh.prod(axis=1)

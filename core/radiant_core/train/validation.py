@@ -32,7 +32,8 @@ def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -
 
 
 class BestModel(Part):
-    """The best of `num_looks` models over the second half of a run; `looks`: steps, PSNR in dB."""
+    """The best of `num_looks` models, one each at even shares of the second half of a run; `looks`
+    are steps and their PSNR in dB."""
 
     name = "best"
 

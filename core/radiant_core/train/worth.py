@@ -43,7 +43,8 @@ class Worth:
 
 
 def images_worth(scene: SfmScene, views: TrainingViews) -> Worth:
-    """The views without repeats and blurred ones, at least one; `views.cameras` are the scene's."""
+    """The views without repeats and blurred ones; at least one is kept. `views.cameras` are the
+    scene's in the same order."""
     repeated = find_repeats(scene, views)
     sharpness = relative_sharpness(scene, views)
     blurred = _find_dispensable(scene, sharpness, ~repeated)
@@ -52,7 +53,8 @@ def images_worth(scene: SfmScene, views: TrainingViews) -> Worth:
 
 
 def worth_training(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[SfmScene, TrainingViews, tuple[Decision, ...]]:
-    """Scene and views without what `config.skip_images` leaves out, and what was decided."""
+    """Scene and views without what `config.skip_images` leaves out, and the decisions; unchanged
+    for "none"."""
     if config.skip_images == "none":
         return scene, views, ()
     worth = images_worth(scene, views)
@@ -63,7 +65,7 @@ def worth_training(scene: SfmScene, views: TrainingViews, config: TrainConfig) -
 
 
 def relative_sharpness(scene: SfmScene, views: TrainingViews) -> FloatArray:
-    """Sharpness (V,) of each view against those that see its points; NaN where too few can."""
+    """Sharpness (V,) of each view against those that see the same points; NaN if too few do."""
     rows, pixels = views.observed_pixels(scene)
     point, view = scene.observations[rows].T
     logs = np.empty(len(rows))
@@ -91,7 +93,7 @@ def _gradient_energy(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _medians_of_others(group: NDArray[np.int64], values: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """For T values the median of the others in its group, or itself, and the group's size."""
+    """For each of T values the median of the others in its group, or itself; the group's size."""
     order = np.lexsort((values, group))
     ordered, counts = np.append(values[order], 0.0), np.bincount(group)[group[order]] if len(group) else np.zeros(0, np.int64)
     start = np.searchsorted(group[order], group[order])

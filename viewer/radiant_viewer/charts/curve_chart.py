@@ -21,7 +21,7 @@ MIN_LABEL_GAP = 0.14
 
 @dataclass(frozen=True, kw_only=True)
 class CurvePoint:
-    """A trained model: CPU seconds, Gaussians, PSNR in dB; BadInput unless finite and positive."""
+    """One trained model: CPU seconds, Gaussians, PSNR in dB; BadInput unless finite and > 0."""
 
     cpu_s: float
     num_gaussians: float

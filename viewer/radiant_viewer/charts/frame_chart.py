@@ -1,4 +1,4 @@
-"""The GPS positions of a device's photographs beside the camera centres of its own structure from
+"""The GPS positions of a device's photographs and the camera centres of its own structure from
 motion, from above and from the south on one scale. Once per device."""
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class GanttRow:
 
 def gantt_picture(rows: Sequence[GanttRow], title: str, detail: str = "", width_px: int = 1280, theme: Theme = LIGHT) -> Image:
     """Return the Gantt chart (H,width_px,3) of the slowest `MAX_ROWS` machines; an empty title
-    takes no space. BadInput without any span."""
+    takes no space. Raises BadInput without any span."""
     spans = [span for row in rows for span in (*row.predicted, *row.measured)]
     if not spans:
         raise BadInput("there is no Gantt chart to draw: no machine has a stage with a time.")

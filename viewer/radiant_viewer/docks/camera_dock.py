@@ -34,7 +34,7 @@ COLORINGS = {
 
 
 class CameraDock(QDockWidget):
-    """Emits `chosen` with the index of the selected photograph; a double click flies there."""
+    """Emits `chosen` with the index of the photograph of a row; a double click flies there."""
 
     chosen = Signal(int)
 

@@ -157,7 +157,7 @@ class CropDock(QDockWidget):
     def _on_dragged(self, shape: Any) -> None:
         bounds = np.array(shape.bounds).reshape(3, 2).T + self._host.origin
         if self._widget_box is not None and not np.allclose(bounds, self._widget_box, atol=1e-3):
-            # The widget is in place: creating it again under the pointer would end the drag.
+            # The widget is there already: creating it again under the pointer would end the drag.
             self._widget_box = bounds
             self._set_fields(bounds)
             self._widget_box = self.box

@@ -29,7 +29,7 @@ class FrameSource(Protocol):
     """Draws frames one at a time."""
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """Call `ready` once `ask` may be called, `drawn` per frame, `failed` with the reason."""
+        """Call `ready` once `ask` may be called, `drawn` per frame, `failed` with a sentence."""
         ...
 
     def ask(self, pose: ViewPose) -> None:

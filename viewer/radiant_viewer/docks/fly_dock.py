@@ -1,4 +1,5 @@
-"""Keyframed flights: played in the 3D view, and written as film files. Needs the `desktop` extra.
+"""Keyframed flights, collected and played in the 3D view and written as films. Needs the `desktop`
+extra.
 
 Frames come from our own renderer in a separate process or from the visible layers, one at a time
 through the event loop: the window stays usable, and closing it leaves no partial film.

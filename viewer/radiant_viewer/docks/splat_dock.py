@@ -41,7 +41,7 @@ class SplatDock(QDockWidget):
         super().__init__("Splats")
         self.setObjectName("splats")
         self._host = host
-        # A copy of what the strict reader accepted: the run's file may change meanwhile.
+        # A copy of what the strict reader accepted: the run's file may change while this is open.
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
         self._splats = splats
         self.picture = PictureLabel()

@@ -36,7 +36,7 @@ class EditFile:
 
     def save(self, kept: EditHistory) -> None:
         """Write the edits, to `aside` during a conflict; without edits the file is removed.
-        BadInput where that fails."""
+        Raises BadInput where that fails."""
         self.has_foreign_edits()
         target = self.aside or self.path
         if kept.done or kept.undone:
@@ -55,7 +55,7 @@ class EditFile:
 
     def take_over(self, kept: EditHistory) -> str:
         """Overwrite the file, and return a sentence about the renamed edits of the other window.
-        BadInput as `save`."""
+        Raises BadInput as `save`."""
         theirs = move_aside(self.path) if self.path.exists() else None
         mine, self.aside, self._seen = self.aside, None, None
         self.save(kept)

@@ -22,8 +22,8 @@ from radiant_core.plan.system import System
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSubject:
     """The cameras to plan: names (C) unique, positions (C,3) finite, in `unit`; origin (3,) lat lon
-    alt if they are on the globe; ground: its height in the positions' z, if known. BadInput without
-    cameras, or where these do not hold."""
+    alt if they are on the globe; ground: its height in the positions' z, if known. Raises BadInput
+    without cameras, or where these do not hold."""
 
     names: tuple[str, ...]
     positions: FloatArray
@@ -111,7 +111,7 @@ def border_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -
 
 def add_empty_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: FloatArray) -> CloudPlan:
     """Add an edge without cameras: its weight is too low for any camera to lie in its cell."""
-    centre = subject.on_map.mean(axis=0)  # squares of UTM coordinates lose half the digits
+    centre = subject.on_map.mean(axis=0)  # UTM coordinates squared would lose half the digits
     cameras, sites = subject.on_map - centre, cloud.sites - centre
     nearest = assign(cameras, sites, cloud.weights)
     powers = np.sum((cameras - sites[nearest]) ** 2, axis=1) - cloud.weights[nearest]

@@ -53,7 +53,7 @@ class PlanActions(QObject):
         self.reason = self._open_session()
 
     def do(self, edit: Edit) -> None:
-        """Solve an edit beside the window; if plans cannot be changed, say so in the status bar."""
+        """Solve an edit beside the window; where plans cannot change, the status bar says so."""
         if self.session is None:
             self.host.show_status(NO_SYSTEM)
         else:

@@ -29,8 +29,8 @@ class _Step:
 
 
 class PlanEditor:
-    """One plan and its history; edits are kept in the file `edits_path`, if any. BadInput where
-    plan, cameras and system do not belong together."""
+    """One plan and its history; edits are kept in the file `edits_path`, if any. Raises BadInput
+    where plan, cameras and system do not belong together."""
 
     def __init__(
         self, subject: PlanSubject, system: System, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], edits_path: Path | None = None
@@ -172,7 +172,7 @@ class PlanEditor:
 
     def take_over(self) -> tuple[str, ...]:
         """Store this window's edits in the file and the other's beside it; return sentences about
-        it. BadInput as `EditFile.save`."""
+        it. Raises BadInput as `EditFile.save`."""
         return () if self._file is None else (self._file.take_over(self._history()),)
 
     def adopt_other(self) -> tuple[str, ...]:

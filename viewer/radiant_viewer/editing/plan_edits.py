@@ -144,7 +144,7 @@ class MoveEdge:
 
 @dataclass(frozen=True, kw_only=True)
 class AddEdge:
-    """Add an edge with machines like those of edge `like`, named <edge>-1, <edge>-2, …"""
+    """Add an edge with machines like those of edge `like`, named after it: <edge>-1, <edge>-2, …"""
 
     edge: str
     position: tuple[float, float]

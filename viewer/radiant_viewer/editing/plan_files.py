@@ -69,8 +69,8 @@ def plan_subject(run: RunView) -> PlanSubject:
 
 
 def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting: PlanSetting) -> tuple[Path, ...]:
-    """Write a plan with its system, lists and constraints; return the files. BadInput for a name
-    without .json."""
+    """Write a plan with its system, lists and constraints; return the files. Raises BadInput for a
+    name without .json."""
     if path.suffix != ".json":
         raise BadInput(f"{path.name} is no name for a plan: choose one that ends in .json.")
     waypoints, shift = _geo_waypoints(subject, setting.waypoints)

@@ -103,7 +103,7 @@ class Canvas:
         self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in actors[-1:]:
-                # A quarter of a picture's size: points as large would bury what is below.
+                # A view has a quarter of a picture's size: points as large would bury the rest.
                 actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
         if layer.labels and self.is_map:
             self.actors[layer.name].append(add_map_labels(self.plotter, layer.labels, self.origin, height, self.theme, LABEL_SIZE))
@@ -153,7 +153,7 @@ class Canvas:
         )
 
     def set_pose(self, pose: ViewPose) -> None:
-        """Move the camera; a map still looks straight down, centred on the focal point."""
+        """Move the camera; a map keeps looking straight down, centred on the focal point."""
         camera = self.plotter.camera
         if self.is_map:
             self.center_on(pose.focal_point[:2])
@@ -222,7 +222,7 @@ class Canvas:
 
 
 class _View(QtInteractor):
-    """Draws a frame only when Qt paints it: pyvistaqt 0.13 draws for VTK and again for Qt."""
+    """A view that draws only when Qt paints it: pyvistaqt 0.13 draws for VTK and again for Qt."""
 
     _is_painting = False
 

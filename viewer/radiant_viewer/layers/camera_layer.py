@@ -16,14 +16,15 @@ from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
 from radiant_viewer.layers.palette import BLUE, GREY, VERMILLION, WHITE, ColorArray, category_colors, heat_colors, shade_colors
 
 Coloring = Literal["region", "device", "split", "psnr"]
-"""region: the edge's colour; device: a shade of it; split: trained or held out; psnr: error."""
+"""region: the edge's colour; device: a shade of it; split: trained or held out; psnr: the error of
+held-out photographs."""
 
 
 def camera_layer(
     cameras: Cameras, roles: CameraRoles, coloring: Coloring, psnr_db: Mapping[str, float] | None = None, *, pyramids: bool = True
 ) -> Layer:
     """Return all C cameras as dots with pyramids; by region as dots alone if `pyramids` is False.
-    BadInput for an unknown colouring, or "psnr" without figures."""
+    Raises BadInput for an unknown colouring, or "psnr" without figures."""
     if coloring == "region":
         return _layer(cameras, "Cameras by region", _region_colors(roles), _held_out_legend(roles), pyramids=pyramids)
     if coloring == "device":

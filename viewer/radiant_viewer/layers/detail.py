@@ -35,8 +35,8 @@ def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
     """Return ascending indices (K,) of at most `limit` points (N,3), evenly over occupied space.
 
     A point's level is the first octree level at which it has its own cell along the Morton curve,
-    so the points up to level L are one per occupied cell of that level. BadInput for a limit below
-    1 or a coordinate that is not finite.
+    so the points up to level L are one per occupied cell of that level. Raises BadInput for a limit
+    below 1 or a coordinate that is not finite.
     """
     if limit < 1:
         raise BadInput(f"{limit} points were asked for, expected at least 1.")
@@ -95,9 +95,9 @@ def _first_levels(sorted_codes: NDArray[np.uint64]) -> NDArray[np.int64]:
 
 def visible_subset(points: NDArray[np.float32], clip_from_world: FloatArray, size_wh: tuple[int, int], cell_px: float) -> NDArray[np.int64]:
     """Return ascending indices (K,) of the points (N,3) nearest to the camera in their cell of
-    `cell_px` px of a picture. clip_from_world (4,4) maps to OpenGL's clip space; points behind the
-    camera or outside the picture are in no cell, near and far planes do not clip. BadInput for a
-    cell or a picture without size."""
+    `cell_px` px of a picture `size_wh`. clip_from_world (4,4) maps to OpenGL's clip space; points
+    behind the camera or outside the picture are in no cell, near and far planes do not clip.
+    Raises BadInput for a cell or a picture without size."""
     columns, rows = (int(np.ceil(side / cell_px)) if cell_px > 0 else 0 for side in size_wh)
     if columns < 1 or rows < 1:
         raise BadInput(f"cells of {cell_px} px in a picture of {size_wh[0]} × {size_wh[1]} px came, expected positive sizes.")

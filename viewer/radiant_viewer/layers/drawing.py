@@ -66,7 +66,7 @@ def update_layer(actors: Sequence[pv.Actor], layer: Layer, origin: FloatArray, f
 
 
 def has_same_structure(layer: Layer, other: Layer) -> bool:
-    """Return whether layers differ in positions, colours, labels only, and neither is thinned."""
+    """Return whether layers differ only in positions, colours, labels, and none is thinned."""
     styles = [
         (
             [bool(len(part)) for part in (one.polygons, one.segments, one.points)],

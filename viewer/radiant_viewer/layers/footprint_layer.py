@@ -51,7 +51,7 @@ def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: Clou
 
 def overlap_layer(footprints: Footprints, cloud_plan: CloudPlan, height: float = 0.0, cells_a_side: int = CELLS_A_SIDE) -> Layer:
     """Return the number of images that see each cell of the regions; unseen cells stay empty.
-    BadInput without regions."""
+    Raises BadInput without regions."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if len(corners) < 3 or not 2 <= cells_a_side <= 1000:
         raise BadInput(

@@ -21,7 +21,7 @@ MAX_DOTS = 20_000
 
 
 def forecast_layers(forecasts: Sequence[BorderForecast], height: float = 0.0) -> tuple[Layer, ...]:
-    """Return every border as a dark line, over it one in the colour of its risk; () without any."""
+    """Return every border as a dark line under one in the colour of its risk; empty without any."""
     if not forecasts:
         return ()
     ends = np.stack([at_height(forecast.ends, height) for forecast in forecasts])

@@ -25,9 +25,9 @@ REACH_POINTS = 200_000
 MARGIN = 0.25
 """Margin around borders and markers in which clouds count for a frame, over their longest side."""
 STRAYS = 0.005
-"""Share of strays at each end of x and y: 0.3 % doubled the width of the sample town's picture."""
+"""Share of strays at each end of x and y: in the town 0.3 % of them doubled a picture's width."""
 Marker = Literal["area", "line", "dot", "ring", "square"]
-"""In a legend: a filled box, a stroke, a filled dot, a dot or small square with a dark rim."""
+"""How a legend shows an entry: a box, a stroke, a dot, a dot or small square with a dark rim."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class HeatScale:
     low: float
     high: float
     start: float = 0.0
-    """Share of the colour table at the lowest value: the first colours vanish on dark ground."""
+    """Share of the colour table at the lowest value: on dark ground the first colours vanish."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,8 +62,8 @@ class Label:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
     """points (N,3), segments (S,2,3) and polygons R × (V,3), each with one colour; later layers lie
-    over earlier ones on a map. BadInput when a shape is wrong, colours do not match in number, or a
-    coordinate is not finite."""
+    over earlier ones on a map. Raises BadInput when a shape is wrong, colours do not match in
+    number, or a coordinate is not finite."""
 
     name: str
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -76,7 +76,8 @@ class Layer:
     in_front: bool = False
     """Whether a 3D view draws it in front of everything, as borders below a model need."""
     behind: bool = False
-    """Whether a 3D view draws it slightly farther away, so that a mark covers its middle."""
+    """Whether a 3D view draws it slightly farther away, so that a mark at the same place covers its
+    middle."""
     segments: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
     segment_colors: ColorArray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     line_width_px: float = 1.5
@@ -105,7 +106,7 @@ class Layer:
 def framing_positions(layers: Sequence[Layer]) -> FloatArray:
     """Return the positions (K,3) that a picture must hold: ends, corners, markers, and the points
     of clouds near those. Clouds (of 100 points or more) hold strays, far ground and a sky; without
-    anything else they count as far as Tukey's outer fence. BadInput without any geometry."""
+    anything else they count as far as Tukey's outer fence. Raises BadInput without any geometry."""
     # A subsample of ten million points gives the extent in a fiftieth of the time.
     clouds = [layer.points[:: 1 + len(layer.points) // REACH_POINTS] for layer in layers if len(layer.points) >= CLOUD_SIZE]
     markers = [layer.points for layer in layers if len(layer.points) < CLOUD_SIZE]

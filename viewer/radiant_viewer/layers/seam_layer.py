@@ -76,8 +76,8 @@ def color_steps(
 ) -> ColorSteps:
     """Return the colour steps across each piece; NaN where too few Gaussians lie beside it or its
     share (S,) of coverage is 0. `width` of a band > 0; `shares`: weights of the pieces, equal by
-    default; `pooled_widths` = infinity gives all pieces of a border one figure. BadInput for a bad
-    width."""
+    default; `pooled_widths` = infinity gives all pieces of a border one figure. Raises BadInput for
+    a bad width."""
     if not (np.isfinite(width) and width > 0):
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
     counts = np.ones(len(pieces.ends)) if shares is None else check_array("shares", shares, (len(pieces.ends),))
@@ -112,7 +112,7 @@ def color_steps(
 def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0, least_high: float = 0.0) -> Layer:
     """Return the pieces of the borders coloured by one value (S,) each; `label` names quantity and
     unit, NaN is grey. The scale ends at the highest value or at `least_high`, so that invisible
-    steps do not get the brightest colour. BadInput for another number of values."""
+    steps do not get the brightest colour. Raises BadInput for another number of values."""
     # A value that is not finite becomes one grey piece, counted in the legend.
     raw = np.asarray(values, np.float64)
     known = np.isfinite(raw)

@@ -16,7 +16,8 @@ from radiant_viewer.layers.palette import GREY
 
 _BLOCK = 1 << 16
 MAX_POINTS = 10_000_000
-"""Most points kept, 60 bytes each; the legend counts them. `detail.py` chooses the drawn ones."""
+"""Most points kept, 60 bytes each; the legend says if some were left out. `detail.py` chooses the
+drawn ones."""
 
 
 def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:

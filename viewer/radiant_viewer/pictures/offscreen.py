@@ -29,7 +29,8 @@ MAX_SIDE_PX = 4096
 
 
 def render_map(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), text: PageText | None = None) -> Image:
-    """Return a finished map (H,W,3) with axes, legend and labels; BadInput without any geometry."""
+    """Return a finished map (H,W,3) with title, axes, scale bar, legend and labels; BadInput
+    without any geometry."""
     page = text or PageText()
     return compose_page(draw_map(layers, drawing_size_wh(size_wh, is_map=True)), layers, size_wh, page)
 

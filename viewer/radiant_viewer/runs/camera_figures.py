@@ -116,7 +116,7 @@ def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) ->
 
 def filter_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
     """Return the rows (K,) that meet all conditions of a filter; a lone word is searched in names.
-    BadInput with an example for a condition that cannot be parsed."""
+    Raises BadInput with an example for a condition that cannot be parsed."""
     kept = np.ones(len(figures), bool)
     for part in re.split(r"\s+and\s+|,", text.strip()) if text.strip() else []:
         match = _CONDITION.fullmatch(part)

@@ -29,8 +29,8 @@ USUAL_OVERLAP, LARGEST_OVERLAP = 0.8, 0.95
 
 
 def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
-    """Read the plan in the file `path`; `scene`: its cameras in its order, for a plan without
-    waypoints. BadInput where it has neither or they do not fit, and as `load_plan`."""
+    """Read the plan in the file at `path`; `scene`: its cameras in its order, for a plan without
+    waypoints. Raises BadInput where it has neither or they do not fit, and as `load_plan`."""
     found = load_plan_file(path)
     cloud_plan, edge_plans = found.cloud, found.edges
     if found.waypoints is not None:

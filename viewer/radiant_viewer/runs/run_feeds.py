@@ -55,7 +55,7 @@ def no_rows() -> Sequence[GanttRow]:
 
 @dataclass(frozen=True, kw_only=True)
 class RunFeeds:
-    """Functions that read the present state; BadInput or StoreDamaged for an unreadable file."""
+    """Functions that read the present state; they raise BadInput or StoreDamaged if they cannot."""
 
     gantt_rows: Callable[[], Sequence[GanttRow]] = no_rows
     gantt_detail: Callable[[], str] = str

@@ -36,8 +36,8 @@ FIGURES = (
 
 
 def image_figures(folder: Path) -> ImageFigures:
-    """Return the finite figures by photograph, empty before evaluation. StoreDamaged for a broken
-    metrics.json."""
+    """Return the finite figures by photograph, empty before evaluation. Raises StoreDamaged for a
+    broken metrics.json."""
     path = folder / METRICS_NAME
     if not path.is_file():
         return {}

@@ -121,7 +121,7 @@ def waypoint_plan_picture(
     forecasts: Sequence[BorderForecast] = (),
     buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """Return the map of a plan of waypoints (P,3) m before capture, with forecasts where given."""
+    """Return the map of a plan of waypoints (P,3) m before capture, with forecasts if given."""
     num_devices = sum(len(plan.device_ids) for plan in edge_plans)
     layers = [
         region_layer(cloud_plan),

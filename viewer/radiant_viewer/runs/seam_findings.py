@@ -1,4 +1,4 @@
-"""Seams at the borders of a plan in a model: colour steps, and the step detector at the largest.
+"""Seams at the borders of a plan in a model: colour steps, and the detector at the largest.
 
 A seam is found where the colour step exceeds the texture (`border_figures`), or where the step
 detector responds to colour, height, density or a gap on the observed part. No finding proves no
@@ -38,8 +38,8 @@ class SeamFinding:
 
 def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_examined: int = NUM_EXAMINED) -> list[SeamFinding]:
     """Return all borders, those with a verdict and the largest step first; the first `num_examined`
-    also examined by the step detector if the scene is metric. BadInput where the plan has one
-    region only."""
+    also examined by the step detector if the scene is metric. Raises BadInput where the plan has
+    one region only."""
     findings = []
     for rank, figures in enumerate(border_figures(scene, cloud_plan, splats)):
         can_be_examined = figures.has_verdict and scene.frame.unit == "m" and figures.border.length_m <= MAX_EXAMINED_M

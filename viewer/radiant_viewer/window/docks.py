@@ -27,7 +27,7 @@ LEFT_PX, RIGHT_PX, BOTTOM_PX = 235, 345, 215
 
 @dataclass(frozen=True, kw_only=True)
 class Docks:
-    """A dock is None where it would be empty: a model has no cameras, a plan no splats."""
+    """A dock is None where it would be empty: a model alone has no cameras, a plan no splats."""
 
     fly: FlyDock
     crop: CropDock

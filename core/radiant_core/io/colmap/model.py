@@ -19,7 +19,7 @@ _PARSERS = {parser.SUFFIX: parser for parser in (colmap_binary, colmap_text)}
 
 
 def model_files(folder: Path) -> list[Path]:
-    """The files that `read_model` reads of the model in `folder`; raises as that without one."""
+    """The files of the model in `folder` that `read_model` reads; raises like that without one."""
     suffix = _format_of(folder)
     if suffix is None:
         raise BadInput(f"{folder} holds no COLMAP model: expected cameras, images and points3D, all .bin or all .txt.")

@@ -49,7 +49,8 @@ class ColmapCamera:
 
     @property
     def K(self) -> FloatArray:
-        """Matrix (3,3) px of a pinhole camera; BadInput for another, which COLMAP left as it is."""
+        """Calibration matrix (3,3) px of a pinhole camera; BadInput for another one, which COLMAP's
+        undistorter passed through."""
         if not self.is_pinhole:
             raise BadInput(
                 f"camera {self.camera_id} of the model is {self.model} without distortion, which COLMAP does not undistort: give it as "
@@ -61,8 +62,8 @@ class ColmapCamera:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColmapImage:
-    """quat_wxyz (4,), translation (3,) of cam_from_world; points2d (K,2) px; point3d_ids (K,), -1
-    for none."""
+    """One posed image: quat_wxyz (4,), translation (3,) of cam_from_world; points2d (K,2) px;
+    point3d_ids (K,), -1 for none."""
 
     image_id: int
     name: str
@@ -102,7 +103,7 @@ class ColmapModel:
     points: ColmapPoints
 
     def observations(self) -> NDArray[np.int64]:
-        """Who sees what (T,2): point index, index in `images`; twice by an image counts once."""
+        """Who sees what (T,2): point index, image index; a point twice in an image counts once."""
         ids = np.array([image.image_id for image in self.images], dtype=np.int64)
         order = np.argsort(ids)
         image_indices = order[np.searchsorted(ids[order], self.points.tracks[:, 1])]
@@ -117,7 +118,7 @@ class ColmapModel:
 
 
 def check_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: ColmapPoints, source: str) -> ColmapModel:
-    """The records as one model if they fit each other; BadInput names `source` and the misfit."""
+    """The records as one model if they fit each other; BadInput names `source` and a misfit."""
     by_id = {camera.camera_id: camera for camera in cameras}
     _require_unique("camera id", [camera.camera_id for camera in cameras], source)
     _require_unique("image id", [image.image_id for image in images], source)

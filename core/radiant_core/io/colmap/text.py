@@ -31,7 +31,8 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
 
 
 def parse_images(data: bytes, path: str) -> list[ColmapImage]:
-    """The records of images.txt, two lines each, the second may be empty; BadInput as above."""
+    """The records of images.txt, two lines each, of which the second may be empty; BadInput with
+    the line number."""
     lines = _lines(data, path)
     images = []
     for place, line in _records(lines, path):
@@ -83,7 +84,8 @@ def parse_points(data: bytes, path: str) -> ColmapPoints:
 
 
 def write_model(folder: Path, model: ColmapModel) -> None:
-    """Write cameras.txt, images.txt and points3D.txt, each atomically; raises as `write_atomic`."""
+    """Write cameras.txt, images.txt and points3D.txt into `folder`, each atomically; raises as
+    `write_atomic`."""
     folder.mkdir(parents=True, exist_ok=True)
     cameras = [f"{c.camera_id} {c.model} {c.size_wh[0]} {c.size_wh[1]} {_join_numbers(c.params)}\n" for c in model.cameras.values()]
     write_atomic(folder / "cameras.txt", "".join(["# camera_id model width height params\n", *cameras]).encode())

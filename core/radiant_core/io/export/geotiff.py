@@ -46,7 +46,7 @@ class HeightGrid:
         return float(np.isfinite(self.heights).mean())
 
     def at(self, places: FloatArray) -> FloatArray:
-        """Heights (P,) of the cells that places (P,2) fall into; NaN where nothing is known."""
+        """Heights (P,) of the cells that places (P,2) fall into; NaN outside and where unknown."""
         columns = np.floor((places[:, 0] - self.north_west[0]) / self.cell)
         rows = np.floor((self.north_west[1] - places[:, 1]) / self.cell)
         inside = (columns >= 0) & (rows >= 0) & (columns < self.heights.shape[1]) & (rows < self.heights.shape[0])
@@ -56,7 +56,7 @@ class HeightGrid:
 
 
 def save_geotiff(path: Path, grid: HeightGrid) -> None:
-    """Write the grid to `path`, atomically, as float32 (0.03 mm at 500 m), or raise BadInput."""
+    """Write the grid to `path`, atomically, as float32 (0.03 mm at 500 m); BadInput if it fails."""
     import tifffile
 
     values = np.where(np.isfinite(grid.heights), grid.heights, NO_DATA).astype(np.float32)

@@ -1,4 +1,4 @@
-"""A coloured triangle mesh as binary PLY, as CloudCompare, MeshLab and Blender open it."""
+"""A coloured triangle mesh as binary PLY for CloudCompare, MeshLab and Blender. Once per mesh."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def save_mesh(path: Path, vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike) -> None:
-    """Write vertices (V,3), triangles (T,3), colors (V,3) uint8, atomically; BadInput if unfit."""
+    """Write vertices (V,3) as doubles, triangles (T,3) of their indices and colors (V,3) uint8,
+    atomically; BadInput for a misfit."""
     positions = check_array("vertices", vertices, (None, 3))
     corners = check_array("triangles", triangles, (None, 3), np.int64)
     shades = check_array("colors", colors, (len(positions), 3), np.uint8)

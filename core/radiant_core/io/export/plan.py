@@ -1,11 +1,11 @@
-"""A plan as files: waypoints per device as CSV, regions and strips as GeoJSON. Once per plan.
+"""A plan as files that flight planners and maps open: CSV of waypoints, GeoJSON. Once per plan.
 
 CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that
 UgCS, QGIS and `read_waypoints` find by their names; QGroundControl takes no CSV. Flight planners
 fly `altitude(m)` as height above take-off, so it is one: as it came in, or above the ground where
-that is known. Altitudes from the sea stand in `altitude_absolute(m)`, alone where the ground is
-unknown: flown as heights they would be hundreds of metres off. Where no altitude is known there is
-neither column. Names are never formulas (`csv_cells`).
+that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`, and
+alone where the ground is unknown: flown as heights above take-off they would be hundreds of metres
+off. Where no altitude is known there is neither column. Names are never formulas (`csv_cells`).
 GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th
 meridian; straight in longitude and latitude, so sides are divided every 500 m, where a straight
 line of the plan differs by 1 cm at most up to latitude 60°.
@@ -51,13 +51,13 @@ def save_device_waypoints(
     *,
     only: NDArray[np.bool_] | None = None,
 ) -> tuple[Path, ...]:
-    """One `<device>.csv` per device in the existing `folder`, in order; without any, a header.
+    """One `<device>.csv` per device in the existing `folder`, its waypoints in their order.
 
-    Of an edge that deals its waypoints itself, later, `edges/<edge>.csv` for a plan of its own.
-    Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where known, then
-    absolute altitudes beside heights. With `buffers` a last column `role` says own or buffer. With
-    `only` (P,) other waypoints are in no list. Raises BadInput when the plan is not of these
-    waypoints, or as `write_atomic`.
+    A device without waypoints gets the header alone. Of an edge that deals its waypoints itself,
+    later, `edges/<edge>.csv` for a plan of its own. Degrees have 9 decimals (0.1 mm), metres 3;
+    headings and pitches follow where known, then absolute altitudes beside heights. With `buffers`
+    a last column `role` says own or buffer. With `only` (P,) waypoints where it is false are in no
+    list. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     wanted = np.ones(len(waypoints), bool) if only is None else only
@@ -93,7 +93,8 @@ def save_regions_geojson(
 
 
 def write_features(path: Path, features: Iterable[dict[str, Any]]) -> None:
-    """One FeatureCollection at `path`, atomically, a feature a line; raises as `atomic_writer`."""
+    """Write a GeoJSON FeatureCollection, atomically, a feature a line; raises as
+    `atomic_writer`."""
     with atomic_writer(path) as file:
         file.write(b'{"type": "FeatureCollection", "features": [\n')
         between = b""
@@ -138,7 +139,8 @@ def _features(
 
 
 def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin: FloatArray) -> Iterator[dict[str, Any]]:
-    """A feature per region and device strip that has land, about the origin (3,) of the plan."""
+    """A GeoJSON feature per region and per device strip that has land, about the origin (3,) [deg,
+    deg, m] of the plan's metres."""
     for index, (edge_id, border) in enumerate(zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True)):
         cameras, planned_s = int(cloud_plan.counts[index]), float(cloud_plan.edge_time_s[index])
         about = {"kind": "region", "name": edge_id, "edge": edge_id, "cameras": cameras, "planned_s": planned_s}
@@ -167,7 +169,8 @@ def _polygon_feature(polygon: FloatArray, origin: FloatArray, about: dict[str, A
 
 
 def _geometry(polygon: FloatArray, origin: FloatArray) -> dict[str, Any]:
-    """A polygon (V,2) m about the origin (3,); MultiPolygon across the 180th meridian."""
+    """A polygon (V,2) m, counter-clockwise, about the origin (3,), as GeoJSON: Polygon, or
+    MultiPolygon across the 180th meridian."""
     ring = _unwrap_ring(_lon_lat(get_coordinates(segmentize(Polygon(polygon), _side_m(polygon, origin))), origin), origin)
     shape = Polygon(np.round(ring, 9))
     if not shape.is_valid:
@@ -184,7 +187,7 @@ def _geometry(polygon: FloatArray, origin: FloatArray) -> dict[str, Any]:
 
 
 def _side_m(polygon: FloatArray, origin: FloatArray) -> float:
-    """How long a piece of a side may be: beside a pole it passes all longitudes in metres."""
+    """How long a piece of a side may be: beside a pole a long one passes all longitudes."""
     pole_m = enu_from_geodetic(np.array([[np.copysign(90.0, origin[0]), origin[1], origin[2]]]), origin)[0, :2]
     near = Polygon(polygon).distance(Point(pole_m)) < NEAR_POLE_M
     return float(np.hypot(*np.ptp(polygon, axis=0)) / POLE_PIECES) if near else MAX_SIDE_M
@@ -203,7 +206,8 @@ def _unwrap_ring(ring: FloatArray, origin: FloatArray) -> FloatArray:
 
 
 def _lon_lat(positions: FloatArray, origin: FloatArray) -> FloatArray:
-    """Longitude, latitude (V,2) of (V,2) m at the origin's altitude: the plane leaves the globe."""
+    """Longitude and latitude (V,2) of positions (V,2) m at the origin's altitude: the plane of the
+    plan leaves the globe with distance."""
     level = np.column_stack([positions, np.zeros(len(positions))])
     level[:, 2] = origin[2] - geodetic_from_enu(level, origin)[:, 2]
     return geodetic_from_enu(level, origin)[:, 1::-1]

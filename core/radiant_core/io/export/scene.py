@@ -28,14 +28,16 @@ from radiant_core.splats import Splats
 
 @dataclass(frozen=True, kw_only=True)
 class SpzCuts:
-    """Gaussians that SPZ cannot hold: beyond 2,047 units left out, over 379 units shrunk."""
+    """What SPZ cannot hold: Gaussians left out because they lie beyond 2,047 units, and Gaussians
+    made smaller, to 379 units."""
 
     num_left_out: int
     num_shrunk: int
 
 
 def save_spz(path: Path, splats: Splats) -> SpzCuts:
-    """Write a model as SPZ in its own coordinates, atomically; BadInput when none is in reach."""
+    """Write a model as SPZ in its own coordinates, atomically; BadInput when no Gaussian lies
+    within its reach."""
     inside = (np.abs(splats.means) < SPZ_MAX_MEAN).all(axis=1)
     kept = splats.select(inside)
     if not len(kept):

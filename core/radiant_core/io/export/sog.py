@@ -42,7 +42,8 @@ _KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 @dataclass(frozen=True, kw_only=True)
 class SogErrors:
-    """Greatest error of a centre, and root mean square errors of ln scales, sh0 and shN."""
+    """How far the stored values are from the model's: greatest error of a centre, and root mean
+    square errors of ln scales, sh0 and shN."""
 
     position_max_m: float
     log_scale_rms: float
@@ -51,7 +52,8 @@ class SogErrors:
 
 
 def save_sog(path: Path, splats: Splats) -> SogErrors:
-    """Write N > 0 Gaussians to `path`, atomically, along a Z curve; BadInput when it cannot."""
+    """Write at least one Gaussian to `path`, atomically, along a Z curve; BadInput without any, or
+    when it cannot be written."""
     if not len(splats):
         raise BadInput(f"cannot write {path}: the model has no Gaussians, and SOG cannot say so.")
     ordered = splats.select(morton_order(splats.means))
@@ -158,7 +160,8 @@ def _quat_bytes(quats: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _quantize(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
-    """Codes and 256 rising values: Lloyd's iteration on a histogram, from a density ∝ f^⅓."""
+    """Codes of the shape of `values`, and 256 rising values: Lloyd's iteration on a histogram,
+    begun with a density ∝ f^⅓."""
     low, high = float(values.min()), float(values.max())
     if high <= low:
         return np.zeros(values.shape, np.uint8), np.full(CODES, low)

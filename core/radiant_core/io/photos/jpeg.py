@@ -28,7 +28,8 @@ _RGB, _UNSPECIFIED = 2, 0
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH = 0x920A
 MAX_VALUE_BYTES = 1024
-"""Of one tag, more than is needed here: a directory may name thousands of 64 KiB, all the same."""
+"""Of one tag: none that is read here needs more, and a directory may name thousands of 64 KiB, all
+of the same bytes."""
 LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = range(1, 7)
 
 
@@ -69,7 +70,7 @@ def read_jpeg_facts(data: bytes) -> JpegFacts:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Marker, start and end of each segment's content, up to the first start of scan."""
+    """Marker, start and end of each segment's content, up to and with the first start of scan."""
     offset = 2 if data[:2] == b"\xff\xd8" else len(data)
     while offset + 4 <= len(data) and data[offset] == 0xFF:
         marker = data[offset + 1]
@@ -98,7 +99,8 @@ def read_tiff_bits(tiff: bytes) -> int:
 
 
 def has_tiff_alpha(tiff: bytes) -> bool:
-    """Whether the first picture in a TIFF is RGB with a channel that may be alpha."""
+    """Whether the first picture in a TIFF is RGB with an alpha channel; a fourth channel that is
+    said to be something else is none."""
     main = _first_directory(tiff)
     is_rgb_and_one = _number(main.get(PHOTOMETRIC)) == _RGB and _number(main.get(SAMPLES_PER_PIXEL)) == 4
     # Many write RGBA without a word on what the fourth is.
@@ -133,7 +135,8 @@ Value = bytes | FloatArray
 
 
 def _directory(tiff: bytes, order: str, offset: float | None) -> dict[int, Value]:
-    """Tag → value of the directory at `offset`, without entries that point outside; or empty."""
+    """Tag → value of the directory at `offset`, entries that point outside left out; empty when
+    there is none or it does not fit."""
     if offset is None or not 8 <= offset <= len(tiff) - 2:
         return {}
     offset = int(offset)

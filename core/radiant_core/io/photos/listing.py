@@ -105,7 +105,8 @@ class PhotoListing:
         return {skipped.name for skipped in self.skipped} | self.copies.keys()
 
     def without_odd_suffixes(self) -> PhotoListing:
-        """Without photographs whose suffix is none: nothing can be written under such a name."""
+        """The listing without photographs whose name does not say what they are: nothing can be
+        written under such a name."""
         odd = [photo.name for photo in self.photographs if photo.path.suffix.lower() not in SUFFIXES]
         reason = f"has a name without {', '.join(SUFFIXES)}, under which it cannot be undistorted (rename it, in the model too)"
         skipped = tuple(Skipped(name=name, reason=reason) for name in odd)
@@ -113,7 +114,8 @@ class PhotoListing:
         return replace(self, photographs=kept, skipped=(*self.skipped, *skipped))
 
     def without_copies(self) -> PhotoListing:
-        """Without copies of other photographs. BadInput where fewer than two are left."""
+        """The listing without photographs that hold the same bytes as another one. Raises BadInput
+        where fewer than two are left."""
         paths = {photo.name: photo.path for photo in self.photographs}
         copies = file_copies(paths)
         left = tuple(photo for photo in self.photographs if photo.name not in copies)
@@ -127,7 +129,8 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
     """The usable photographs (JPEG, PNG, TIFF) directly in `folder`; others are skipped and named.
 
     `on_photo(done, total)` is called after each file; `names` asks for these files only, subfolders
-    with '/' allowed. BadInput for no folder or fewer than two usable photographs.
+    with '/' allowed. Raises BadInput when `folder` is missing, is no folder, or holds fewer than
+    two usable photographs.
     """
     if not folder.is_dir():
         raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
@@ -180,10 +183,10 @@ def unread_files(folder: Path) -> dict[str, int]:
 
 
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
-    """GPS (degrees, degrees, metres or NaN) or None by file name, directly in `folder`, sorted.
+    """GPS (degrees, degrees, metres or NaN) or None of the photographs in `folder`, by sorted name.
 
-    Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where
-    there is no such folder or no photograph.
+    Reads the head of each file only; `on_photo(done, total)` is called after each. Raises BadInput
+    where there is no such folder or no photograph.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -203,7 +206,8 @@ def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | No
 
 
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:
-    """The photograph (H,W,3) RGB in 0..1, area-averaged to `size_wh` px; BadInput if not whole."""
+    """The photograph (H,W,3) float32 RGB in 0..1, area-averaged to `size_wh` px; BadInput when it
+    is not whole or cannot be decoded."""
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     image = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
@@ -214,8 +218,8 @@ def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]
 
 
 def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
-    """The photograph (H,W,3) uint8 RGB of at most `long_side_px`, raising as
-    `load_photograph`. A JPEG is decoded at an eighth of its size where that is large enough."""
+    """The photograph (H,W,3) uint8 RGB of at most `long_side_px`; raises as `load_photograph`. A
+    JPEG is decoded at an eighth of its size where that is large enough."""
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     size_wh = read_size_wh(data) or (1, 1)
     reduced = cv2.IMREAD_REDUCED_COLOR_8 if max(size_wh) >= 16 * long_side_px else cv2.IMREAD_COLOR
@@ -237,7 +241,8 @@ def has_alpha(path: Path) -> bool:
 
 
 def decode_image(data: bytes, flags: int) -> NDArray[Any] | None:
-    """A JPEG, PNG or TIFF by `cv2.imdecode`, or None; no memory for one that cannot hold it."""
+    """A JPEG, PNG or TIFF as `cv2.imdecode` gives it, or None; nothing is allocated for a file that
+    cannot hold what it promises."""
     size_wh, whole, _ = _facts(data)
     if size_wh is None or not whole or _promises_too_much(size_wh, data):
         return None
@@ -263,7 +268,7 @@ def _promises_too_much(size_wh: tuple[int, int], data: bytes) -> bool:
 
 
 def _subfolders(folder: Path) -> list[Skipped]:
-    """The folders in `folder` that hold JPEG files, as cameras start them; they are not read."""
+    """The folders in `folder` that hold JPEG files; a camera starts one when the last is full."""
     inner_folders = [inner for inner in folder.iterdir() if inner.is_dir() and os.access(inner, os.R_OK | os.X_OK)]
     counts = {inner.name: sum(_is_jpeg(path) for path in inner.iterdir()) for inner in inner_folders}
     reason = "is a subfolder with {} photographs (move them beside the others to use them)"
@@ -309,7 +314,7 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
 def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
     """Size in px (None for other formats), whether the file has its end, and its EXIF."""
     if data.startswith(TIFF_SIGNATURES):
-        # Where the pixels of a TIFF end its decoder alone finds out, which refuses a cut one.
+        # Where the pixels of a TIFF end its decoder alone finds out, which refuses one cut off.
         return read_tiff_size(data), True, read_exif(data)
     if data.startswith(_PNG_SIGNATURE):
         return _png_facts(data)
@@ -335,7 +340,7 @@ def _png_is_whole(data: bytes) -> bool:
 
 
 def _is_all_but_black(data: bytes) -> bool:
-    """Whether an image of 16 bits holds values of 12 or fewer, which as 8 bits are black."""
+    """Whether an image of 16 bits holds values of 12 or fewer bits, which look black in 8 bits."""
     bits = data[24] if data.startswith(_PNG_SIGNATURE) else read_tiff_bits(data)
     if bits != 16:
         return False
@@ -344,6 +349,6 @@ def _is_all_but_black(data: bytes) -> bool:
 
 
 def _decodes(data: bytes, size_wh: tuple[int, int]) -> bool:
-    """Whether all of it decodes to the promised shape (within the rounding of 1/8 size)."""
+    """Whether the whole bit stream decodes to the promised shape (within rounding of 1/8 size)."""
     image = decode_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
     return image is not None and all(abs(got * 8 - want) <= 8 for got, want in zip(image.shape[::-1], size_wh, strict=True))

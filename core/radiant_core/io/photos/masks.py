@@ -26,7 +26,7 @@ def mask_name(name: str) -> str:
 
 
 def find_masks(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """Photograph → file of its mask where there is one. BadInput where none fits."""
+    """Photograph → file of its mask, where it has one. BadInput where no name in `folder` fits."""
     if not folder.is_dir():
         raise BadInput(f"the folder of masks {folder} does not exist: give a folder with one PNG per photograph, named photograph.jpg.png.")
     places = {name: (folder / mask_name(name), folder / PurePosixPath(name).with_suffix(".png")) for name in names}
@@ -90,8 +90,8 @@ def save_mask(path: Path, used: NDArray[np.bool_]) -> None:
 
 
 def pixel_weights(folder: Path | None, cameras: Cameras) -> tuple[NDArray[np.uint8], ...] | None:
-    """Per camera the used share (H,W) of each pixel, 255 for all, from masks of `save_mask`; None
-    without any. BadInput where a mask cannot be decoded."""
+    """Per camera the used share (H,W) of each of its pixels, 255 for all of it, from masks that
+    `save_mask` wrote; None without any. Raises BadInput where a mask cannot be decoded."""
     if folder is None or not any((folder / mask_name(name)).is_file() for name in cameras.names):
         return None
     sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]

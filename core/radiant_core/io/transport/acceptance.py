@@ -1,9 +1,9 @@
-"""Which uploads an edge or the cloud accepts, as pure functions. Once per upload.
+"""Which uploads an edge or the cloud accepts: pure functions of a state. Once per upload.
 
 Of the uploads of a region, the first valid one (right run, receiver and sender) wins. A second one
 is a duplicate where its files are the same, which acknowledges it again, else it is rejected. A
-sender repeats its upload until it is acknowledged or rejected; repeating does no harm. Signatures
-and hashes are checked before: `delivery.py`.
+sender repeats its upload until it is acknowledged or rejected; repeating does no harm. Pure, so
+that tests can try every order of events. Signatures and hashes are checked before: `delivery.py`.
 
 Tasks, which go down, follow the other law (`LastTask`): a task replaces the one before, so the
 newest attempt wins and no older one comes back.
@@ -35,7 +35,7 @@ class Offer:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What became of an offer; "duplicate" means for its sender, as "accepted", that it is done."""
+    """What became of an offer; its sender is done after "duplicate" as after "accepted"."""
 
     status: Status
     reason: str = ""
@@ -87,7 +87,8 @@ class LastTask:
     digest: str = ""
 
     def offer(self, offer: Offer) -> tuple[LastTask, Verdict]:
-        """The state after a task arrived, and the verdict; the same task again is a duplicate."""
+        """The state after a task arrived, and the verdict; the same task again, on which a
+        restarted node works, is a duplicate."""
         reason = _stray(offer, self.run, self.receiver)
         if not reason and offer.sender != self.sender:
             reason = f"it comes from {offer.sender[:80]!r}, tasks for {self.receiver!r} come from {self.sender!r}."

@@ -61,7 +61,7 @@ _NODE = re.compile(r"[^\s/][^\n\0]{0,254}")
 
 @dataclass(frozen=True, kw_only=True)
 class SentFile:
-    """Length and SHA-256 of a file; of a folder its bytes in all and its `content_key`."""
+    """Length and SHA-256 of a file; of a folder the bytes of its files and its `content_key`."""
 
     bytes: int
     sha256: str
@@ -130,7 +130,7 @@ def load_delivery(folder: Path, key: Ed25519PublicKey) -> Delivery:
 
 
 def verify_delivery(record: bytes, signature: bytes, key: Ed25519PublicKey, where: str = "a delivery") -> Delivery:
-    """The delivery in the bytes of a record, which are parsed only where the signature is right."""
+    """The delivery in the bytes of a record, which are parsed only once the signature is right."""
     if not is_signed_by(key, signature, _DOMAIN + record):
         raise BadInput(f"{where} is not signed by the key that is registered for its sender: send it again, or register the new key.")
     with name_file_in_errors(Path(where)):
@@ -138,7 +138,8 @@ def verify_delivery(record: bytes, signature: bytes, key: Ed25519PublicKey, wher
 
 
 def check_files(delivery: Delivery, folder: Path) -> None:
-    """Raise BadInput unless the files in `folder` are the delivery's, to the bit; lengths first."""
+    """Raise BadInput unless the files in `folder` are the delivery's, to the bit; lengths are
+    compared before anything is read."""
     for name, file in delivery.files.items():
         path = folder / name
         try:

@@ -1,4 +1,4 @@
-"""Ed25519 keys of senders, as PEM files; the public one is registered with the receiver.
+"""Ed25519 keys of senders, as PEM files: a receiver registers the public one of each sender.
 
     <sender>/identity/signing_key.pem    private, PKCS 8, mode 0600; made once, never copied
     <sender>/identity/signing_key.pub    public; its copy <receiver>/senders/<sender>.pub registers
@@ -36,7 +36,7 @@ OTHERS = 0o077
 
 def make_signing_key(folder: Path) -> bool:
     """Make a key pair in `folder` (made with mode 0700); False where there is one, which stays.
-    BadInput when it cannot be written."""
+    Raises BadInput when it cannot be written."""
     private, public = folder / KEY_NAME, folder / PUBLIC_NAME
     if private.exists():
         write_atomic(public, _public_pem(load_signing_key(folder)))
@@ -70,7 +70,7 @@ def load_signing_key(folder: Path) -> Ed25519PrivateKey:
 
 
 def keeps_modes(folder: Path) -> bool:
-    """Whether `folder` keeps a file private; NTFS, exFAT and many network drives do not."""
+    """Whether a private file in `folder` stays so; NTFS, exFAT, many network drives lack modes."""
     probe = folder / f".mode-{secrets.token_hex(4)}"
     try:
         os.close(os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
@@ -79,7 +79,7 @@ def keeps_modes(folder: Path) -> bool:
         finally:
             probe.unlink()
     except OSError:
-        # Where nothing can be written: a key that others may read is then refused.
+        # Where nothing can be written, this is unknown: a key that others may read is then refused.
         return True
 
 

@@ -57,7 +57,7 @@ def save_upload(path: Path, splats: Splats, upload_format: UploadFormat) -> None
 
 
 def load_upload(path: Path) -> Splats:
-    """The model in any of the formats; StoreDamaged when broken, BadInput when something else."""
+    """The model in any of the formats; StoreDamaged when broken, BadInput when it is no model."""
     schema = schema_of(path)
     if schema == FLOAT16_SCHEMA:
         return _load_float16(path)
@@ -148,7 +148,8 @@ def _load_spz(path: Path) -> Splats:
 
 
 def _spz_frame(splats: Splats) -> tuple[FloatArray, int]:
-    """Middle (3,) and exponent e of stored = (mean − middle) · 2^e: the finest steps that fit."""
+    """Middle (3,) and exponent e of stored = (mean − middle) · 2^e: the finest steps at which all
+    centres and sizes fit."""
     if not len(splats):
         return np.zeros(3), 0
     means = splats.means.astype(np.float64)

@@ -25,7 +25,8 @@ def geojson_rows(text: str) -> WaypointRows:
 
 
 def geojson_geometries(text: str) -> Iterator[tuple[str, str, Any]]:
-    """Place, feature's name and value of each geometry, collections opened; BadInput as above."""
+    """Where each geometry of a GeoJSON text stands, its feature's name, and itself, with
+    collections opened; BadInput as above."""
     try:
         value = json.loads(text, parse_constant=float)
     except (ValueError, RecursionError) as error:

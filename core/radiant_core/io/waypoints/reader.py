@@ -74,10 +74,11 @@ def read_waypoints(path: Path) -> FoundWaypoints:
 
 
 def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> FoundWaypoints:
-    """The GPS of photographs (JPEG, PNG) directly in `folder`; `on_photo(done, total)` after each.
+    """The GPS positions of the photographs (JPEG, PNG) directly in `folder`, by name.
 
-    Photographs at one position all stay, copies of a file do not. Raises BadInput when it is no
-    folder, when it holds no photograph, or when none has a position.
+    `on_photo(done, total)` is called after each. Photographs at one position all stay, copies of a
+    file do not. Raises BadInput when it is no folder, when it holds no photograph, or when none has
+    a position.
     """
     found = photograph_positions(folder, on_photo)
     copies = file_copies({name: folder / name for name in found})
@@ -132,7 +133,7 @@ def _rows(text: str, suffix: str) -> WaypointRows:
 
 @contextmanager
 def _without_cycle_collection() -> Iterator[None]:
-    """Looking for cycles, of which parsing makes none, takes 5 of 7 s of a million features."""
+    """The search for cycles, of which parsing makes none, takes 5 of 7 s of a million features."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -156,7 +157,7 @@ def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, 
 
 
 def _altitude_warnings(low: NDArray[np.bool_], geodetic: FloatArray) -> tuple[str, ...]:
-    """The warning about photographs whose GPS (P,3) has no altitude where `low` (P,)."""
+    """The warning about the photographs whose GPS (P,3) has no altitude, those of `low` (P,)."""
     if not low.any():
         return ()
     if low.all():

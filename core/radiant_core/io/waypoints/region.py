@@ -19,8 +19,8 @@ MAX_REGION_BYTES = 16_000_000
 
 def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
     """Corners (V,2) m east and north of the origin of the one simple polygon of the file's land,
-    holes left out. BadInput for a file that is too large or no GeoJSON, or without polygons or
-    with some that do not touch."""
+    holes left out. Raises BadInput for a file that is too large or no GeoJSON, or without polygons
+    or with some that do not touch."""
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give a GeoJSON file with a polygon, as 'radiant plan' writes.")
     with name_file_in_errors(path):

@@ -1,4 +1,4 @@
-"""`WaypointRows`: what a reader of a waypoint file gathers, 24 bytes and a name each."""
+"""`WaypointRows`: what a reader gathers for `clean_waypoints`, 24 bytes and a name each."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ class WaypointRows:
 
 
 def number(text: str, what: str) -> float:
-    """A number as text; BadInput naming `what` when it is none. NaN and Inf pass for now."""
+    """A number as text; BadInput naming `what` when it is none. NaN and Inf pass: the waypoint they
+    belong to is named later."""
     try:
         if "_" in text:  # Python's own way of writing 1_000
             raise ValueError

@@ -1,4 +1,5 @@
-// Kernels are built per instruction set from one source; the build is chosen by name or CPU.
+// Kernels are built once per instruction set from one source; which build runs is chosen by name or
+// by what the CPU can do.
 #pragma once
 
 #include <initializer_list>
@@ -9,7 +10,8 @@ namespace radiant {
 // Whether this CPU runs the build of that name: avx512, avx2 or portable.
 bool cpu_runs(const std::string& name);
 
-// Of `builds`, fastest first: that of the name, the first that runs for an empty name, else null.
+// Of `builds`, the fastest first: the one of that name, for an empty name the first that runs here,
+// null where there is none.
 template <class Kernels>
 const Kernels* find_build(std::initializer_list<const Kernels*> builds, const std::string& name) {
   for (const Kernels* build : builds)

@@ -159,7 +159,8 @@ class Augmenter {
     return heap.empty() ? nullptr : &heap.front();
   }
 
-  // Moves cameras on the cheapest chain to a cell with too few; false: lists are too narrow.
+  // Moves cameras from `source` along the cheapest chain to the nearest cell with too few; false
+  // where wider lists are needed.
   bool take_path(int source) {
     struct Label {
       double distance;
@@ -214,7 +215,8 @@ class Augmenter {
     return true;
   }
 
-  // Each weight to the middle of what its neighbours' cameras allow, so that borders run between.
+  // Each weight to the middle of what its neighbours' cameras allow, a few times, so that borders
+  // run between cameras.
   void centre_weights() {
     if (largest_drift_ > reach_ / 2) make_lists();
     struct Bound {
@@ -229,7 +231,7 @@ class Augmenter {
           of[from].push_back(bounds.size()), of[to].push_back(bounds.size());
           bounds.push_back({static_cast<int>(from), to, entry->extra});
         }
-    // Unlisted pairs stay apart by reach - drift; each cell may come closer by a quarter of that.
+    // Cells not listed together stay apart by reach - drift; each may come closer by a quarter.
     const double step = std::max(reach_ - largest_drift_, 0.0) / 4;
     const std::vector<double> start = w_;
     for (int sweep = 0; sweep < 8; ++sweep)

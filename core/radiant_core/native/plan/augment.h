@@ -33,7 +33,8 @@ struct AugmentResult {
   int lists;  // how often the lists were made
 };
 
-// `wanted` (E,) sums to the tree's cameras; `reach` m^2: the first band. Weights are centred.
+// `wanted` (E,) sums to the tree's cameras; `reach` m^2 is the first band. Weights are centred in
+// what the cameras leave free.
 AugmentResult augment_to_counts(const CameraTree& tree, PowerSites& sites, const std::vector<std::int64_t>& wanted,
                                 const std::vector<double>& weights, double reach);
 

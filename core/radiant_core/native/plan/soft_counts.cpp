@@ -73,7 +73,8 @@ struct SoftCount {
 };
 
 // (Laplacian + n / longest) step = gradient by conjugate gradients, preconditioned by the diagonal.
-// Cells that share no camera have a singular Laplacian: they move by `longest` times their lack.
+// Groups of cells that share no camera have a singular Laplacian: they move as one by `longest`
+// times the share of cameras they lack.
 std::vector<double> newton_step(const std::vector<Row>& rows, const std::vector<double>& gradient, const std::vector<std::int64_t>& wanted,
                                 double longest) {
   const std::size_t n = rows.size();

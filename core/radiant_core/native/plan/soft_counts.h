@@ -5,7 +5,8 @@
 //
 // with p = softmax(-f/t), concave and smooth for every t > 0; t falls until a border's band holds a
 // few cameras. Boxes in which no difference of candidates changes by more than a few t are one
-// place. Where a cell lacks nearly all cameras the augmenting paths do the rest.
+// place. Where a cell lacks nearly all its cameras the Hessian says nothing, and the rest is left
+// to the augmenting paths.
 #pragma once
 
 #include <vector>

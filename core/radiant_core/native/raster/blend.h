@@ -37,7 +37,8 @@ RADIANT_INLINE F alpha_of(const F& t) {
   return keep(broadcast(kLog2AlphaMin) <= t, min(exp2_of_negative(t), broadcast(kAlphaMax)));
 }
 
-// Blends the Gaussians of `list` into 16 pixels at (x, y) from the centre, `last` where one ends.
+// Blends the Gaussians of `list` into the 16 pixels at (x, y) from the tile's centre. `last` keeps
+// what it holds for pixels that no Gaussian finishes.
 RADIANT_INLINE Pixels blend_block(const Row* rows, const uint32_t* list, uint32_t count, const F& x, const F& y, int32_t* last) {
   const F zero = broadcast(0.0f);
   Pixels p = {broadcast(1.0f), zero, zero, zero, zero, zero};

@@ -1,4 +1,5 @@
-// One tile on the way back: moments of every instance, for project_backward. Per tile and camera.
+// One tile on the way back: moments of every instance, from which project_backward makes all
+// gradients. Per tile and camera.
 //
 // With g the pixel's gradient, T_i the transmittance before Gaussian i, B_i what is seen behind it:
 //     ∂loss/∂ln α_i = w_i (c_i·g − B_i)

@@ -1,4 +1,5 @@
-// Memory that outlives a call: growing arrays in huge pages, and blocks pooled after Python's use.
+// Memory that outlives a call: growing arrays in huge pages, and blocks that return to a pool when
+// Python releases them.
 #pragma once
 
 #include <cstddef>
@@ -7,11 +8,12 @@
 
 namespace radiant {
 
-// Bytes from the system, undefined, in 2 MiB pages where large; throws std::bad_alloc.
+// Bytes from the system, in 2 MiB pages where large, not initialised; throws std::bad_alloc.
 void* allocate_pages(std::size_t bytes);
 void free_pages(void* memory) noexcept;
 
-// A block of at least `bytes`: the smallest free one below twice that, else new.
+// A block of at least `bytes`: the smallest free one that is not twice as large, else a new one.
+// Blocks that were not taken for a while go back to the system.
 void* pool_take(std::size_t bytes);
 void pool_return(void* memory) noexcept;
 

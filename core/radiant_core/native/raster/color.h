@@ -1,4 +1,4 @@
-// Colours along the line of sight from spherical harmonics, and back. 16 Gaussians at a time.
+// Colours along the line of sight from spherical harmonics (as in harmonics.py), and back.
 #pragma once
 
 #include "machine/simd_rows.h"
@@ -69,7 +69,8 @@ RADIANT_INLINE void basis(const F d[3], F* value, F (*slope)[3]) {
 
 constexpr float kSh0 = 0.28209479177387814f;
 
-// Colours (3) along `direction`, and ∂colour/∂direction (3 × 3) or null; both 0 where clamped at 0.
+// Colours (3) along `direction`, and ∂colour/∂direction (3 × 3) if slopes is not null; both 0 where
+// the colour is clamped at 0.
 template <int kDegree>
 RADIANT_INLINE void shade(const SplatArrays& splats, int64_t first, int lanes, uint32_t wanted, const F direction[3], F color[3], F* slopes) {
   constexpr int kBases = (kDegree + 1) * (kDegree + 1) - 1;
@@ -134,7 +135,8 @@ RADIANT_INLINE void harmonics_backward(const SplatArrays& splats, int64_t first,
   }
   if (!out.shN || splats.num_rest == 0) return;
   const int stride = 3 * splats.num_rest;
-  // By rows, last to first, as the last vector of a row reaches into the next.
+  // Rows one after another; the last vector of a row reaches into the next, which is written later,
+  // hence parts from last to first.
   constexpr int kParts = (3 * kBases + kLanes - 1) / kLanes;
   alignas(64) float rows[kLanes * 3 * kBases + kLanes];
   if constexpr (kDegree > 0) {

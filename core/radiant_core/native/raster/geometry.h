@@ -2,9 +2,11 @@
 //
 //     Σ' = J W R S Sᵀ Rᵀ Wᵀ Jᵀ + 0.3 px² I
 //     det Σ = (fx fy / z²)² Σ_k (s_i s_j)² ((x/z, y/z, 1) · W r_k)²
-// with r_k the axes of a Gaussian, s their lengths: a sum of squares keeps all digits of needles.
-// Centres go through float64: float32 world coordinates would shift them by up to 1e-3 px. The
-// Jacobian is clamped and differentiated as in torch_reference.py (`_jacobians`).
+// with r_k the axes of a Gaussian, s their lengths: a sum of squares, so flat and needle-like
+// Gaussians keep all digits. Centres go through float64 (once per Gaussian): float32 world
+// coordinates would shift them by up to 1e-3 px. The Jacobian is taken at x/z, y/z clamped to 0.15
+// image sizes outside the image and differentiated as computed: `_jacobians` in torch_reference.py
+// says why.
 #pragma once
 
 #include "machine/simd_math.h"
@@ -13,7 +15,7 @@
 
 namespace radiant::RADIANT_ISA {
 
-// The projection for both directions. Lanes that are not `usable` hold harmless numbers.
+// The part of the projection that both directions need. Lanes not `usable` hold harmless numbers.
 struct Geometry {
   F ratio_x, ratio_y, inverse_z;            // x/z, y/z, 1/z (z = 1 where out of range)
   F clamped_x, clamped_y;                   // where the Jacobian is taken

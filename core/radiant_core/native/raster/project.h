@@ -14,7 +14,8 @@ struct Reach {
   F top;                      // y (relative) of the rightmost point
 };
 
-// Tiles of one row that the ellipse reaches, exact as ellipse ∩ slab is convex; by pixel centres.
+// Which tiles of one row the ellipse reaches: exact, since ellipse ∩ slab is convex. Pixel centres,
+// not borders, bound a tile.
 RADIANT_INLINE void row_span(const View& view, const Reach& r, const F& row, F& first, F& last) {
   const F margin = broadcast(1e-2f);
   const F low = row * static_cast<float>(kTilePx) + 0.5f - r.center_y, high = low + static_cast<float>(kTilePx - 1);
@@ -54,7 +55,8 @@ RADIANT_INLINE void list_tiles(const View& view, const Reach& r, uint32_t visibl
     most = rows > most ? rows : most;
   }
   if (spans.size + bound > spans.capacity) spans.reserve(spans, spans.size + bound);
-  // Row by row for all lanes; spans are in order of Gaussians: each lane has its own place.
+  // Row after row for all lanes at once; spans stand Gaussian after Gaussian, so each lane writes
+  // from its own place.
   Span* place[kLanes];
   Span* next = spans.data + spans.size;
   for (int lane = 0; lane < kLanes; ++lane) {

@@ -40,7 +40,8 @@ RADIANT_INLINE F ratio_difference(const Geometry& g, int i, int j) {
   return select(d2 < broadcast(0.25f), near, far);
 }
 
-// ∂loss by the lengths, by turns about the axes over `ratio_difference`, by the Jacobian's place.
+// ∂loss by the Gaussian's lengths, by a turn about each of its axes over `ratio_difference` of the
+// other two, and by where the Jacobian is taken.
 struct ShapeGradients {
   F log_scales[3], turns[3], clamped_x, clamped_y;
 };
@@ -116,8 +117,9 @@ RADIANT_INLINE void rotation_backward(const Geometry& g, const F turns[3], F qua
   quats[3] = x * t[1] - y * t[0] + w * t[2];
 }
 
-// A gradient beyond float32 (a quaternion of length 1e-36, say) is held at the largest number, inf
-// in the reference. NaN stays: min and max return their second argument.
+// A gradient that leaves float32 (a quaternion of length 1e-36, say) is held at the largest number,
+// where the reference holds inf. No number stays none: it is the second of two that min and max
+// hand on.
 RADIANT_INLINE F finite(Mask visible, const F& a) { return keep(visible, max(broadcast(-1e37f), min(broadcast(1e37f), a))); }
 
 RADIANT_INLINE void clear(const SplatArrays& splats, int64_t first, int lanes, const SplatGradients& out) {

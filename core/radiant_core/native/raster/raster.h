@@ -85,7 +85,7 @@ class RenderedView {
   BlendState blend_{};
 };
 
-// The kernels of `name`, or the fastest for an empty one; null if there is none of that name.
+// The kernels of `name`, or the fastest for an empty one; null if this CPU or build has none of it.
 const Kernels* find_kernels(const std::string& name);
 
 }  // namespace radiant

@@ -41,14 +41,16 @@ struct SplatArrays {
   const float *means, *quats, *log_scales, *logit_opacities, *sh0, *shN;
 };
 
-// Gradients of the same shapes; null: not wanted. `add`: to what is there, else overwritten.
-// `stream`: past the caches; all arrays then start at whole lines of 64 bytes.
+// Gradients of the same shapes; a null pointer is not wanted. `add`: to what is there, else it is
+// overwritten. `stream`: past the caches, since they could not hold it; all arrays then start at
+// whole lines of 64 bytes.
 struct SplatGradients {
   float *means, *quats, *log_scales, *logit_opacities, *sh0, *shN;
   bool add, stream;
 };
 
-// One cache line per Gaussian. Centre: whole pixels plus a rest; one float32 is 3e-5 px off.
+// One cache line per Gaussian. The centre is whole pixels plus a rest: one float32 would be off by
+// 3e-5 px at 500 px.
 struct alignas(64) Footprint {
   float whole_x, whole_y, rest_x, rest_y;   // px
   float l11, l12, l22;                      // px⁻¹
@@ -90,12 +92,14 @@ struct Entry {
   uint32_t instance;
 };
 
-// Sums over an instance's or Gaussian's pixels of h = ∂loss/∂ln α, (u, v), ∂loss/∂(colour, depth).
+// Sums over the pixels of one instance, or of all of a Gaussian's, of h = ∂loss/∂ln α, (u, v) as
+// above, and ∂loss by colour and depth.
 struct Moments {
   float h, hu, hv, huu, huv, hvv, red, green, blue, depth;
 };
 
-// Sums of |∂loss/∂m| by x and y, times k/l₁₁ and k, k = ½ log₂e: nothing cancels (AbsGS, Ye 2024).
+// Sums over the same pixels of |∂loss/∂m| by x and y, times k/l₁₁ and k, k = ½ log₂e: nothing
+// cancels in them (AbsGS, Ye 2024).
 struct AbsoluteMoments {
   float x, y;
 };

@@ -4,7 +4,8 @@
 // x -= rate / (1 - beta1^t) m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon)
 //
 // Bound by memory: seven floats move per float of x; rows that are not visible are neither read nor
-// written, and each counts its own steps t. Included only by training/kernels.cpp.
+// written, and each counts its own steps t, so that a Gaussian seen for the first time late starts
+// as one seen at once. Included only by training/kernels.cpp.
 #pragma once
 
 namespace radiant::training::RADIANT_ISA {
@@ -37,7 +38,8 @@ RADIANT_INLINE void adam_values(const AdamJob& job, int64_t begin, int64_t end, 
   }
 }
 
-// Scattered rows defeat the hardware's prefetcher: prefetching kAhead runs took a third off.
+// Scattered rows come too irregularly for the hardware's prefetcher: asking for the rows kAhead
+// runs later took a third off the time.
 constexpr int64_t kAhead = 8;
 
 RADIANT_INLINE void prefetch_rows(const float* values, Run run, int64_t columns) {

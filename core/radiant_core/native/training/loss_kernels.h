@@ -143,7 +143,8 @@ inline void write_row_sums(const LossJob& job, int64_t y, const RowSums& sums) {
   job.row_sums[2 * y + 1] = added(sums.distance);
 }
 
-// The derivatives of rows y to y + count (<= kGroup) into the ring; row sums from begin to end.
+// The derivatives of rows y to y + count (at most kGroup) into the ring; row sums only of rows
+// begin to end, which are this thread's.
 inline void derivative_rows(const LossJob& job, const Scratch& scratch, int64_t y, int64_t count, int64_t begin, int64_t end) {
   const int64_t values = 3 * job.width, whole = values / kLanes * kLanes;
   const float *images[kSpan], *targets[kSpan];
@@ -231,7 +232,7 @@ inline void loss_rows(const LossJob& job, int64_t begin, int64_t end, float* mem
   }
 }
 
-// Means and variances of the target in double, as var = blur(y^2) - blur(y)^2 cancels.
+// Means and variances of the target in double, once per target: blur(y^2) - blur(y)^2 cancels.
 inline void statistics_rows(const StatisticsJob& job, int64_t begin, int64_t end, float* memory) {
   const int64_t values = 3 * job.width, stride = row_stride(job.width);
   memset(memory, 0, sizeof(float) * loss_scratch(job.width));

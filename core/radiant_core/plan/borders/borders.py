@@ -1,4 +1,4 @@
-"""Borders of two regions: one straight line at most, as power cells are convex. Once per plan."""
+"""The border that two regions share: at most a line, as power cells are convex. Once per plan."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from radiant_core.plan.plans import CloudPlan
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Border:
-    """Ends (2,2) m; regions `first` < `second`, `first` to the left from end to end."""
+    """Between the regions `first` < `second`, indices of edges; ends (2,2) m, with `first` to the
+    left on the way from end to end."""
 
     first: int
     second: int
@@ -36,7 +37,7 @@ class Border:
 
 
 def shared_borders(plan: CloudPlan) -> tuple[Border, ...]:
-    """All borders between two regions, by `first`, then around it; no outer edge of the scene."""
+    """All borders between two regions, by `first`, then around it; not the scene's outer edge."""
     found: list[Border] = []
     for edge, polygon in enumerate(plan.borders):
         if len(polygon) < 3:

@@ -1,4 +1,4 @@
-"""Buffer captures: positions of a neighbouring region that see into a device's own, taken as well.
+"""Buffer captures: positions of a neighbouring region that a device takes as they see its own.
 
 Without them an image near a border trains only the side its camera stands on. A position comes into
 question for every other region into which it sees at least `min_share` of its footprint, or whose
@@ -28,7 +28,8 @@ from radiant_core.plan.system import Edge, System
 
 @dataclass(frozen=True, kw_only=True)
 class BufferRule:
-    """The candidates; BadInput unless exactly one of the first two is given, in its range."""
+    """Which positions come into question. Raises BadInput unless exactly one of the first two is
+    given, in its range."""
 
     min_share: float | None = None
     """Least share of the footprint inside the region, above 0 and at most 1."""
@@ -101,7 +102,8 @@ def _near(positions: FloatArray, border: FloatArray, others: NDArray[np.bool_], 
 
 
 def _seeing(shares: RegionShares, index: int, edge_of_camera: NDArray[np.int64], min_share: float) -> NDArray[np.int64]:
-    """Cameras (K,) of other regions with at least that share in a region, largest first."""
+    """Cameras (K,) of other regions with at least that share of their footprint in a region, the
+    largest share first."""
     rows, values = shares.of_region(index)
     kept = (values >= min_share) & (edge_of_camera[rows] != index)
     return rows[kept][np.lexsort((rows[kept], -values[kept]))]
@@ -140,7 +142,8 @@ def _take(
 def _nearest_with_room(
     edge: Edge, plan: EdgePlan, places: FloatArray, own: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Device (K,) of the strip nearest to each place (K,2), and whether it has memory left."""
+    """Device (K,) whose strip is nearest to each place (K,2) among those that own land, and whether
+    its memory still holds it."""
     device_of, fits = np.zeros(len(places), np.int64), np.zeros(len(places), bool)
     landed = [index for index, strip in enumerate(plan.strips) if len(strip) >= 3]
     if not landed or not len(places):

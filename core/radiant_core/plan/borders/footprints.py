@@ -21,7 +21,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
 
 HORIZON_HEIGHTS = 5.0
-"""Ground farther away than this many heights covers few pixels: at less than 11° down."""
+"""Ground farther away than this many heights covers few pixels: it lies under 11° of depression."""
 MAX_CORNERS = 8
 NADIR_DEG = -90.0
 _BLOCK = 65_536
@@ -32,7 +32,7 @@ class Optics:
     """What a camera that has not flown yet will see. BadInput for angles no flat image has."""
 
     field_of_view_deg: float = 73.7
-    """Across the image; 73.7° is a 24 mm lens on full frame, about that of most drones."""
+    """Across the image; 73.7° is a 24 mm lens on full frame, close to that of most drones."""
     aspect: float = 0.75
     """Height of the image over its width."""
 
@@ -45,7 +45,8 @@ class Optics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Views:
-    """positions (P,2) m; heights_m (P,) above ground, < 0 below; corner_rays (P,4,3), z up."""
+    """positions (P,2) m; heights_m (P,) above the ground, below 0 where a camera is under it;
+    corner_rays (P,4,3), z up, any length, around the image."""
 
     positions: FloatArray
     heights_m: FloatArray
@@ -109,8 +110,9 @@ class RegionShares:
 
 def views_before_capture(positions: ArrayLike, heights_m: ArrayLike, optics: Optics, heading_pitch_deg: ArrayLike | None = None) -> Views:
     """Views from positions (P,2) m at heights (P,) m above the ground; heading_pitch_deg (P,2):
-    degrees clockwise from north, and −90 straight down to 0 level; NaN for what is not known: a
-    pitch straight down, a heading along the way to the next position, as a drone flies."""
+    degrees clockwise from north, and −90 straight down to 0 level; NaN for what is not known: an
+    unknown pitch is straight down, an unknown heading along the way to the next position, as a
+    drone flies."""
     positions = check_array("positions", positions, (None, 2))
     count = len(positions)
     angles = np.full((count, 2), np.nan) if heading_pitch_deg is None else np.array(heading_pitch_deg, np.float64)
@@ -222,7 +224,8 @@ def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
 
 
 def _headings_deg(positions: FloatArray) -> FloatArray:
-    """Direction (P,) to the next position, of the last from the one before; else north."""
+    """Direction (P,) from each position to the next, of the last from the one before; north where
+    neither moves."""
     if len(positions) < 2:
         return np.zeros(len(positions))
     steps = np.diff(positions, axis=0)
@@ -231,7 +234,8 @@ def _headings_deg(positions: FloatArray) -> FloatArray:
 
 
 def _cut_at_horizon(rays: FloatArray, horizon: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Corner rays (P,8,3) of views (P,4,3) that meet ground within the horizon, and which do."""
+    """Corner rays (P,8,3) of the views (P,4,3) where they meet ground within the horizon, and which
+    (P,) do at all."""
     middle = rays.sum(axis=1)[:, :2]
     length = np.linalg.norm(middle, axis=1, keepdims=True)
     # A view straight down has no direction: north does.
@@ -244,7 +248,8 @@ def _cut_at_horizon(rays: FloatArray, horizon: float) -> tuple[FloatArray, NDArr
 
 
 def _clip(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Cones (P,V,3) clipped to normal · d ≤ 0: (P,V+1,3), numbers of rays (Sutherland, Hodgman)."""
+    """Cones (P,V,3), the last ray repeated, clipped to normal · d ≤ 0: (P,V+1,3) and numbers of
+    rays (Sutherland, Hodgman)."""
     heights = np.einsum("pvi,pi->pv", rays, normals)
     if not (heights > 0).any():
         return rays, counts

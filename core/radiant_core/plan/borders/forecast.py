@@ -59,7 +59,7 @@ class RiskModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderForecast:
-    """One border, sides as `edge_ids`; ends (2,2) m, half_band_m wide as seams are measured."""
+    """One border, its sides in the order of `edge_ids`; ends (2,2) m, half_band_m as in seams."""
 
     edge_ids: tuple[str, str]
     ends: FloatArray
@@ -71,7 +71,7 @@ class BorderForecast:
     interior_support: tuple[float, float]
     """The same over the rest of each region."""
     forward_overlap: float | None
-    """None where no image that sees the band has a neighbour along its flight; or beside it."""
+    """None where no image that sees the band has a neighbour along (or beside) its flight."""
     side_overlap: float | None
     risk: Risk
 
@@ -92,7 +92,7 @@ def forecast_borders(
 ) -> tuple[BorderForecast, ...]:
     """A forecast for every border of a plan whose P cameras have these views and footprints;
     half_band_m: half the width of the band, by default `band_of`. An edge's `buffers` count as its
-    own images. BadInput when their numbers differ or the band has no width."""
+    own images. Raises BadInput when their numbers differ or the band has no width."""
     if not len(plan.edge_of_camera) == len(views) == len(footprints):
         raise BadInput(f"the plan is of {len(plan.edge_of_camera)} cameras, there are {len(views)} views and {len(footprints)} footprints.")
     half_band_m = band_of(plan) if half_band_m is None else half_band_m
@@ -127,7 +127,8 @@ def forecast_borders(
 
 
 def band_of(plan: CloudPlan) -> float:
-    """A twentieth of the smallest distance between two edges, as seams are measured; else 1 m."""
+    """Half the width of the band beside a border: a twentieth of the smallest distance between two
+    edges, 1 m where there is none."""
     sites: FloatArray = np.unique(plan.sites, axis=0)
     if len(sites) < 2:
         return 1.0
@@ -190,7 +191,7 @@ def _supports(seen: _Seen, spots: FloatArray, edges: tuple[int, int]) -> tuple[t
 
 
 def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence[Border], half_band_m: float) -> float:
-    """Own images per spot of a region outside its bands; spots where own images look, 0 without."""
+    """Own images per spot of a region outside its bands, where its own images look; 0 without."""
     own = np.flatnonzero((plan.edge_of_camera == edge) & (seen.footprints.areas_m2 > 0))
     middles = seen.footprints.polygons[own].mean(axis=1)
     distances = [border.distances_m(middles) for border in borders if edge in (border.first, border.second)]
@@ -204,7 +205,7 @@ def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence
 
 
 def _overlaps(views: Views, footprints: Footprints, tree: Any, images: NDArray[np.int64]) -> tuple[float | None, float | None]:
-    """Median over images of the share that the best neighbour along, and beside, sees as well."""
+    """Median over images of the share that the best neighbour along, or beside, sees as well."""
     best: tuple[list[float], list[float]] = ([], [])
     if not len(images):
         return None, None

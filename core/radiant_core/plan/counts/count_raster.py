@@ -38,7 +38,8 @@ MAX_CELL_INDEX = 2**40
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CountRaster:
-    """cells (S,2): [i, j] is the square from (i, j) to (i + 1, j + 1) · `cell_m`; counts (S,)."""
+    """S cells with cameras: cells (S,2), of which [i, j] is the square from (i, j) to (i + 1, j +
+    1) times `cell_m`; counts (S,) ≥ 1."""
 
     cell_m: float
     cells: NDArray[np.int64]
@@ -59,7 +60,8 @@ class CountRaster:
 
 
 def count_raster(positions: ArrayLike, cell_m: float) -> CountRaster:
-    """How many of the positions (C,2) m lie in each cell; BadInput for an unusable `cell_m`."""
+    """How many of the positions (C,2) m lie in each cell of side `cell_m`; BadInput for a cell that
+    is not positive or far too small."""
     positions = check_array("positions", positions, (None, 2))
     _require_cell(cell_m)
     indices = np.floor(positions / cell_m)
@@ -80,7 +82,8 @@ def middles_of_cells(positions: ArrayLike, cell_m: float) -> FloatArray:
 
 
 def system_without_devices(system: System, num_cameras: int) -> System:
-    """Every edge by its fitted curve and how many cameras it holds; raises as `capacity_curve`."""
+    """The system without devices: edges by fitted curve and capacity; raises as
+    `capacity_curve`."""
     return replace(system, edges=tuple(_without_devices(edge, num_cameras) for edge in system.edges))
 
 
@@ -101,10 +104,10 @@ def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = 
 
 
 def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) -> CloudPlan:
-    """The edges' part: cameras (C,2) m by the region they lie in, times by the devices' curves.
+    """What the edges make of the regions: cameras (C,2) m by the region they lie in, exact times.
     Edges without a camera in the cloud's plan get none. Cameras that an edge's devices cannot hold
     go to an edge with room, those for which the way grows least; then the plan is not certified.
-    BadInput when all edges together cannot hold them."""
+    Raises BadInput when all edges together cannot hold them."""
     positions = check_array("positions", positions, (None, 2))
     if regions.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the regions are of edges {', '.join(regions.edge_ids)}, the system has others: plan this system anew.")
@@ -137,7 +140,8 @@ def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) 
 
 
 def _hand_over(chosen: NDArray[np.int64], power_m2: FloatArray, room: NDArray[np.int64]) -> int:
-    """Move cameras, in place, from edges above their `room` (E,) to others, cheapest first."""
+    """Move cameras, in place, from edges that hold more than their `room` (E,) to others, cheapest
+    first; returns how many were moved."""
     counts = np.bincount(chosen, minlength=len(room))
     moved = 0
     while (counts > room).any():

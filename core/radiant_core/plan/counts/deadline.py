@@ -92,7 +92,7 @@ def aggregate_times_s(edge: Edge, num_cameras: ArrayLike, num_alone: ArrayLike) 
 
 
 def fastest_counts(tables: Sequence[EdgeTable], num_cameras: int) -> tuple[NDArray[np.int64], float]:
-    """Cameras per edge (E,) and makespan in seconds, the least; all cameras must fit."""
+    """Cameras per edge (E,) with the least makespan, and that in seconds; all cameras must fit."""
     slots, slot_time_s = earliest_slots([table.edge_time_s[1:] for table in tables], num_cameras)
     assert len(slots) == num_cameras, "the caller checks the capacity first"
     return np.bincount(slots, minlength=len(tables)), float(slot_time_s[-1]) if num_cameras else 0.0

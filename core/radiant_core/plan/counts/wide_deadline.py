@@ -1,4 +1,4 @@
-"""`deadline.fastest_counts` for too large tables: only the entries near the deadline are made.
+"""`deadline.fastest_counts` where tables are too large: only entries near the deadline are made.
 
 Guess: T^n(k) on a geometric grid of k, hence k_n(t) and T^m against the device deadline t by
 interpolation, and the T at which all edges together take C cameras. Then the exact entries within
@@ -35,7 +35,8 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FastestCounts:
-    """counts (E,) of the smallest makespan and times (E,) s; read-only, as they are cached."""
+    """counts (E,) with the smallest makespan and the time (E,) s of each edge with them; read-only,
+    as they are remembered for a drag."""
 
     counts: Indices
     edge_time_s: FloatArray
@@ -73,7 +74,7 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
 
 @lru_cache(maxsize=8)
 def cached_edge_counts(system: System, num_cameras: int) -> FastestCounts:
-    """`fastest_edge_counts`, once for all frames of a drag."""
+    """`fastest_edge_counts`, once for all frames of a drag, which changes none of its inputs."""
     return fastest_edge_counts(system, num_cameras)
 
 
@@ -150,7 +151,8 @@ class _Fleet:
         return np.where(is_alone, np.minimum(self.alone(counts, rows), joined_s), joined_s)
 
     def guess_quotas(self) -> FloatArray:
-        """Quotas (D,) near the optimum by interpolation; flat curves share evenly."""
+        """Quotas (D,) near the optimum, from interpolation; a slope too small to matter shares flat
+        curves evenly."""
         steps = int(np.ceil(np.log(max(self.num_cameras, 2)) / np.log(_GRID_RATIO))) + 1
         grid = np.unique(np.round(np.geomspace(1, self.num_cameras, steps)))
         counts = np.minimum(grid, np.maximum(self.limits, 1)[:, None])
@@ -234,7 +236,8 @@ class _Fleet:
         chosen = np.lexsort((owner, position + taken[owner], times))[:missing]
         extra = np.bincount(owner[chosen], minlength=len(entries))
         counts = taken + extra
-        # Any other counts take an entry later than all that are chosen.
+        # Any other counts take an entry that is not chosen, which is later than all that are; it
+        # has to be as late as what is taken unseen.
         later = [float(times[more]) for times, more in zip(entries, extra, strict=True) if more < len(times)]
         if float(base_s.max()) > min(later, default=np.inf) or not ((extra < lengths) | (counts == full)).all():
             return None
@@ -243,7 +246,8 @@ class _Fleet:
 
 
 def _interpolate(rising: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Row-wise values (R,J) where rising (R,J) reaches at (R,); 0 before, the last beyond."""
+    """Row-wise values (R,J) where rising (R,J) reaches at (R,); 0 before the first node, the last
+    value after the last."""
     below = (rising <= at[:, None]).sum(axis=1)
     left = np.clip(below - 1, 0, rising.shape[1] - 1)
     right = np.minimum(below, rising.shape[1] - 1)

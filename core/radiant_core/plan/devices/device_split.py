@@ -23,7 +23,8 @@ from radiant_core.plan.system import Edge, System
 
 
 def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[EdgePlan, ...]:
-    """One `EdgePlan` per edge for cameras (C,2) m; BadInput when they, plan and system differ."""
+    """One `EdgePlan` per edge for the cameras (C,2) m of a plan of the same system; BadInput when
+    plan and input differ."""
     positions = check_array("positions", positions, (len(plan.edge_of_camera), 2))
     if plan.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the plan is for edges {', '.join(plan.edge_ids)}, the system has others: plan this system anew.")
@@ -34,9 +35,13 @@ def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[
 
 
 def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], border: FloatArray, *, even: bool = False) -> EdgePlan:
-    """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m; strips partition `border`
-    (V,2). `even`: as many to each device, not so that the slowest is done first. An edge that is
-    known by its curve alone has no device to deal to. BadInput when the cameras do not fit."""
+    """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m, to its devices; strips
+    partition `border` (V,2) m.
+
+    `even`: as many to each device, instead of so many that the slowest is done first. An edge that
+    is known by its curve alone has nobody to deal to yet. Raises BadInput when the devices cannot
+    hold the cameras.
+    """
     if not edge.devices:
         return EdgePlan(
             edge_id=edge.id,
@@ -91,7 +96,7 @@ def long_axis(points: FloatArray) -> FloatArray:
 
 
 def _cuts(along: FloatArray) -> FloatArray:
-    """Cuts (K+1,) after k of K sorted cameras: midway to the next, at the ends the cameras."""
+    """Where a strip that ends after k of K sorted cameras is cut (K+1,): midway to the next."""
     if not len(along):
         return np.zeros(1)
     return np.concatenate([along[:1], (along[:-1] + along[1:]) / 2, along[-1:]])
@@ -100,7 +105,8 @@ def _cuts(along: FloatArray) -> FloatArray:
 def _strips(
     border: FloatArray, axis: FloatArray, cuts: FloatArray, quotas: NDArray[np.int64], dealt: NDArray[np.int64]
 ) -> list[FloatArray]:
-    """Each device's part of the border (V,2), cut across `axis` at `cuts` (K+1,), as `dealt`."""
+    """Per device its part of the border (V,2), which is cut across `axis` at `cuts` (K+1,) between
+    devices in the order `dealt`."""
     strips = [np.empty((0, 2))] * len(quotas)
     rest = border
     ends = np.cumsum(quotas[dealt])

@@ -34,7 +34,7 @@ def even_quotas(edge: Edge, num_cameras: int) -> Counts:
 
 
 def even_times_s(system: System, counts: Counts) -> FloatArray:
-    """Seconds (E,) of each edge with equal shares: the slowest device, then joining and sending."""
+    """Seconds (E,) of each edge with equal shares: its slowest device, then joining and sending."""
     return np.array([_edge_time_s(edge, even_quotas(edge, int(count))) for edge, count in zip(system.edges, counts, strict=True)])
 
 

@@ -22,7 +22,8 @@ MAX_STATES = 1 << 12
 MAX_EXCHANGED = 100
 """Devices up to which exchanges are tried: each round is cubic in them."""
 _STEPS = 1e9
-"""Lengths are compared in these parts of the land's extent: rounding must not break ties."""
+"""Lengths are compared in billionths of the land's extent, so that no rounding decides between
+orders that are equal by symmetry."""
 
 Indices = NDArray[np.int64]
 
@@ -45,7 +46,8 @@ def shortest_order(quotas: Indices, names: Sequence[str], chords_m: FloatArray) 
 
 
 def chords_across(border: FloatArray, axis: FloatArray, at: FloatArray) -> FloatArray:
-    """Lengths (T,) m of a convex polygon's (V,2) cuts across `axis` (2,) at (T,) along it."""
+    """Lengths (T,) m of a convex polygon's (V,2) cuts across the unit vector `axis` (2,) at
+    coordinates (T,) along it."""
     if len(border) < 3:
         return np.zeros(len(at))
     along, across = border @ axis, border @ np.array([-axis[1], axis[0]])

@@ -19,7 +19,7 @@ from radiant_core.numerics import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class CostCurve:
-    """Seconds or bytes against cameras. BadInput for a coefficient below 0 or not finite."""
+    """Seconds or bytes against cameras. Raises BadInput for a negative or infinite coefficient."""
 
     constant: float = 0.0
     """Cost of having any work at all."""

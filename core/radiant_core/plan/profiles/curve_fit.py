@@ -1,7 +1,8 @@
 """Cost curves from measurements: a + b·c + d·c^p with a, b, d ≥ 0, and the range they hold for.
 
 For each exponent of a grid the non-negative least squares of the relative error (Lawson, Hanson,
-1974); the best exponent wins, or the simpler curve where that gains under 1 %. Once per profile.
+1974); the best exponent wins, or the simpler curve where the power term gains less than 1 %. Once
+per profile.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ _SAME_ERROR = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class FittedCurve:
-    """A curve and its samples. BadInput for an empty range, for samples or errors that misfit."""
+    """A curve and what it rests on. Raises BadInput for an empty range, for samples that do not
+    span it, and for errors they belie."""
 
     curve: CostCurve
     smallest_count: int
@@ -35,7 +37,7 @@ class FittedCurve:
     samples: tuple[tuple[int, float], ...] = ()
     """Camera count and measured value; none for an estimate."""
     rmse: float | None = None
-    """Root mean square of relative errors at the samples; the source's scatter for an estimate."""
+    """Root mean square of relative errors at the samples; of an estimate, its source's scatter."""
     worst_error: float | None = None
     """Largest relative error at the samples."""
 
@@ -63,7 +65,7 @@ class FittedCurve:
 def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -> FittedCurve:
     """The curve nearest to values (S,) at camera counts (S,), in relative error. BadInput without
     samples, for counts below 1, values that are not positive, and values that fall with the count
-    unless they `may_fall`: a busy machine's give a flat curve and a large error."""
+    unless they `may_fall`: what a busy machine measured gives a flat curve and a large error."""
     counts = check_array("counts", counts, (None,))
     values = check_array("values", values, (len(counts),))
     _require_costs(counts, values)

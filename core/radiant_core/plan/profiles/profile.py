@@ -54,7 +54,8 @@ class ProfileKey:
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """Cost curves of one machine. BadInput for figures below 0 or an estimate without a source."""
+    """Cost curves of one machine. Raises BadInput where a figure is not positive, and for an
+    estimate without a source."""
 
     name: str
     """As a system file calls it: a name of the library, or a curve file."""
@@ -70,7 +71,8 @@ class Profile:
     model_bytes: FittedCurve
     """H: bytes of the model as float32."""
     aggregate_s: FittedCurve | None = None
-    """F_m over the edge's cameras where several models are joined: all views retrained or drawn."""
+    """F_m where several devices' models are joined, over the edge's cameras: all their views are
+    retrained on, or drawn for the cloud."""
     aggregate_alone_s: FittedCurve | None = None
     """F_m where one device has all the edge's cameras, so that nothing is joined."""
     memory_bytes: float | None = None

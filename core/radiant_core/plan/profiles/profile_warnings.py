@@ -1,4 +1,4 @@
-"""Warnings where a plan leaves what its profiles hold for: training, cameras, measurements."""
+"""Where a plan leaves what its profiles hold for: training, number of cameras, measured figures."""
 
 from __future__ import annotations
 

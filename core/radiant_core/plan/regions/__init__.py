@@ -1,1 +1,1 @@
-"""Cameras of each edge (paper Sec. III-B, ARP): transport to the cells of a power diagram."""
+"""Which edge owns which cameras (paper Sec. III-B, ARP): transport to cells of a power diagram."""

@@ -29,13 +29,14 @@ _BOXES_PER_SIDE = 64
 _CAMERAS_PER_BOX = 4
 _NEWTON_STEPS = 10
 _ROUNDING = 1e-14
-"""Share of the largest squared distance per camera that a chain must win: no endless circles."""
+"""Share of the largest squared distance per camera that a chain must win, so as not to cycle."""
 
 
 def deal_within(positions: FloatArray, sites: FloatArray, capacities: Indices) -> Dealt:
     """Deal cameras at positions (C,2) m, about a local origin, to distinct sites (E,2) m, at most
-    capacities (E,) to each; BadInput where these hold too few. Of the result `violation_m2` is over
-    edges of positive capacity, `num_paths` the chains taken."""
+    capacities (E,) to each; BadInput where these hold too few. In the result `violation_m2` is by
+    how much the worst camera misses its cell among edges of positive capacity, `num_paths` the
+    chains taken."""
     capacities = np.minimum(check_array("capacities", capacities, (len(sites),), np.int64), len(positions))
     if capacities.min(initial=0) < 0 or capacities.sum() < len(positions):
         raise BadInput(f"capacities sum to {capacities.sum()} for {len(positions)} cameras: give at least 0 each, together all cameras.")
@@ -64,13 +65,14 @@ def deal_within(positions: FloatArray, sites: FloatArray, capacities: Indices) -
 
 
 class _Boxes:
-    """Boxes of cameras: means (P,2), cameras (P,), and counts that change smoothly with weights."""
+    """Boxes of cameras: means (P,2), cameras (P,), and their counts, smooth in the weights."""
 
     def __init__(self, positions: FloatArray, sites: FloatArray) -> None:
         means, cameras, radii_m = _boxes(positions)
         self.cameras = cameras
         self.squared_m2 = np.sum((means[:, None] - sites) ** 2, axis=-1)
-        # At a border a box counts for both sides: across its radius powers differ by radius · gap.
+        # A box beside a border counts for both sides: where the border has moved by its radius,
+        # powers differ by radius · gap of the sites.
         gaps_m = np.sort(np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0)), axis=1)[:, 1:2]
         gap_m = float(np.sqrt(np.mean(gaps_m**2))) if gaps_m.size else 1.0
         self.widths_m2 = gap_m * np.maximum(radii_m, 1e-4 * max(float(np.ptp(positions, axis=0).max()), gap_m))
@@ -124,7 +126,7 @@ def _boxes(positions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _guess(positions: FloatArray, sites: FloatArray, limits: Indices) -> tuple[Indices, FloatArray]:
-    """Counts (E,) within the limits near the optimum, and weights (E,) ≤ 0 near theirs."""
+    """Counts (E,) within the limits near the optimum, and weights (E,) ≤ 0 near those for it."""
     boxes = _Boxes(positions, sites)
     weights = boxes.smooth_weights(limits)
     best, least = weights, np.inf
@@ -162,7 +164,8 @@ def _within(wanted: Indices, limits: Indices) -> Indices:
 
 
 class _Flow:
-    """The cameras of every edge, and the least cost (E,E) of moving one from edge to edge."""
+    """The cameras of every edge, and for every pair of edges the least cost of moving one camera
+    from the first to the second."""
 
     def __init__(self, positions: FloatArray, sites: FloatArray, limits: Indices, dealt: Dealt) -> None:
         self.positions, self.sites, self.limits = positions, sites, limits
@@ -194,7 +197,8 @@ class _Flow:
         return taken
 
     def middle_weights(self) -> FloatArray:
-        """Weights (E,) ≤ 0 midway between the extremes that keep cameras in cells; 0 with room."""
+        """Weights (E,) ≤ 0 midway between the extremes that keep every camera in its cell and edges
+        with room at 0."""
         room = self.counts < self.limits
         if not room.any():
             room = np.arange(len(room)) == int(self.weights.argmax())
@@ -213,11 +217,12 @@ class _Flow:
         return float(max(0.0, (weights - weights[:, None] - self.costs).max()))
 
     def _reduced_costs(self) -> FloatArray:
-        """Costs (E,E) less weight differences, cut at 0: rounding makes no negative circle."""
+        """Costs (E,E) less the difference of weights; below 0 only by rounding, hence cut off."""
         return np.maximum(self.costs + self.weights[:, None] - self.weights, 0.0)
 
     def _distances(self, room: NDArray[np.bool_]) -> tuple[FloatArray, Indices]:
-        """Cost (E,) of the cheapest chain to room and its next edge, −1 at ends (Bellman, Ford)."""
+        """Cost (E,) of the cheapest chain from each edge to one with room, and its next edge, −1 at
+        an end (Bellman, Ford)."""
         reduced = self._reduced_costs()
         distance = np.where(room, self.weights, np.inf)
         following = np.full(len(distance), -1)
@@ -271,7 +276,7 @@ class _Flow:
         self.costs[edge, others] = changes[self.movers[edge, others], np.arange(len(others))]
 
     def _changes(self, edge: int, cameras: Indices, others: Indices) -> FloatArray:
-        """(K,J) ‖x − P_j‖² − ‖x − P_edge‖² of cameras (K,), edges (J,), about their middle."""
+        """(K,J) ‖x − P_j‖² − ‖x − P_edge‖² of cameras (K,), edges (J,), about the sites' middle."""
         middles = (self.sites[others] + self.sites[edge]) / 2
         toward = 2 * (self.sites[edge] - self.sites[others])
         return self.positions[cameras] @ toward.T - np.sum(middles * toward, axis=1)

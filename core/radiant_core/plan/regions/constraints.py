@@ -1,4 +1,4 @@
-"""Decisions before the planner runs: fixed weights, locked regions, pinned cameras.
+"""Decisions made before the planner runs: fixed weights, locked regions, pinned cameras.
 
     locked region    the cameras that the edge has in the plan to start from, and no others
     fixed weight     the edge's cell in the diagram to start from, with its weight replaced;
@@ -35,7 +35,8 @@ MAX_WEIGHT_M2 = 1e17
 
 @dataclass(frozen=True, kw_only=True)
 class PlanConstraints:
-    """What is given. BadInput for weights that are not finite, for edges both fixed and locked."""
+    """What is given. Raises BadInput for weights that are not finite and for edges that are both
+    fixed and locked."""
 
     fixed_weights_m2: Mapping[str, float] = field(default_factory=dict[str, float])
     """Weight per edge id, on the scale of the plan to start from."""
@@ -63,7 +64,8 @@ class PlanConstraints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reference:
-    """Weights (E,) m² and edge of each camera (C,), None without a plan to start from."""
+    """What constraints refer to: weights (E,) m², and the edge of each camera (C,), None without a
+    plan to start from."""
 
     weights: FloatArray
     edge_of_camera: Indices | None
@@ -71,7 +73,8 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConstrainedDealing:
-    """Edge (C,) per camera, weights (E,) m², times (E,) s, worst violation, decisions in words."""
+    """The edge of each camera (C,), weights (E,) m², times (E,) s, the worst violation among what
+    is free, the constraints in words."""
 
     edge_of_camera: Indices
     weights: FloatArray
@@ -84,8 +87,8 @@ def deal_around(
     cameras: FloatArray, sites: FloatArray, system: System, constraints: PlanConstraints, reference: Reference
 ) -> ConstrainedDealing | str:
     """Deal cameras (C,2) m to sites (E,2) m under constraints; a sentence where memory forbids it.
-    BadInput for unknown edges and cameras, for a locked region without a plan to start from, and
-    for a camera of a locked region pinned elsewhere."""
+    Raises BadInput for unknown edges and cameras, for a locked region without a plan to start from,
+    and for a camera of a locked region pinned elsewhere."""
     ids = [edge.id for edge in system.edges]
     fixed, locked = _flags(ids, tuple(constraints.fixed_weights_m2)), _flags(ids, constraints.locked)
     weights = reference.weights.copy()
@@ -106,7 +109,7 @@ def deal_around(
     has_free = np.zeros(len(ids), bool)
     has_free[edges] = (counts - given)[edges] > 0
     weights = _fit_weights(cameras, sites, weights, owner, free, (has_free, is_open, fixed, locked))
-    # Fewer edges tie the weights less: where nothing changed, the reference's fit better.
+    # Fewer edges tie the weights less: where nothing changed, those of the reference fit better.
     weights = min((weights, before), key=lambda tried: _worst_violation(cameras, sites, tried, owner))
     words = _sentences(constraints, np.bincount(owner, minlength=len(ids)), ids)
     return ConstrainedDealing(
@@ -200,7 +203,8 @@ def _open_counts(system: System, given: Indices, is_open: Flags, num_free: int) 
 def _fit_weights(
     cameras: FloatArray, sites: FloatArray, weights: FloatArray, owner: Indices, free: Indices, groups: tuple[Flags, Flags, Flags, Flags]
 ) -> FloatArray:
-    """Weights (E,) fitting open edges to fixed ones, locked to all: the worst miss is least."""
+    """Weights (E,) in which open edges stand to fixed ones, and locked edges to all, so that the
+    worst camera misses least."""
     has_free, is_open, fixed, locked = groups
     weights = weights.copy()
     done = has_free.copy()
@@ -223,7 +227,8 @@ def _fit_weights(
 
 
 def _shift(cameras: FloatArray, sites: FloatArray, weights: FloatArray, ours: tuple[Flags, Flags], theirs: tuple[Flags, Flags]) -> float:
-    """Raise of our weights, midway between our need and their limit; (cameras, edges) flags."""
+    """By how much to raise our edges' weights: midway between what our cameras need at least and
+    theirs allow; (cameras, edges) flags."""
     (our_cameras, our_edges), (their_cameras, their_edges) = ours, theirs
     gap = [
         _least_powers(cameras[chosen], sites, weights, our_edges) - _least_powers(cameras[chosen], sites, weights, their_edges)

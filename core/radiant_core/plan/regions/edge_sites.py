@@ -26,8 +26,8 @@ _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayLike | None, seed: int) -> System:
     """The system with every edge at a position in metres, for cameras (C,2) m about an origin (3,)
-    [deg, deg, m]; seeded ones lie inside the cameras' bounding box. BadInput for latitude and
-    longitude without an origin (None), for no cameras, and for positions beyond 1e8 m."""
+    [deg, deg, m]; seeded ones lie inside the cameras' bounding box. Raises BadInput for latitude
+    and longitude without an origin (None), for no cameras, and for positions beyond 1e8 m."""
     positions = check_array("positions", positions, (None, 2))
     if not len(positions):
         raise BadInput("no camera positions were given to place the edges among: give at least one.")
@@ -77,7 +77,7 @@ def _move_to(edge: Edge, position: FloatArray) -> Edge:
 
 
 def _seeded_positions(positions: FloatArray, given: FloatArray, num_free: int, seed: int) -> FloatArray:
-    """Positions (num_free,2) m of the edges to place, beside the given ones (G,2) m."""
+    """Positions (num_free,2) m of the edges that may stand anywhere, beside given ones (G,2) m."""
     rng = np.random.default_rng(seed)
     sites = given
     for _ in range(num_free):

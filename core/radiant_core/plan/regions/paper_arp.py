@@ -4,9 +4,10 @@
         m* ← argmax_m |T^m − T̄|;  move the boundary of m* by d
 
 Moving the boundary of m* is read as a weight change Δw = ∓ 2 d ‖P_m* − P_nearest‖: its border to
-the nearest edge moves by d along the normal, others by less, and the cells stay a partition (Eqn.
-9, 10), unlike moved half-planes. With a fixed d the loop often cycles; weights are whole numbers of
-steps: a state seen before proves it, and the best partition is returned. O(C·E) per iteration.
+the nearest edge moves by d along the normal, those to farther edges by less, and the cells stay a
+partition (Eqn. 9, 10), unlike moved half-planes. With a fixed d the loop often cycles; weights are
+whole numbers of steps: a state seen before proves it, and the best partition is returned. O(C·E)
+per iteration.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class PaperConfig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PaperRegions:
-    """The best partition: weights (E,) m², cell per camera (C,), makespan s after iterations."""
+    """The best partition seen: weights (E,) m², cell of each camera (C,), makespan in seconds after
+    each iteration."""
 
     weights: FloatArray
     edge_of_camera: NDArray[np.int64]
@@ -54,7 +56,8 @@ class PaperRegions:
 def paper_regions(
     positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], boundary_step_m: float, config: PaperConfig
 ) -> PaperRegions:
-    """Alg. 1 for cameras (C,2), edges (E,2) m; best: least cameras over memory, least makespan."""
+    """Run Alg. 1 for cameras (C,2) m and edges (E,2) m; best = fewest cameras over the memory
+    limits, then smallest makespan."""
     weight_of_step = 2 * boundary_step_m * _nearest_site_m(sites)
     steps = np.zeros(len(sites), dtype=np.int64)
     best, best_key = steps, (np.inf, np.inf)
@@ -80,7 +83,7 @@ def paper_regions(
 
 
 def estimated_times_s(tables: Sequence[EdgeTable], counts: NDArray[np.int64]) -> FloatArray:
-    """T^m (E,) s; beyond an edge's capacity K T^m(K) · c / K, so that Alg. 1 can shrink it."""
+    """T^m (E,) in seconds; beyond an edge's capacity K, T^m(K) · c / K: Alg. 1 can shrink it."""
     return np.array([_estimated_time_s(table, int(count)) for table, count in zip(tables, counts, strict=True)])
 
 

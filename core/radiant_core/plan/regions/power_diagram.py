@@ -18,7 +18,7 @@ from radiant_core.numerics import FloatArray, check_array
 
 
 def assign(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> NDArray[np.int64]:
-    """Cell (C,) of positions (C,2) m, sites (E,2) m, weights (E,) m²; ties: the smallest index."""
+    """Cell (C,) of positions (C,2) m among sites (E,2) m, weights (E,) m²; ties to the first."""
     return assign_power_cells(positions, sites, weights).astype(np.int64)
 
 
@@ -37,7 +37,8 @@ def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> t
 
 
 def clip_polygon(polygon: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
-    """The part of a convex polygon (V,2) with normal · x ≤ offset; (0,2) where it has no area."""
+    """The part of a convex polygon (V,2) with normal · x ≤ offset, turning as before; (0,2) where
+    no area is left."""
     heights = polygon @ normal - offset
     corners: list[FloatArray] = []
     for here, there, low, high in zip(polygon, np.roll(polygon, -1, axis=0), heights, np.roll(heights, -1), strict=True):
@@ -57,7 +58,7 @@ def polygon_area_m2(polygon: FloatArray) -> float:
 
 
 def bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bounds (2,) of positions (C,2), by column: 40 times as fast as along axis 0 at 10⁶ rows."""
+    """Least and greatest coordinates (2,) of (C,2), by column: 40 times as fast as by axis 0."""
     columns = positions.T
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
 

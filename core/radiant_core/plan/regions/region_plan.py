@@ -40,9 +40,11 @@ from radiant_core.plan.system import System
 
 _BLOCK_PAIRS = 500_000
 MARGIN = 0.1
-"""Land of regions beyond the outermost cameras, as a share of their box's longer side."""
+"""Width of land beyond the outermost cameras that still belongs to a region, as a share of their
+bounding box's longer side."""
 CERTIFICATE_TOLERANCE = 1e-12
-"""Share of the largest squared distance a camera may miss its cell by: below a µm per km."""
+"""A camera may miss its cell by this share of the largest squared distance: thousands of roundings,
+below a micrometre per km."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,15 +99,15 @@ def plan_regions(  # noqa: PLR0913
     slack: float | None = None,
     constraints: PlanConstraints | None = None,
 ) -> CloudPlan | PlanInfeasible:
-    """Regions for cameras (C,2) m by one of the methods above, of a system with `place_edges` done.
+    """Regions for cameras (C,2) m by one of the methods above; edges were placed (`place_edges`).
 
     status: optimal = the lower bound with a certificate; converged = within the paper's threshold
     (of the bound, for methods that do not iterate); stopped otherwise. `start`: a plan of nearly
     the same input for `exact` to start from. `tolerance`: `exact` leaves every camera at its
     nearest edge where that is slower than the bound by this share at most. `slack` ≥ 1: `exact` may
     take this many times the bound if that shortens Σ distance² (`slack.py`); `constraints`: `exact`
-    plans around them. BadInput for a tolerance or slack out of range, both or constraints with
-    them, and for positions that are not finite, none, or beyond 1e8 m.
+    plans around them. Raises BadInput for a tolerance or slack out of range, both or constraints
+    with them, and for positions that are not finite, none, or beyond 1e8 m.
     """
     _require_options(method, tolerance, slack, constraints)
     plane = _plane(positions, system)
@@ -140,9 +142,9 @@ def plan_regions(  # noqa: PLR0913
 
 
 def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
-    """Regions for cameras (C,2) m that already belong to edges (C,): every place to the edge with
-    the nearest mean camera; none to edges without cameras. The lower bound is that of the same
-    counts of cameras dealt freely, 0 where memory forbids it."""
+    """Regions for cameras (C,2) m that already belong to edges (C,): every place belongs to the
+    edge whose cameras' mean is nearest, none to an edge without cameras. The lower bound is that of
+    the same counts of cameras dealt freely, 0 where memory forbids it."""
     positions = check_array("positions", positions, (len(edge_of_camera), 2))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
     fits = system_capacity(system, len(positions)) >= len(positions)
@@ -151,8 +153,9 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
 
 
 def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
-    """The power diagram of the mean cameras (C,2) m of edges (C,) with as many cameras in each
-    cell, though not always the same ones. Times and the lower bound are left at 0."""
+    """Regions for cameras (C,2) m that belong to edges (C,): the power diagram of the edges' mean
+    cameras with as many in each cell, though not always the same ones. Times and the lower bound
+    are left at 0."""
     positions = check_array("positions", positions, (len(edge_of_camera), 2))
     counts = np.bincount(edge_of_camera, minlength=len(system.edges))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
@@ -162,7 +165,7 @@ def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64],
 def _regions_of_owners(
     plane: _Plane, system: System, edge_of_camera: NDArray[np.int64], weights: FloatArray, lower_bound_s: float
 ) -> CloudPlan:
-    """The power diagram of the plane's sites with weights (E,), whatever edges own the cameras."""
+    """The power diagram of the plane's sites and weights (E,) for cameras owned by edges (C,)."""
     weights = _close_unused(weights, np.bincount(edge_of_camera, minlength=len(weights)), plane)
     return CloudPlan(
         method="captured",
@@ -230,7 +233,8 @@ def _require_options(method: PlanMethod, tolerance: float, slack: float | None, 
 
 
 def _slack_partition(plane: _Plane, system: System, fastest: FastestCounts, slack: float) -> _Partition:
-    """The least Σ distance² within slack · bound, with at least the fastest counts' capacities."""
+    """The least Σ distance² within slack times the bound; never fewer places than the fastest
+    counts, whatever rounding says."""
     capacities = capacities_within(system, len(plane.cameras), slack * float(fastest.edge_time_s.max()))
     dealt = deal_within(plane.cameras, plane.sites, np.maximum(capacities, fastest.counts))
     return _Partition(edge_of_camera=dealt.edge_of_position, weights=dealt.weights, violation_m2=dealt.violation_m2, aim="slack")
@@ -239,7 +243,8 @@ def _slack_partition(plane: _Plane, system: System, fastest: FastestCounts, slac
 def _constrained_partition(
     plane: _Plane, system: System, fastest: FastestCounts, constraints: PlanConstraints, start: CloudPlan | None
 ) -> _Partition | str:
-    """The plan around constraints, on the weights of `start` or the exact plan; else a reason."""
+    """The plan around constraints, on the weights of the plan to start from or of the exact one; a
+    sentence where there is none."""
     if start is not None and start.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the plan to start from has edges {', '.join(start.edge_ids)}, the system others: give one of this system.")
     weights = _exact_partition(plane, fastest.counts, None).weights if start is None and constraints.fixed_weights_m2 else None

@@ -6,7 +6,8 @@ The dual of this transport problem is the power diagram's weights (Aurenhammer, 
 Algorithmica 1998). The native module solves it on ever finer boxes of cameras: damped Newton on the
 smoothed dual (Kitagawa, Mérigot, Thibert, JEMS 2019) over a tree of cameras, a ridge where cells
 share no camera, the last cameras by cheapest chains (Ahuja, Magnanti, Orlin, Network Flows, 1993,
-ch. 9), which end in the exact optimum. The certificate over all cameras follows. Once per plan.
+ch. 9), which end in the exact optimum whatever Newton left. The certificate over all cameras
+follows. Once per plan.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ def deal_with_counts(
 ) -> Dealt:
     """Deal cameras at positions (C,2) m to distinct sites (E,2) m with exactly counts (E,).
     multiplicities (C,): cameras at each position, a count raster; weights (E,) m²: of a similar
-    plan, to start from. Use coordinates about a local origin. BadInput unless the counts fit."""
+    plan, to start from. Use coordinates about a local origin. Raises BadInput unless the counts are
+    not negative and sum to the cameras."""
     counts = check_array("counts", counts, (len(sites),), np.int64)
     given = None if multiplicities is None else check_array("multiplicities", multiplicities, (len(positions),), np.int64)
     num_cameras = len(positions) if given is None else int(given.sum())
@@ -74,6 +76,6 @@ def deal_with_counts(
 
 
 def violations(squared_m2: FloatArray, weights: FloatArray, edge_of_camera: Indices) -> FloatArray:
-    """How far each camera is from its cell, m² (C,): own − min_e squared_m2[c, e] − w[e], ≥ 0."""
+    """How far each camera is from its own cell, m² (C,): own − min_e of squared_m2[c, e] − w[e]."""
     power = squared_m2 - weights
     return power[np.arange(len(squared_m2)), edge_of_camera] - power.min(axis=1)

@@ -40,7 +40,7 @@ MAX_ARCS = 40_000
 
 @dataclass(frozen=True, kw_only=True)
 class FleetChange:
-    """What has changed since the plan, by ids; that of an edge stands for all its devices."""
+    """What has changed since the plan was made, by ids; an edge stands for all its devices."""
 
     dead: frozenset[str] = frozenset()
     """Lost with what they captured; their other positions go to other devices."""
@@ -78,7 +78,7 @@ class ReplanInfeasible:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replan:
-    """The new plan of `system`. P positions, D devices of all edges of the new system in order."""
+    """The new plan, of `system`, and what it changes. P positions, D devices of all its edges."""
 
     system: System
     cloud: CloudPlan
@@ -90,7 +90,7 @@ class Replan:
     lost: NDArray[np.bool_]
     """(P,) captured by a device that is dead: no device trains on them."""
     time_before_s: FloatArray
-    """(D,) if nothing moves; inf for a dead device that still has positions to capture."""
+    """(D,) as things are now if nothing moves; inf for a dead device with positions to capture."""
     time_after_s: FloatArray
     """(D,)"""
     makespan_before_s: float
@@ -105,7 +105,8 @@ class Replan:
 
 
 def extend_system(system: System, joining: System) -> System:
-    """The system with further edges or devices; BadInput where ids repeat or nothing joins."""
+    """The system with further edges, or further devices at edges it has; BadInput where an id comes
+    twice or nothing joins."""
     new = {edge.id: edge for edge in joining.edges}
     known = {edge.id for edge in system.edges}
     grown = tuple(replace(edge, devices=(*edge.devices, *(new[edge.id].devices if edge.id in new else ()))) for edge in system.edges)
@@ -124,8 +125,9 @@ def replan(  # noqa: PLR0913
     tolerance: float = 0.0,
 ) -> Replan | ReplanInfeasible:
     """The new plan of positions (P,2) m; captured (P,) bool, none without it; tolerance: share by
-    which the makespan may exceed the least, to move fewer. Every edge needs a position. BadInput
-    when plan, positions and system do not belong together, for unknown ids and tolerance < 0."""
+    which the makespan may exceed the least, to move fewer. Every edge of `system` and `joining`
+    needs a position. Raises BadInput when plan, positions and system do not belong together, for
+    unknown ids and tolerance < 0."""
     positions = check_array("positions", positions, (len(cloud_plan.edge_of_camera), 2))
     fixed = np.zeros(len(positions), bool) if captured is None else check_array("captured", captured, (len(positions),), np.int64) > 0
     if not (np.isfinite(tolerance) and tolerance >= 0):
@@ -245,7 +247,7 @@ def _per_device(system: System, change: FleetChange, found: SolvedCounts) -> Ind
 
 
 def _deal(positions: FloatArray, before: Indices, must_stay: NDArray[np.bool_], quotas: Indices, system: System) -> Indices:
-    """Device (P,) of each position: quotas (D,) kept with the fewest and nearest moves."""
+    """Device (P,) of every position: quotas (D,) kept, with the fewest moves, to near devices."""
     held = np.bincount(before, minlength=len(quotas))
     lost = np.bincount(before[must_stay], minlength=len(quotas)) * (quotas == 0)
     gains, losses = np.maximum(0, quotas - held), np.maximum(0, held - lost - quotas)
@@ -267,7 +269,8 @@ def _centres(positions: FloatArray, before: Indices, system: System) -> FloatArr
 
 
 def _transport(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
-    """New owners (K,) of points (K,2) at the least squared distance; losses leave, gains arrive."""
+    """New owners (K,) of points (K,2): losses[n] of device n leave, gains[n] arrive, at the least
+    squared distance."""
     receivers = np.flatnonzero(gains)
     losers = np.unique(owners)
     all_leave = len(points) == losses[losers].sum()
@@ -304,7 +307,8 @@ def _transport_natively(points: FloatArray, devices: Indices, centres: FloatArra
 
 
 def _solve_linear_program(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
-    """Arcs point → receiver: each point at most one, receivers and losers exactly their counts."""
+    """Arcs point → receiver with the change of squared distance; every point at most one, receivers
+    and losers exactly."""
     receivers, losers = np.flatnonzero(gains), np.unique(owners)
     num_points, num_receivers = len(points), len(receivers)
     near = np.sum((points[:, None] - centres[receivers]) ** 2, axis=-1)
@@ -330,7 +334,8 @@ def _solve_linear_program(points: FloatArray, owners: Indices, centres: FloatArr
 
 
 def _deal_new_in_strips(positions: FloatArray, before: Indices, after: Indices, held: Indices, system: System) -> Indices:
-    """Deal what new devices of one edge received together to them, in strips."""
+    """Deal the positions that new devices of one edge received together to them, in strips along
+    the long side."""
     first = 0
     for edge in system.edges:
         new = [index for index in range(first, first + len(edge.devices)) if not held[index]]
@@ -390,7 +395,8 @@ def _result(  # noqa: PLR0913
 
 
 def _times_s(system: System, loads: Sequence[EdgeLoad], owners: Indices, lost: NDArray[np.bool_]) -> FloatArray:
-    """Time at which each device (D,) has sent its model; inf for a dead one, 0 for an idle one."""
+    """Time at which each device (D,) has sent its model; inf for a dead one with positions, 0 for
+    one without positions."""
     counts = dict(zip((d.id for d in system.devices), np.bincount(owners[~lost], minlength=len(system.devices)).tolist(), strict=True))
     alive = {machine.device.id: machine for load in loads for machine in load.machines}
     return np.array([alive[name].time_s(count) if name in alive else (np.inf if count else 0.0) for name, count in counts.items()])

@@ -32,7 +32,7 @@ Indices = NDArray[np.int64]
 ROUNDING = 1e-12
 """A time may exceed the deadline by this share, a few roundings of sums in another order."""
 MAX_STEPS = 2_000_000_000
-"""E · X² of the dynamic programme; beyond it the fastest counts are taken, unproved."""
+"""E · X² of the dynamic programme; beyond it the fastest counts are taken, and moves unproved."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +85,8 @@ class EdgeLoad:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolvedCounts:
-    """quotas per edge and device; deadline_s: the least makespan; proved: no fewer can move."""
+    """quotas: per edge its devices' positions; deadline_s: the least makespan; proved: that no
+    fewer positions could move."""
 
     quotas: tuple[tuple[int, ...], ...]
     deadline_s: float
@@ -93,7 +94,8 @@ class SolvedCounts:
 
 
 def solve_counts(loads: Sequence[EdgeLoad], num_positions: int, tolerance: float = 0.0) -> SolvedCounts | None:
-    """Quotas for all positions, within `tolerance` of the least makespan; None if too many."""
+    """Quotas for all positions, within `tolerance` of the least makespan; None where the machines
+    cannot hold them."""
     tables = [_Table(load, num_positions) for load in loads]
     num_free = num_positions - sum(load.fixed for load in loads)
     owners, times_s = earliest_slots([table.time_s[1:] for table in tables], num_free)
@@ -126,7 +128,7 @@ class _Table:
             require_finite(f"the time of device {machine.device.id!r} against positions", self.slot_s[-1])
         self.uniform = _send_alike([m.device.model_bytes for m, room in zip(load.machines, self.rooms, strict=True) if room])
         if load.edge.aggregate_alone_s is not None and len(load.machines) > 1:
-            # Where one device alone retrains nothing, time depends on who has the positions.
+            # Where one device alone retrains nothing, time depends on which one has the positions.
             self.uniform &= sum(m.fixed > 0 for m in load.machines) > 1
         self.owners, times_s = earliest_slots(self.slot_s, spare) if load.machines else (np.zeros(0, np.int64), np.zeros(0))
         base_s = max((m.time_s(m.fixed) for m in load.machines), default=0.0)
@@ -159,7 +161,8 @@ class _Table:
 
 
 class _Choices:
-    """Per count of an edge from `first` on: most per device under a deadline, fewest leaving."""
+    """For each count of an edge from `first` on: the most per device under a deadline, and the
+    fewest that must leave."""
 
     def __init__(self, table: _Table, allowed_s: float) -> None:
         self.table, self.allowed_s = table, allowed_s
@@ -208,7 +211,7 @@ class _Choices:
 
 
 def _distribute(choices: Sequence[_Choices], num_positions: int, fastest: Indices) -> tuple[list[int], bool]:
-    """Positions per edge with the fewest moves, nearer edges first, and whether that is proved."""
+    """Positions of each edge with the fewest moves, nearer edges first; whether that is proved."""
     firsts = [int(choice.counts[choice.first]) for choice in choices]
     left = num_positions - sum(firsts)
     free = [int(np.searchsorted(choice.extra_cost, 0, side="right")) - 1 for choice in choices]

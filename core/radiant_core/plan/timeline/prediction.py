@@ -133,7 +133,7 @@ def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan])
 
 def correct_system(system: System, planned: Iterable[PlannedStage], measured: Seconds) -> System:
     """The system with G, F_n and F_m scaled by what was measured so far; stages that were not
-    measured, or predicted or measured at 0 s, change nothing. BadInput as `stage_errors`."""
+    measured, or predicted or measured at 0 s, change nothing. Raises BadInput as `stage_errors`."""
     errors = stage_errors(planned, measured)
     ratio_of = {
         row.node: row.measured_s / row.predicted_s for row in errors if row.stage != "send" and min(row.predicted_s, row.measured_s) > 0
@@ -166,9 +166,13 @@ def correct_system(system: System, planned: Iterable[PlannedStage], measured: Se
 def time_left_s(
     expected_s: Mapping[str, float], parents: Mapping[str, str], running_s: Mapping[str, float], done: Iterable[str], num_workers: int
 ) -> float:
-    """Seconds until all nodes are done on `num_workers` ≥ 1 processes of one machine, in order.
+    """Seconds until all nodes are done on `num_workers` processes of one machine, those that may
+    start taken in order.
+
     expected_s: node → seconds of its own; parents: device → its edge, which waits for all of them;
-    running_s: node → seconds so far. A node that takes longer is taken to end now."""
+    running_s: node → seconds so far. A node that has run longer than expected is taken to end now.
+    Raises BadInput below one worker.
+    """
     if num_workers < 1:
         raise BadInput(f"{num_workers} workers cannot do anything: give at least one.")
     finished = set(done)
@@ -195,7 +199,7 @@ def _after(start_s: float, node: str, num_cameras: int, spans: Iterable[tuple[St
 
 
 def _factors(curves_of: Mapping[str, tuple[CostCurve, ...]], ratio_of: Mapping[str, float]) -> dict[str, float]:
-    """Scale of each machine's curves: by its own class, else by proportional ones, else none."""
+    """How each machine's curves are scaled: by its class, else by proportional curves, else not."""
     factors: dict[str, float] = {}
     for node, curves in curves_of.items():
         alike = [ratio_of[other] for other, theirs in curves_of.items() if other in ratio_of and theirs == curves]
@@ -209,7 +213,7 @@ def _factors(curves_of: Mapping[str, tuple[CostCurve, ...]], ratio_of: Mapping[s
 
 
 def curve_shape(curves: Sequence[CostCurve]) -> tuple[float, ...]:
-    """Equal for proportional curves: coefficients over their sum, and exponents that count."""
+    """Equal for proportional curves: coefficients over their sum, exponents where terms count."""
     terms = [term for curve in curves for term in (curve.constant, curve.linear, curve.power_coefficient)]
     whole = sum(terms) or 1.0
     exponents = [curve.exponent if curve.power_coefficient else 0.0 for curve in curves]

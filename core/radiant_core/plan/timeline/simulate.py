@@ -57,7 +57,8 @@ class Fleet:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BandwidthTrace:
-    """Share (T,) > 0 of full bandwidth from times_s (T,) on, the first 0, the last for ever."""
+    """The network's share of full bandwidth: shares (T,) > 0 from times_s (T,) on, the first time
+    0; the last holds for ever."""
 
     times_s: FloatArray
     shares: FloatArray
@@ -79,7 +80,8 @@ class BandwidthTrace:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Timeline:
-    """device_done_s (D,), inf if dropped; edge_ready_s, edge_done_s (E,): all arrived, all sent."""
+    """device_done_s (D,), inf where it dropped out; edge_ready_s, edge_done_s (E,): all arrived;
+    joined and sent. 0 without devices."""
 
     device_done_s: FloatArray
     edge_ready_s: FloatArray
@@ -110,7 +112,7 @@ def simulate(fleet: Fleet, trace: BandwidthTrace | None = None) -> Timeline:
 
 
 def fleet_of(system: System, quotas: ArrayLike) -> Fleet:
-    """The fleet of a system whose devices have `quotas` (D,) cameras; without any, idle."""
+    """The fleet of a system whose devices have `quotas` (D,) cameras; those without are idle."""
     quotas = check_array("quotas", quotas, (len(system.devices),), np.int64)
     sizes = [len(edge.devices) for edge in system.edges]
     edge_of_device = np.repeat(np.arange(len(sizes)), sizes)

@@ -24,7 +24,7 @@ except (ImportError, RuntimeError, MemoryError) as error:
 __all__ = ["call_colmap", "pycolmap"]
 TICK_S = 0.25
 Result = TypeVar("Result")
-# Imported, COLMAP's logging replaces the handler of SIGTERM, which is restored.
+# When imported, COLMAP's logging takes SIGTERM over and prints its stack; the handler is restored.
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
 pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL.value)

@@ -1,6 +1,7 @@
 """Features and matches in a COLMAP database, in chunks for progress. Once per scene.
 
-The slowest part of all. What an attempt has left is not done again (`kept_database.py`).
+This is the slowest part of all. What an interrupted attempt has left in a database is not done
+again (`kept_database.py`).
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ Item = TypeVar("Item")
 NAMES_NAME = "names.json"
 PHOTOS_PER_CALL_AND_THREAD = 6
 PAIRS_PER_CALL = 400
-"""Each call indexes its photographs anew: calls of 32 pairs took 40 % longer than one call."""
+"""Each call builds its photographs' index: calls of 32 pairs took 40 % longer than one call."""
 
 
 def extract_features(
     database: Path, photo_folder: Path, photographs: tuple[Photograph, ...], config: SfmConfig, report: Report, masks: Path | None = None
 ) -> None:
-    """Write features into `database`, a camera per make, model, focal length, size; none at 0."""
+    """Write features into `database`, one camera per make, model, focal length and size; none where
+    a mask is 0."""
     groups: dict[CameraKey, list[str]] = defaultdict(list)
     for photo in photographs:
         groups[photo.camera].append(photo.name)
@@ -57,7 +59,7 @@ def _cameras_by_name(database: Path) -> dict[str, int]:
 
 
 def _by_mask(names: list[str], masks: Path | None) -> list[tuple[list[str], Path | None]]:
-    """Photographs with a mask, and without: COLMAP skips those whose mask it does not find."""
+    """The photographs with a mask, and those without: COLMAP skips one whose mask is missing."""
     if masks is None:
         return [(names, None)]
     masked = [name for name in names if (masks / mask_name(name)).is_file()]
@@ -153,7 +155,7 @@ def _numbered_names(database: Path) -> Iterator[dict[str, str]]:
 
 
 def restore_names(database: Path) -> None:
-    """Give the images the names that they had before matching, if they do not have them."""
+    """Give the images the names that they had before matching, where they do not have them."""
     record = database.with_name(NAMES_NAME)
     if record.is_file():
         _rename(database, {int(image_id): name for image_id, name in read_json(record).items()})

@@ -29,7 +29,7 @@ BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 def database_key(photographs: Sequence[Photograph], config: SfmConfig, masks: Path | None) -> str:
-    """Hash of what features and matches depend on: photographs, masks, settings, COLMAP."""
+    """Hash of all that features depend on: photographs, masks, settings, COLMAP's version."""
     settings = {name: value for name, value in asdict(config).items() if name not in ("num_threads", "memory_bytes")}
     pictures = [[photo.name, photo.path, photo.camera] for photo in photographs]
     return content_key(pycolmap.__version__, settings, pictures, masks if masks is not None and masks.is_dir() else None)
@@ -37,7 +37,7 @@ def database_key(photographs: Sequence[Photograph], config: SfmConfig, masks: Pa
 
 @contextmanager
 def prepare_database(work_folder: Path, key: str) -> Iterator[Path]:
-    """The database's path in `work_folder`, made or cleaned of all but one with this key."""
+    """The path of the database in `work_folder`, made, or cleaned of all but one with this key."""
     database, record = work_folder / "database.db", work_folder / RECORD_NAME
     made_from = {"key": key, "boot": BOOT_ID.read_text().strip() if BOOT_ID.is_file() else None}
     start_clean(work_folder, keep_database=_is_record(record, made_from) and _is_whole(database))

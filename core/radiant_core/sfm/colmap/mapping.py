@@ -1,4 +1,4 @@
-"""From matches to one sparse model: incremental mapping, the rest by more pairs or globally.
+"""From matches to one sparse model: incremental mapping, then more pairs, then globally.
 
 Once per scene. Of several models the one with most images, then most points, is kept. An image is a
 stray when it sees almost no point, when few points and its GPS is far from where the model puts it,
@@ -46,7 +46,7 @@ class MappingJob:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mapped:
-    """The model without its strays, the photographs not in it, and the decisions for it."""
+    """The chosen model without its strays, the photographs not in it, and the decisions for it."""
 
     model: pycolmap.Reconstruction
     unregistered: tuple[str, ...]
@@ -69,7 +69,7 @@ def map_photographs(job: MappingJob) -> Mapped:
 
 
 def _improve(job: MappingJob, model: pycolmap.Reconstruction | None) -> tuple[pycolmap.Reconstruction | None, list[Decision]]:
-    """Retry what is unregistered with all its pairs, then the global mapper; the best model."""
+    """Try what is unregistered again with all its pairs, then globally; the best model of all."""
     decisions: list[Decision] = []
     extra = pairs_with([photo.name for photo in job.photographs], _missing_names(job, model), job.pairs)
     if extra:
@@ -187,7 +187,7 @@ def _unconnected_images(model: pycolmap.Reconstruction) -> list[int]:
 
 
 def _far_from_gps(job: MappingJob, model: pycolmap.Reconstruction, ids: list[int]) -> np.ndarray:
-    """Images (N,) farther from GPS than five times the median residual of a robust fit."""
+    """Which images (N,) lie farther from GPS than five times a robust fit's median residual."""
     positions_m, _ = gps_positions(job.photographs)
     row_of = {photo.name: row for row, photo in enumerate(job.photographs)}
     target = positions_m[[row_of[model.image(image_id).name] for image_id in ids]]

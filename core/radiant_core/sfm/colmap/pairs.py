@@ -1,4 +1,4 @@
-"""Which photographs are matched: GPS neighbours, or all pairs without GPS. Once per scene."""
+"""Which photographs are matched with which: GPS neighbours, or all pairs without GPS. Per scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ Pairs = list[tuple[str, str]]
 
 def gps_positions(photographs: tuple[Photograph, ...]) -> tuple[FloatArray, FloatArray]:
     """Metres east, north, up (N,3) about the median position, and that origin (3,) [deg, deg, m].
-    NaN without GPS, only the height without altitude; the origin's is 0 where none has one."""
+    NaN without GPS, and where GPS has no altitude the height alone; the origin's is 0 where no
+    photograph has one."""
     geodetic = _geodetic(photographs)
     known = np.isfinite(geodetic[:, 0])
     high = np.isfinite(geodetic[:, 2])
@@ -32,7 +33,8 @@ def gps_positions(photographs: tuple[Photograph, ...]) -> tuple[FloatArray, Floa
 
 
 def gps_about(photographs: tuple[Photograph, ...], origin: FloatArray) -> FloatArray:
-    """Metres east, north, up (N,3) about an origin (3,) [deg, deg, m]; NaN as above."""
+    """Metres east, north, up (N,3) about an origin (3,) [deg, deg, m], NaN as in
+    `gps_positions`."""
     geodetic = _geodetic(photographs)
     known, high = np.isfinite(geodetic[:, 0]), np.isfinite(geodetic[:, 2])
     positions_m = np.full((len(photographs), 3), np.nan)

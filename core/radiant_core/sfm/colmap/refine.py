@@ -7,7 +7,8 @@ to 28.9 mm, that of the focal length from 0.13 to 0.10 % (docs/experiments/frame
 
 Few photographs straight down on flat ground fix no focal length: it can be traded for height, and
 only an early end of the mapper keeps it near (one device of brighton: 763 px, then 530 to 680 px
-after more iterations, where all photographs give 798). A lens that this would move is kept.
+after more iterations, where all photographs give 798). A lens that this adjustment would move is
+not fixed by its photographs, and is kept.
 """
 
 from __future__ import annotations

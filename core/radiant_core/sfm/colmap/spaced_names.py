@@ -1,4 +1,4 @@
-"""A model that COLMAP reads back: its text reader cuts names at spaces. Once per scene."""
+"""A model as COLMAP can read it: its text reader cuts a name at the first space. Once per scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photographs and model without lens distortion: pinhole cameras, same names. Once per scene."""
+"""Photographs and model without lens distortion: pinhole cameras, same file names. Per scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two ends of a work folder: its photographs, and no rest of an earlier attempt."""
+"""The two ends of a work folder: what photographs go in, nothing left of an earlier attempt."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def warn_of_unused(listing: PhotoListing, *, named: bool = True) -> tuple[str, .
 
 
 def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:
-    """Make the work folder and remove our earlier files, but a database that is to be kept."""
+    """Make the work folder and remove what an earlier attempt left of ours in it, except its
+    database where that is to be kept."""
     work_folder.mkdir(parents=True, exist_ok=True)
     for name in (*WORK_FILES, *(() if keep_database else DATABASE_FILES)):
         (work_folder / name).unlink(missing_ok=True)

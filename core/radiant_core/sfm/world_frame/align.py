@@ -1,4 +1,4 @@
-"""Similarities between point sets: least squares, robust, and as a yardstick for a model.
+"""Similarities between point sets: least squares, robust, and as a yardstick for models.
 
 Least squares (once per fit), weights w that sum to 1, centred X, Y, the SVD Yᵀ diag(w) X = U D Vᵀ:
     R = U S Vᵀ,  s = tr(D S) / Σ wᵢ ‖xᵢ‖²,  t = ȳ − s R x̄,   S = diag(1, 1, det(U Vᵀ)).
@@ -29,8 +29,8 @@ MAX_SCALE_ERROR = 0.2
 MAX_TILT_ERROR_RAD = np.radians(5.0)
 
 AlignStatus = Literal["ok", "too few", "inconsistent", "collinear"]
-"""too few: under three pairs; inconsistent: the scale is not known to 20 %; collinear: the rotation
-about the line through the positions is not known to 5°."""
+"""ok; too few: under three pairs; inconsistent: the scale is not known to 20 %; collinear: the
+rotation about the line through the positions is not known to 5°."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,12 +47,13 @@ class Alignment:
     scale_error: float
     """Predicted relative standard deviation of the scale; infinite without a fit."""
     tilt_error_rad: float
-    """Predicted standard deviation of the rotation about the positions' line; else infinite."""
+    """Predicted standard deviation of the rotation about the line that fits the positions best;
+    infinite without a fit."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CenterErrors:
-    """Centres against a reference after the least-squares similarity, in the reference's unit."""
+    """Camera centres against a reference after the least-squares similarity, in its unit."""
 
     reference_from_scene: Sim3
     errors: FloatArray
@@ -68,7 +69,7 @@ class CenterErrors:
 
 def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> Sim3:
     """Least-squares similarity of pairs source (N,3) → target (N,3), N ≥ 2, with weights (N,) of
-    any positive sum. BadInput when all of one side coincide."""
+    any positive sum. Raises BadInput when all of one side coincide."""
     source, target = _check_pairs(source, target)
     if len(source) < 2:
         raise BadInput(f"{len(source)} pair of positions cannot fix a similarity: at least 2 are needed, 3 for the rotation.")
@@ -87,7 +88,7 @@ def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = N
 
 
 def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignment:
-    """Similarity of pairs source (N,3) → target (N,3), up to half of them wrong. Errors are
+    """Similarity of pairs source (N,3) → target (N,3), up to half of which may be wrong. Errors are
     predicted from the residual's standard deviation σ and the inliers' spread along their axes:
     scale_error = σ / (s · |first axis|), tilt_error = σ / (s · |second axis|), large for a line."""
     source, target = _check_pairs(source, target)
@@ -118,7 +119,8 @@ def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignmen
 
 def compare_centers(scene_centers: ArrayLike, reference_centers: ArrayLike) -> CenterErrors:
     """Distances of camera centres (N,3) from references (N,3) after the plain least-squares
-    similarity, in which a lost camera shows. BadInput for fewer than three cameras."""
+    similarity, in which no outlier is left out, so that a single lost camera shows in the maximum.
+    Raises BadInput for fewer than three cameras."""
     source, target = _check_pairs(scene_centers, reference_centers)
     if len(source) < 3:
         raise BadInput(f"{len(source)} cameras cannot be compared with a reference: a similarity needs at least 3.")
@@ -133,7 +135,7 @@ def _check_pairs(source: ArrayLike, target: ArrayLike) -> tuple[FloatArray, Floa
 
 
 def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3 | None:
-    """The similarity of three random pairs with the smallest median residual; None without any."""
+    """The similarity of three random pairs with the smallest median residual; None if none fits."""
     if len(source) < 3:
         return None
     rng = np.random.default_rng(seed)
@@ -145,7 +147,8 @@ def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3
         except BadInput:
             continue
         median = float(np.median(np.linalg.norm(fit.apply(source) - target, axis=1)))
-        # A shrunken scene lies near the target's middle: it must not win, so source units.
+        # A shrunken scene always lies near the middle of the target; compare in the source's unit
+        # so that it cannot win.
         if median / fit.scale < best_median:
             best, best_median = fit, median / fit.scale
     return best
@@ -153,7 +156,7 @@ def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3
 
 def _refit(source: FloatArray, target: FloatArray, fit: Sim3) -> tuple[Sim3, FloatArray, NDArray[np.bool_]]:
     """Least sum of distances over the inliers, which are chosen anew in each round."""
-    # The floor keeps pairs equal to rounding from being outliers or taking all the weight.
+    # The floor keeps pairs that agree to rounding from being outliers or taking all the weight.
     floor = 1e-9 * float(np.ptp(target, axis=0).max())
     residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
     inliers = np.ones(len(source), bool)

@@ -29,10 +29,12 @@ from radiant_core.sfm.world_frame.world import MAX_GPS_ROLL_DEG
 
 MIN_POSITIONS = 4
 MAX_RESIDUAL_SHARE = 0.25
-"""A residual per axis above this share of the extent says nothing of scale and heading."""
+"""A residual per axis of more than this share of the positions' extent says nothing of scale and
+heading."""
 MAX_SCALE_UNCERTAINTY = 0.2
 MAX_ROTATION_UNCERTAINTY_RAD = np.radians(15.0)
-"""Beyond these neighbours' renders do not match; `frame_refinement` asks more without any."""
+"""Beyond these the models of neighbours cannot be found in each other's renders; `frame_refinement`
+asks more of a model without any."""
 MIN_UP_UNCERTAINTY_RAD = np.radians(1.0)
 """Ground and photographs are level to no better than this."""
 ROBUST_PRICE = 1.09
@@ -65,8 +67,8 @@ class RefusedFrame:
 def device_frame(
     scene: SfmScene, lat_lon_alt: Mapping[str, tuple[float, float, float]], origin_lat_lon_alt: ArrayLike, seed: int = 0
 ) -> DeviceFrame | RefusedFrame:
-    """Fix a scene of any frame by the GPS `lat_lon_alt` [deg, deg, m] of its photographs, of which
-    some may have none. BadInput when a position is not finite or off the globe."""
+    """Fix a scene of any frame by the GPS `lat_lon_alt` [deg, deg, m] of its photographs, without
+    those that have none. Raises BadInput when a position is not finite or off the globe."""
     names = [name for name in scene.cameras.names if name in lat_lon_alt]
     if len(names) < MIN_POSITIONS:
         reason = f"only {len(names)} of its {len(scene.cameras)} placed photographs have GPS with an altitude"
@@ -112,7 +114,7 @@ def device_frame(
 def _with_up(
     scene: SfmScene, centers: FloatArray, positions_m: FloatArray, fit: Alignment, seed: int
 ) -> tuple[Sim3, str, float | None] | None:
-    """The similarity, its up's source, and the uncertainty of an up not of GPS; else None."""
+    """The similarity, where its up comes from, and the uncertainty of an up not of GPS; or None."""
     assert fit.target_from_source is not None
     gps_roll = roll_deg(scene.cameras, fit.target_from_source.rotation[2])
     if fit.status != "collinear" and gps_roll <= MAX_GPS_ROLL_DEG:
@@ -130,14 +132,16 @@ def _up_uncertainty_rad(up: UpEstimate) -> float:
 
 
 def _sigma_m(fit: Sim3, centers: FloatArray, positions_m: FloatArray, inliers: NDArray[np.bool_]) -> float:
-    """Standard deviation per axis of GPS by the inliers' median residual; seven fitted numbers."""
+    """Standard deviation of one axis of GPS from the median residual of the inliers, corrected for
+    the seven fitted numbers."""
     residuals = np.linalg.norm(fit.apply(centers[inliers]) - positions_m[inliers], axis=1)
     freedom = 3 * len(residuals)
     return max(NOISE_FLOOR_M, SIGMA_FROM_MEDIAN_3D * float(np.median(residuals)) * np.sqrt(freedom / (freedom - 7)))
 
 
 def _uncertainty(centers_m: FloatArray, sigma_m: float, up_rad: float | None) -> FrameUncertainty:
-    """Of a frame fitted at centres (n,3) m with errors σ per axis; `up_rad` replaces GPS's tilt."""
+    """Of a frame fitted at camera centres (n,3) m with errors σ per axis; `up_rad` replaces what
+    GPS says of the tilt."""
     spread = centers_m - centers_m.mean(axis=0)
     Q = spread.T @ spread
     least = 1e-12 * max(float(np.trace(Q)), 1e-12)

@@ -17,7 +17,8 @@ NUM_REFITS = 30
 
 def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDArray[np.int64], up: FloatArray) -> Sim3:
     """Similarity to z up, the median point at the origin, a median camera–point distance of 10
-    units. Points (P,3), observations (T,2): point, camera index. BadInput without a distance."""
+    units. Points (P,3), observations (T,2): point, camera index. Raises BadInput when nothing is
+    observed at a distance."""
     distances = np.linalg.norm(points[observations[:, 0]] - cameras.centers[observations[:, 1]], axis=1)
     typical = float(np.median(distances)) if len(distances) else 0.0
     if not typical > 0:
@@ -28,9 +29,10 @@ def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDAr
 
 
 def level_fit(source: FloatArray, target: FloatArray, up: FloatArray) -> Sim3 | None:
-    """Similarity source (N,3) → target (N,3) [m] that turns `up` to z: least sum of horizontal
-    distances; the height by the middle of the densest half of the heights, which drifting altitudes
-    cannot move. None when the positions do not differ horizontally."""
+    """Similarity source (N,3) → target (N,3) [m] that turns `up` to z, with heading, scale and
+    shift from the pairs only: least sum of horizontal distances; the height by the middle of the
+    densest half of the heights, which drifting altitudes cannot move. None when the positions do
+    not differ horizontally."""
     rotation = level_rotation(up)
     level = source @ rotation.T
     flat_source, flat_target = level[:, 0] + 1j * level[:, 1], target[:, 0] + 1j * target[:, 1]

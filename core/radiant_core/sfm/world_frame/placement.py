@@ -27,7 +27,7 @@ MAX_LENGTH_M = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Placement:
-    """What is known of the world beside photographs; BadInput for values that make no sense."""
+    """What is known of the world beside photographs; BadInput for a value that makes no sense."""
 
     up: str = AUTO
     """auto: GPS, or else whatever the scene shows; ground: the plane through most points is level;
@@ -64,7 +64,8 @@ class Placement:
         return self.distance is not None or self.height_m is not None
 
     def check_names(self, names: Iterable[str], *, of_model: bool) -> None:
-        """BadInput for a photograph not among `names`, or a direction where there is no frame."""
+        """Raise BadInput where a photograph is named that is not among `names`, or a direction for
+        photographs that have no frame yet."""
         known = set(names)
         if self.distance is not None:
             self._pair(known)
@@ -78,7 +79,8 @@ class Placement:
             raise BadInput(f"--up {self.up!r} is unknown: expected {UP_EXPECTED}.")
 
     def check_copies(self, copies: Mapping[str, str]) -> None:
-        """BadInput where a named photograph is left out as a copy; `copies`: copy → what stays."""
+        """Raise BadInput where a named photograph is left out as a copy of another one; `copies`:
+        copy → the one that stays."""
         if self.up not in UP_CHOICES and self.up in copies:
             raise BadInput(f"--up {self.up!r} is a copy of {copies[self.up]}: name that one.")
         if self.distance is not None:
@@ -106,7 +108,8 @@ class Placement:
         return UpEstimate(up=up, source=source, roll_deg=roll_deg(cameras, up), uncertainty_deg=0.0)
 
     def scale(self, cameras: Cameras, points: FloatArray, observations: NDArray[np.int64]) -> float | None:
-        """Metres per unit of C cameras, P points (P,3) with z up, observations (T,2), if known."""
+        """Metres per unit of C cameras and P points (P,3) with z up, T observations (T,2); None
+        without a known length."""
         if self.distance is not None:
             first, second, metres = self._pair(set(cameras.names))
             length = float(np.linalg.norm(np.subtract(*cameras.named([first, second]).centers)))

@@ -51,7 +51,7 @@ MAX_PLANE_POINTS = 5000
 NUM_ROUNDS = 5
 RIVAL_RAD = np.radians(8.0)
 RIVAL_COST = 6.0
-"""A direction elsewhere that costs so little more could be up: a likelihood ratio of twenty."""
+"""A direction elsewhere that costs only so much more could be up too: a likelihood ratio of 20."""
 WALL_RAD = np.radians(75.0)
 MAX_UNCERTAINTY_DEG = 8.0
 MIN_UPWARD = 0.1
@@ -60,20 +60,22 @@ NOTHING = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cue:
-    """One observation of up: its cost is uᵀ A u; `direction` (3,): its own up, or down."""
+    """What one observation says of up: its cost is uᵀ A u; `direction` (3,) is where it alone would
+    put up, or down."""
 
     name: str
     information: FloatArray
     direction: FloatArray
 
     def cost(self, up: FloatArray) -> float:
-        """Squared standard deviations by which `up` leans from the cue, 9 at most."""
+        """Squared standard deviations by which `up` leans from what this says, 9 at most."""
         return min(MAX_COST, float(up @ self.information @ up))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UpEstimate:
-    """Unit vector up (3,), its cues, how sure it is; roll_deg: RMS angle of x axes to the level."""
+    """Unit vector up (3,), the cues it was taken from, how sure it is; roll_deg is the RMS angle of
+    x axes to the level."""
 
     up: FloatArray
     source: str
@@ -88,7 +90,7 @@ class UpEstimate:
 
 
 def roll_deg(cameras: Cameras, up: FloatArray) -> float:
-    """RMS angle of the x axes of C cameras to the plane across `up`: their roll, if it is up."""
+    """RMS angle of the x axes of C cameras to the plane across `up`: their roll if that were up."""
     return float(np.degrees(np.arcsin(min(1.0, np.sqrt(np.mean((cameras.cam_from_world[:, 0, :3] @ up) ** 2))))))
 
 
@@ -129,7 +131,8 @@ def _join(names: Sequence[str]) -> str:
 
 
 def _wall_doubt(cues: Sequence[Cue], up: FloatArray) -> str | None:
-    """Ground from above and a wall from the front look the same, if the path allows both."""
+    """Ground from above and a wall from the front look the same where all pictures have one top
+    edge and the path allows both."""
     upright = next((cue for cue in cues if cue.name == UPRIGHT), None)
     if upright is None or _angle_rad(up, upright.direction) < WALL_RAD:
         return None
@@ -149,7 +152,8 @@ def _doubt(up: FloatArray, rival: FloatArray | None, uncertainty_deg: float, upw
 
 
 def _settle(cues: Sequence[Cue], start: FloatArray) -> tuple[FloatArray, float]:
-    """The least squares near `start` of the cues that agree with it, and its cost to all."""
+    """The direction near `start` that is the least squares of the cues that agree with it, and its
+    cost to all cues."""
     up = _unit(start)
     best = (up, sum(cue.cost(up) for cue in cues))
     for _ in range(NUM_ROUNDS):
@@ -189,7 +193,7 @@ def _shared_cues(cameras: Cameras, points: FloatArray, seed: int) -> list[Cue]:
 
 
 def _mean_cue(name: str, directions: FloatArray, max_spread_rad: float, sigma_rad: float) -> Cue | None:
-    """Up is the mean of unit vectors (C,3); None if their RMS angle is over the spread."""
+    """Up is the mean of unit vectors (C,3); None where their RMS angle is over `max_spread_rad`."""
     mean = _unit(directions.sum(axis=0))
     spread_rad = float(np.sqrt(np.mean(np.arccos(np.clip(directions @ mean, -1, 1)) ** 2)))
     if spread_rad > max_spread_rad:
@@ -199,7 +203,8 @@ def _mean_cue(name: str, directions: FloatArray, max_spread_rad: float, sigma_ra
 
 
 def _level_cameras_cues(cameras: Cameras) -> list[Cue]:
-    """The x axes lie level; or the y axes, where x axes agree and y axes turn by more than 30°."""
+    """The x axes lie level; or else the y axes, where the x axes all point one way while the y axes
+    turn about it by more than 30°."""
     x_axes, y_axes = cameras.cam_from_world[:, 0, :3], cameras.cam_from_world[:, 1, :3]
     across, down = (np.linalg.eigvalsh(axes.T @ axes / len(axes)) for axes in (x_axes, y_axes))
     upright_pictures = across[1] < 0.05 and down[1] > 0.25
@@ -207,7 +212,8 @@ def _level_cameras_cues(cameras: Cameras) -> list[Cue]:
 
 
 def _level_axes_cue(axes: FloatArray) -> Cue:
-    """Unit vectors (C,3) lie level; least sum of angles: a picture on its side counts no more."""
+    """Unit vectors (C,3) lie level; least sum of angles, so that a picture on its side counts no
+    more than others."""
     weights = np.ones(len(axes))
     level = np.zeros(3)
     for _ in range(NUM_REFITS):
@@ -219,7 +225,8 @@ def _level_axes_cue(axes: FloatArray) -> Cue:
 
 
 def _upward(cameras: Cameras, *, on_their_side: bool) -> FloatArray:
-    """A vector on up's side: mean of −y and −z axes, or of −z where pictures lie on their side."""
+    """A vector whose sign along up is that of up: pictures are upright (−y up) or look down (−z
+    up), on their side only the latter."""
     rotations = cameras.cam_from_world[:, :3, :3]
     return -(rotations[:, 2] + (0 if on_their_side else 1) * rotations[:, 1]).mean(axis=0)
 

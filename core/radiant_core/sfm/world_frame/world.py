@@ -1,9 +1,10 @@
 """A pinhole model in the project's world: metric and z up by GPS where it can, else unscaled.
 
 Once per scene. A robust similarity to GPS fixes the frame, unless GPS cannot say where up is: the
-positions lie on a line, or the photographs would all be rolled (altitudes drift by a hundred metres
-in some cameras), or the scene fixes it better and says otherwise. Then up comes from the scene
-(`up.py`), only heading, scale and shift from GPS. A user's `placement.py` goes before both.
+positions lie on a line, or the photographs would all be rolled if it were right (altitudes drift by
+a hundred metres in some cameras), or the scene fixes it better and says otherwise. Then up comes
+from the scene (`up.py`), only heading, scale and shift from GPS. What a user says of up and of a
+length (`placement.py`) goes before both.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def cameras_of(model: ColmapModel) -> Cameras:
 
 
 def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed: int, placement: Placement = UNPLACED) -> PlacedScene:
-    """The scene of a pinhole model in the world frame, with decisions and warnings."""
+    """The scene of a pinhole model in the world frame, with what was decided and the warnings."""
     cameras = cameras_of(model)
     by_name = {photo.name: photo for photo in photographs}
     positions_m, origin = gps_positions(tuple(by_name[name] for name in cameras.names))
@@ -93,7 +94,8 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
 
 
 def _rescale(world_from_model: Sim3, scene: SfmScene, placement: Placement) -> tuple[Sim3, tuple[Decision, ...]]:
-    """The similarity with the scale of a known length, about the cameras' middle, if given."""
+    """The similarity with the scale of a known length, about the cameras' middle, and the decision;
+    unchanged without one."""
     factor = placement.scale(scene.cameras, scene.points, scene.observations)
     if factor is None:
         return world_from_model, ()

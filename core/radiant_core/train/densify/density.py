@@ -8,7 +8,8 @@
               wider than a limit on screen
     reset:    opacity ← min(opacity, 0.01), its moments ← 0
 
-Statistics once per step, an edit every `Adc.every` steps, O(N log N).
+Statistics once per step, an edit every `Adc.every` steps, O(N log N). `AdaptiveDensity` decides
+when; the edits are plain functions of arrays.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ class DensityRules:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DensityEdit:
-    """M Gaussians after an edit: old rows (M,), fresh (M,) if new; means, log_scales (M,3)."""
+    """A model of M Gaussians after an edit: rows (M,) of the old one, fresh (M,) where a Gaussian
+    is new; means and log_scales (M,3)."""
 
     rows: NDArray[np.int64]
     fresh: NDArray[np.bool_]
@@ -75,7 +77,8 @@ def density_edit(
     rng: np.random.Generator,
 ) -> DensityEdit:
     """Clone, split and prune the model (means, quats, log_scales, logit_opacities of N rows) by
-    mean gradients and radii (N,). The result is in Morton order, never emptied altogether."""
+    mean gradients and radii (N,). The result is in Morton order; the most opaque Gaussian stays in
+    any case."""
     clone, split, num_refused = select_growing(gradients, model["log_scales"].max(axis=1, initial=-np.inf), rules)
     parents = np.flatnonzero(split)
     offsets = split_offsets(model["quats"][parents], model["log_scales"][parents], rng)
@@ -122,7 +125,8 @@ def select_growing(
 
 
 def split_offsets(quats: NDArray[np.float32], log_scales: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Offsets of the children of K Gaussians (CHILDREN · K,3), from N(0, Σ); 0 beyond float32."""
+    """Where the children of K Gaussians lie relative to them (CHILDREN · K,3), drawn from their own
+    N(0, Σ); 0 beyond float32."""
     limit = float(np.finfo(np.float32).max) / 4
     scales = np.exp(np.minimum(np.repeat(log_scales, CHILDREN, axis=0).astype(np.float64), math.log(limit)))
     offsets = rotate(np.repeat(quats, CHILDREN, axis=0).astype(np.float64), scales * rng.standard_normal(scales.shape))
@@ -152,7 +156,7 @@ def select_prunable(
 
 
 class AdaptiveDensity(Part):
-    """Gathers gradients of one training and edits its model on schedule; `counts` what was done."""
+    """Gathers the gradients of a training and edits its model on schedule, with `counts` of it."""
 
     name = "density"
 
@@ -182,7 +186,8 @@ class AdaptiveDensity(Part):
         output.means2d.register_hook(partial(self._add, visible, (width, height), output.absgrad if self._absolute else None))
 
     def after_update(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
-        """The model, cloned, split and pruned where due, with opacities reset where that is."""
+        """The model, cloned, split and pruned where an edit is due, its opacities reset
+        likewise."""
         policy, schedule_step = self._policy, moment.schedule_step
         if schedule_step >= policy.until_step:
             return splats
@@ -220,7 +225,7 @@ class AdaptiveDensity(Part):
             own[:] = arrays[name] if isinstance(own, np.ndarray) else torch.from_numpy(arrays[name]).to(own.device)
 
     def _add(self, visible: Any, size_wh: tuple[int, int], absgrad: Tensor | None, gradient: Tensor) -> None:
-        # numpy on the CPU, torch on a GPU: torch's threads would spin after each (libgomp).
+        # numpy on the CPU, torch on a GPU: torch's threads would spin on after each (libgomp).
         taken = _as_plain(gradient if absgrad is None else absgrad)
         across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -276,7 +281,7 @@ def finish_density(result: TrainResult, counts: DensityCounts) -> TrainResult:
 
 @torch.no_grad()
 def reset_opacities(splats: SplatTensors, optimizer: SelectiveAdam) -> None:
-    """Lower all opacities to at most `RESET_OPACITY`, in place, and zero their moments."""
+    """Lower opacities to at most `RESET_OPACITY`, in place, and zero their moments, if any."""
     splats.logit_opacities.clamp_(max=_logit(RESET_OPACITY))
     optimizer.zero_moments("logit_opacities")
 

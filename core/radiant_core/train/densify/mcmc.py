@@ -45,7 +45,8 @@ GATE_STEEPNESS = 100.0
 def share_place(
     logit_opacities: NDArray[np.floating], log_scales: NDArray[np.floating], num_copies: NDArray[np.integer]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Logit opacities (K,), log scales (K,3) of each of n ≥ 1 Gaussians (K,) in one's place."""
+    """Logit opacities (K,) and log scales (K,3) that each of n ≥ 1 Gaussians (K,) gets which share
+    the place of one."""
     n = np.clip(num_copies, 1, MAX_COPIES)
     # Not opaque to the last bit, where neither logarithm nor the logit would exist.
     o = np.clip(1 / (1 + np.exp(-np.clip(logit_opacities.astype(np.float64), -60, 60))), 1e-12, 1 - 1e-7)
@@ -62,7 +63,8 @@ def share_place(
 
 
 class RelocatedDensity(Part):
-    """Relocates, adds and perturbs Gaussians; `counts.num_cloned` added, `num_relocated` moved."""
+    """Relocates, adds and perturbs the Gaussians of one training; `counts.num_cloned` are those
+    added, `num_relocated` those moved."""
 
     name = "density"
 
@@ -130,14 +132,15 @@ class RelocatedDensity(Part):
             splats,
             **{name: torch.from_numpy(changed[name]).to(device) if name in changed else tensor[index] for name, tensor in tensors.items()},
         )
-        # Those that now share a place are fresh too: their moments belong to another opacity.
+        # Those that now share a place are fresh too: their moments are of another opacity and size.
         optimizer.select_rows(edited.tensors(), index, torch.from_numpy(fresh | (copies[rows] > 1)).to(device))
         return edited
 
 
 @torch.no_grad()
 def wander(splats: SplatTensors, rate: float, rng: np.random.Generator) -> None:
-    """Move centres, in place, by Σ η gate(o) · rate, η ~ N(0, I) drawn for each that may move."""
+    """Move the centres, in place, by Σ η gate(o) · rate with η ~ N(0, I) drawn anew for each
+    Gaussian that may move at all."""
     logits = splats.logit_opacities.detach().cpu().numpy().astype(np.float64)
     opacities = 1 / (1 + np.exp(-np.clip(logits, -60, 60)))
     gates = 1 / (1 + np.exp(np.clip(GATE_STEEPNESS * (opacities - MIN_OPACITY), -60, 60)))
