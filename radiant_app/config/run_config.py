@@ -291,8 +291,8 @@ class RunConfig:
         if self.frames != "shared" and self.sfm.masks is not None:
             raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
-            told = "--up, --distance and --height turn and scale one scene"
-            raise BadInput(f"{told}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
+            reason = "--up, --distance and --height turn and scale one scene"
+            raise BadInput(f"{reason}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
         for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.plan.file, self.evaluate.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")
