@@ -45,7 +45,7 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import initial_splats
 
 FORMER_FILES = ("scene.ply", "plan.json", "cameras.safetensors")
-"""What earlier versions left in evaluation/; the task's inbox and HELD_OUT_NAME took their place."""
+"""What earlier versions left in evaluation/."""
 
 
 @dataclass(kw_only=True)

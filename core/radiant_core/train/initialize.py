@@ -77,8 +77,8 @@ def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_
 
 
 def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:
-    """Return the Gaussians that training starts from: sparse points and, by `config`, fill-in points
-    and a sky.
+    """Return the Gaussians that training starts from: sparse points and, by `config`, fill-in
+    points and a sky.
 
     Args:
         scene: cameras and sparse points.
