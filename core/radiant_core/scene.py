@@ -57,11 +57,11 @@ class SfmScene:
         new_point[points] = np.arange(len(points))
         new_camera = np.full(len(self.cameras), -1)
         new_camera[camera_indices] = np.arange(len(camera_indices))
-        mine = self.observations[np.isin(self.observations[:, 1], camera_indices)]
+        kept = self.observations[np.isin(self.observations[:, 1], camera_indices)]
         return SfmScene(
             cameras=self.cameras.select(camera_indices),
             points=self.points[points],
             colors=self.colors[points],
-            observations=np.stack([new_point[mine[:, 0]], new_camera[mine[:, 1]]], axis=1),
+            observations=np.stack([new_point[kept[:, 0]], new_camera[kept[:, 1]]], axis=1),
             frame=self.frame,
         )

@@ -147,7 +147,7 @@ class Arms:
 
     @cached_property
     def _depths_m(self) -> list[NDArray[np.floating]]:
-        views = render_views(self.first.centralised.splats, self.scene.held_out_views.cameras)
+        views = render_views(self.first.centralised_model.splats, self.scene.held_out_views.cameras)
         return [np.where(view.alpha >= OPAQUE, view.depth, 0) for view in views]
 
     def _score(self, cell: Cell, arm: Arm, made: Made) -> ArmRow:

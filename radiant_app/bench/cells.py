@@ -235,7 +235,7 @@ class Cell:
         return self.cache.train(task, self.scene.views.select([row_of[name] for name in part.cameras.names]), Recorder())
 
     @cached_property
-    def centralised(self) -> DeviceModel:
+    def centralised_model(self) -> DeviceModel:
         """One model of all photographs, with the steps of all devices together."""
         num_steps = sum(int(model.summary["num_steps"]) for model in self.devices.values())
         return self.model_of(self.scene.training, num_steps=num_steps, max_epochs=None)

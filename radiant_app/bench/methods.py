@@ -133,9 +133,9 @@ def _sum_trainings(splats: Splats, models: Sequence[DeviceModel]) -> Made:
     return Made(splats=splats, cpu_s=cpu_s, training_px=training_px)
 
 
-def _make_centralised(cell: Cell, recipe: Recipe) -> Made:
+def _make_centralised_model(cell: Cell, recipe: Recipe) -> Made:
     del recipe
-    return _sum_trainings(cell.centralised.splats, [cell.centralised])
+    return _sum_trainings(cell.centralised_model.splats, [cell.centralised_model])
 
 
 def _crop(cell: Cell, recipe: Recipe) -> Made:
@@ -197,7 +197,7 @@ def _paper_arm(name: str, **changes: Any) -> Arm:
 METHODS: Mapping[str, Arm] = {
     arm.name: arm
     for arm in (
-        Arm(name="centralised", make=_make_centralised),
+        Arm(name="centralised", make=_make_centralised_model),
         Arm(name="crop", make=_crop),
         _paper_arm("paper"),
         _own_arm("ours"),

@@ -60,9 +60,9 @@ class _Side:
 
     @property
     def predicted_s(self) -> float:
-        return max(self.predicted(device) for device in self.devices)
+        return max(self.predicted_time_s(device) for device in self.devices)
 
-    def predicted(self, device: DeviceTime) -> float:
+    def predicted_time_s(self, device: DeviceTime) -> float:
         return device.num_photographs / device.speed * self.photograph_s
 
 
@@ -110,7 +110,7 @@ def _table(sides: Sequence[_Side], saved: dict[str, float]) -> str:
     lines = ["| regions | device | speed | photographs | CPU s here | measured s | predicted s |", "|---|---|---|---|---|---|---|"]
     lines += [
         f"| {side.name} | {device.device} | {device.speed:g} | {device.num_photographs} | {device.cpu_s:.1f} | {device.measured_s:.1f} |"
-        f" {side.predicted(device):.1f} |"
+        f" {side.predicted_time_s(device):.1f} |"
         for side in sides
         for device in side.devices
     ]
@@ -128,7 +128,7 @@ def _latency_of(side: _Side) -> PlanLatency:
         DeviceLatency(
             name=f"{device.device}, speed {device.speed:g}\n{device.num_photographs} photographs",
             measured_s=device.measured_s,
-            predicted_s=side.predicted(device),
+            predicted_s=side.predicted_time_s(device),
         )
         for device in side.devices
     ]

@@ -71,8 +71,10 @@ def run_and_print(config: RunConfig, resume: bool, as_json: bool) -> None:
         return
     typer.echo(f"held-out {result.metrics['psnr_db']:.2f} dB, {result.metrics['num_gaussians']:,} Gaussians")
     if unscored := result.metrics.get("num_unscored", 0):
+        from radiant_app.report.html import describe_unscored
+
         scored = len(result.metrics["images"])
-        typer.echo(f"scored on {scored} of {scored + unscored} held-out photographs: the others lie on missing devices or have no pose")
+        typer.echo(f"scored on {scored} of {scored + unscored} held-out photographs: {describe_unscored(result.metrics)}")
     if result.metrics.get("emulated_makespan_s") is not None:
         emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
         typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")

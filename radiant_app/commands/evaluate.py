@@ -18,7 +18,7 @@ import numpy as np
 
 from radiant_app.commands.steps import require_file_to_be, stage_bar
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.workers.evaluation import score_render, select_scored, summarize_scores
+from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
 from radiant_app.workers.sources import detect_source, load_scored_scene, masks_folder_of
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME
 from radiant_app.workers.training import MASKS
@@ -27,7 +27,7 @@ from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.photos.listing import list_photographs, load_photograph
+from radiant_core.io.photos.listing import list_photographs
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_splats
 from radiant_core.io.run_store import write_json
@@ -65,8 +65,6 @@ class _HeldOut:
 
 def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, Any]:
     """The figures as in metrics.json, with size and number of images; BadInput for bad requests."""
-    from radiant_core.render.rendered_view import render_views
-
     if request.out is not None:
         require_file_to_be(request.out)
     lpips = None if request.lpips_weights is None else load_lpips(request.lpips_weights, request.lpips_network)
@@ -74,15 +72,14 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     held_out = _held_out_of(request)
     _require_sizes(held_out.cameras, lpips)
     cameras, used = select_scored(held_out.cameras, held_out.masks, warn=lambda message: None)
+    photographs = [held_out.photographs / name for name in cameras.names]
+    views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=held_out.untrained)
     started_s = time.monotonic()
     rows = []
     with stage_bar(display, "evaluate") as report:
-        untrained = iter(()) if held_out.untrained is None else render_views(held_out.untrained, cameras)
-        for done, view in enumerate(render_views(splats, cameras)):
-            width, height = cameras.sizes_wh[done]
-            photograph = load_photograph(held_out.photographs / view.name, (int(width), int(height)))
-            rows.append(score_render(view, photograph, before=next(untrained, None), lpips=lpips, used=used[done]))
-            report(done + 1, len(cameras), view.name)
+        for image in score_images(splats, cameras, views, lpips=lpips):
+            rows.append(image.row)
+            report(len(rows), len(cameras), image.view.name)
     result = {
         **summarize_scores(rows, lpips_network=lpips.network if lpips else None),
         "num_gaussians": len(splats),

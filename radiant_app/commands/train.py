@@ -26,7 +26,7 @@ from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, St
 from radiant_app.files.run_folder import Manifest, open_folder
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
-from radiant_app.workers.evaluation import save_comparison, score_render, select_scored, summarize_scores
+from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import detect_source, has_scene, load_scored_scene, masks_folder_of
@@ -38,11 +38,10 @@ from radiant_core.evaluate.split import held_out_mask, validation_mask
 from radiant_core.hierarchy.device import PreparedTraining, fit_prepared, prepare_training, training_summary
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine
-from radiant_core.io.photos.listing import DECODED_BYTES_PER_PX, load_photograph
+from radiant_core.io.photos.listing import DECODED_BYTES_PER_PX
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
 from radiant_core.render.rasterize import resolve_backend
-from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.placement import AUTO, Placement
 from radiant_core.splats import Splats
@@ -305,15 +304,14 @@ def _validation_figures(result: TrainResult) -> dict[str, Any]:
 
 def _score_model(out: Path, models: tuple[Splats, Splats], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
     """Figures of trained and first model on the held-out photographs; writes the pictures."""
-    images, masks = photos
+    (images, masks), (model, initial) = photos, models
     cameras, used = select_scored(cameras, masks, lambda message: stage.emit(Warned(stage=stage.name, message=message)))
-    trained, first = (render_views(model, cameras) for model in models)
+    views = HeldOutViews(cameras=cameras, photographs=[images / name for name in cameras.names], used=used, initial=initial)
     rows = []
-    for view, before, (width, height), pixels in zip(trained, first, cameras.sizes_wh, used, strict=True):
-        photograph = load_photograph(images / view.name, (int(width), int(height)))
-        save_comparison(out / "pictures", view, photograph, pixels)
-        rows.append(score_render(view, photograph, before=before, used=pixels))
-        stage.emit(StageProgress(stage=stage.name, done=len(rows), total=len(cameras), note=view.name))
+    for image in score_images(model, cameras, views):
+        image.save(out / "pictures")
+        rows.append(image.row)
+        stage.emit(StageProgress(stage=stage.name, done=len(rows), total=len(cameras), note=image.view.name))
     return summarize_scores(rows, lpips_network=None)
 
 

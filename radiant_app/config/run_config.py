@@ -133,7 +133,11 @@ class PlanOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions:
-    """How devices train: a preset, and whatever of `TrainConfig` is to differ from it."""
+    """How devices train: a preset, and whatever of `TrainConfig` is to differ from it.
+
+    Raises:
+        BadInput: no such preset or setting, or a value that the setting cannot have.
+    """
 
     preset: Annotated[Preset, Option(name="--train-preset")] = "default"
     """draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000
@@ -160,7 +164,11 @@ class TrainOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateOptions:
-    """How models are joined: a preset, and whatever of `AggregateConfig` is to differ from it."""
+    """How models are joined: a preset, and whatever of `AggregateConfig` is to differ from it.
+
+    Raises:
+        BadInput: no such preset, or a value that the setting cannot have.
+    """
 
     preset: Annotated[AggregatePreset, Option(name="--aggregate-preset")] = "default"
     """paper: retrain every parameter at the edges and the cloud."""
@@ -223,7 +231,11 @@ class ExecutionOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """One run from photographs to a scene."""
+    """One run from photographs to a scene.
+
+    Raises:
+        BadInput: settings that contradict each other, or a value out of range.
+    """
 
     source: Path
     """Photographs, a COLMAP project (images/ and sparse/), or a Mill 19 folder."""
@@ -291,8 +303,8 @@ class RunConfig:
         if self.frames != "shared" and self.sfm.masks is not None:
             raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
-            told = "--up, --distance and --height turn and scale one scene"
-            raise BadInput(f"{told}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
+            reason = "--up, --distance and --height turn and scale one scene"
+            raise BadInput(f"{reason}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
         for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.plan.file, self.evaluate.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")

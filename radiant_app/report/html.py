@@ -60,6 +60,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         title=Path(manifest.config["source"]).parent.name or "run",
         manifest=manifest,
         metrics=metrics,
+        unscored=describe_unscored(metrics),
         frame=_frame_facts(run),
         pooled=metrics.get("pooled", True),
         planned_by_raster=(run / STAGE / "task.json").is_file(),
@@ -72,6 +73,19 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
     )
     write_atomic(run / "report.html", page.encode())
     return run / "report.html"
+
+
+def describe_unscored(metrics: Mapping[str, Any]) -> str:
+    """Return where the held-out photographs are that have no figures, as the end of a sentence."""
+    causes = [
+        f"lie on {kind} ({', '.join(devices)})"
+        for kind, devices in (
+            ("missing devices", metrics.get("missing", ())),
+            ("devices that ended without figures when they scored the scene", metrics.get("failed_scoring", ())),
+        )
+        if devices
+    ]
+    return f"the others {' or '.join([*causes, 'have no known pose'])}"
 
 
 def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> list[dict[str, Any]]:

@@ -222,6 +222,8 @@ class DevicePhotographs:
         result = scoring.run(executor, progress)
         num_held_out = sum(len(share.held_out) for share in self.shares.values())
         facts = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": self.folders is None}
+        if scoring.failed:
+            facts["failed_scoring"] = [stage.removeprefix("devices/").removesuffix("/score") for stage in scoring.failed]
         (run / "evaluation").mkdir(exist_ok=True)
         write_json(run / "evaluation" / "result.json", {**result, **facts})
         save_delivered(run, dealer, self.captured.origin)

@@ -73,7 +73,14 @@ class RunResult:
         return self.folder / "report.html"
 
     def load_splats(self) -> Splats:
-        """The scene's Gaussians."""
+        """Read the scene's Gaussians.
+
+        Returns:
+            All Gaussians of scene.ply, before activation.
+
+        Raises:
+            BadInput: the file is missing or broken.
+        """
         return load_ply(self.folder / "scene.ply")
 
 

@@ -63,6 +63,8 @@ class Scoring:
     access_log: list[dict[str, Any]] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     """Stage → the key of its seal, so that figures of another scene are not used."""
+    failed: tuple[str, ...] = ()
+    """Stages of the machines that ended without figures."""
 
     def run(self, executor: Executor, progress: Progress) -> dict[str, Any]:
         """Score on every machine and combine the figures; raises as `combine_scores`."""
@@ -71,6 +73,7 @@ class Scoring:
         run = self.config.out
         stages = [machine.stage for machine in self.machines]
         folders = [run / stage for stage in stages if stage in self.keys and is_sealed(run / stage, self.keys[stage])]
+        self.failed = tuple(stage for stage in stages if run / stage not in folders)
         # Pictures of photographs leave a machine only where all are one owner's.
         for kind in PICTURE_KINDS if self.config.frames == "shared" or self.config.single_owner else ():
             for made in (folder / kind for folder in folders):
@@ -115,7 +118,9 @@ def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNe
     found = {name: read_json(path, ("images", "leakage", "seam_sums")) for name, path in scores.items()}
     images = [row for each in found.values() for row in each["images"]]
     if not images:
-        raise StageFailed("no device could score the scene: none holds a photograph out that it could place; give more photographs.")
+        none_placed = "the machines that scored have none whose pose is known; give more photographs."
+        reason = none_placed if found else "scoring ended without figures on every machine that has any; --resume tries again."
+        raise StageFailed(f"no held-out photograph could be scored: {reason}")
     seams = pooled_seam_error([np.array(each["seam_sums"]) for each in found.values()])
     plan, _ = load_plan(run / "plan.json")
     leakage = {name: each["leakage"] for name, each in found.items() if each["leakage"] is not None}

@@ -1,5 +1,7 @@
-"""Scores a finished scene on the held-out photographs of a machine. Once per run and machine: a
-render, its figures and pictures per photograph.
+"""Scores models on held-out photographs: a render, its figures and pictures per photograph.
+
+`score_images` is the one scorer: of a run (once per machine that has held-out photographs), of
+`radiant train` and of `radiant evaluate`.
 
 Two baselines stand beside every figure: the Gaussians before any training, and the photograph's own
 mean colour. Seam masks come from the scene's own depth here; a comparison of methods has to fix
@@ -8,9 +10,9 @@ them by one depth for all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +47,7 @@ from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats
 from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.plan.plans import CloudPlan
+from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
 from radiant_core.train.photographs import load_images
@@ -59,15 +62,39 @@ PICTURE_KINDS = ("photographs", "renders", "differences")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldOutViews:
-    """The held-out photographs of one machine, with their cameras at their size."""
+    """Held-out photographs, with their cameras at the size at which they are scored."""
 
     cameras: Cameras
-    """In the frame of the machine."""
-    photographs: Sequence[NDArray[np.float32]]
+    """In the frame of their machine."""
+    photographs: Sequence[Path]
     used: Sequence[Used]
     """What masks leave of each."""
-    initial: Splats
-    """The Gaussians before training, in the same frame."""
+    initial: Splats | None = None
+    """The Gaussians before training, in the same frame; None: unknown."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScoredImage:
+    """A render beside its photograph."""
+
+    row: dict[str, Any]
+    """The name and the figures."""
+    view: RenderedView
+    photograph: NDArray[np.float32]
+    """(H,W,3) in 0..1."""
+    used: Used
+
+    def save(self, folder: Path) -> list[str]:
+        """Write render, photograph and their absolute difference (×3, where `used`) as PNG; returns
+        the names relative to `folder`."""
+        render, name = self.view.image, self.view.name
+        difference = np.clip(3 * np.abs(render - self.photograph), 0, 1) * (1.0 if self.used is None else self.used[..., None])
+        names = []
+        for kind, image in (("renders", render), ("photographs", self.photograph), ("differences", difference)):
+            names.append(f"{kind}/{name}.png")
+            (folder / names[-1]).parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(folder / names[-1], png_bytes((image * 255).round().astype(np.uint8)))
+        return names
 
 
 def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
@@ -76,20 +103,15 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     own, inbox = folder.parent if task.owned else folder, folder / "inbox"
     images = Path(read_json(own / OWN_NAME, ("images",))["images"])
     cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
-    sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
-    photographs = [load_photograph(images / name, size) for name, size in zip(cameras.names, sizes, strict=True)]
+    photographs = [images / name for name in cameras.names]
     leakage = _measure_leakage(own, images, task, reporter) if task.owned else None
     if task.owned:
         cameras = replace(cameras, names=tuple(f"{own.name}/held-out-{index:04d}" for index in range(len(cameras))))
     views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME))
     scene, (plan, _) = load_ply(inbox / "scene.ply"), load_plan(inbox / "plan.json")
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
-    figures, rendered = score_views(scene, plan, views, task, lpips, reporter)
-    pictures = [
-        name
-        for view, photograph, pixels in zip(rendered, photographs, used, strict=True)
-        for name in save_comparison(folder, view, photograph, pixels)
-    ]
+    figures, scored = score_views(scene, plan, views, task, lpips, reporter)
+    pictures = [name for image in scored for name in image.save(folder)]
     write_json(folder / SCORES_NAME, {**figures, "leakage": leakage})
     # Checking a seal reads every file it lists, and the owner's process checks those of devices.
     return [SCORES_NAME] if task.owned else [SCORES_NAME, *pictures]
@@ -97,27 +119,43 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
 
 def score_views(
     scene: Splats, plan: CloudPlan, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter
-) -> tuple[dict[str, Any], list[RenderedView]]:
+) -> tuple[dict[str, Any], list[ScoredImage]]:
     """Score a scene on one machine's views: figures per photograph, sums about the plan's borders,
-    and the renders."""
+    and the images."""
     cameras = views.cameras
     for move in task.corrections:
         cameras = moved_cameras(cameras, move.sim3)
-    seen = count(1)
+    scored = []
+    for image in score_images(scene, cameras, views, task.backend, lpips):
+        scored.append(image)
+        reporter.progress(len(scored), len(cameras), image.view.name)
+    masks = seam_masks(cameras, [image.view.depth for image in scored], plan, region_width(plan.sites)).within(views.used)
+    sums = seam_sums([image.view.image for image in scored], [image.photograph for image in scored], masks)
+    return {"images": [image.row for image in scored], "seam_sums": sums.tolist()}, scored
 
-    def report(view: RenderedView) -> RenderedView:
-        reporter.progress(next(seen), 3 * len(cameras), view.name)
-        return view
 
-    rendered = [report(view) for view in render_views(scene, cameras, task.backend)]
-    untrained = [report(view) for view in render_views(views.initial, views.cameras, task.backend)]
-    rows = []
-    for view, before, photograph, pixels in zip(rendered, untrained, views.photographs, views.used, strict=True):
-        rows.append(score_render(view, photograph, before=before, lpips=lpips, used=pixels))
-        report(view)
-    masks = seam_masks(cameras, [view.depth for view in rendered], plan, region_width(plan.sites)).within(views.used)
-    sums = seam_sums([view.image for view in rendered], views.photographs, masks)
-    return {"images": rows, "seam_sums": sums.tolist()}, rendered
+def score_images(
+    model: Splats, cameras: Cameras, views: HeldOutViews, backend: Backend = "auto", lpips: Lpips | None = None
+) -> Iterator[ScoredImage]:
+    """Score a model on held-out photographs, one of them in memory at a time.
+
+    Args:
+        model: the Gaussians to render.
+        cameras: those of the views, in the frame of the model.
+        views: the photographs, and the Gaussians to compare the model with.
+        backend: the renderer.
+        lpips: the network of LPIPS; None: without.
+
+    Yields:
+        Each render with its figures, in the order of the views.
+    """
+    rendered = render_views(model, cameras, backend)
+    untrained = repeat(None, len(cameras)) if views.initial is None else render_views(views.initial, views.cameras, backend)
+    for view, before, path, used in zip(rendered, untrained, views.photographs, views.used, strict=True):
+        height, width = view.image.shape[:2]
+        photograph = load_photograph(path, (width, height))
+        row = _score_render(view, photograph, before=before, lpips=lpips, used=used)
+        yield ScoredImage(row=row, view=view, photograph=photograph, used=used)
 
 
 def _measure_leakage(own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:
@@ -133,7 +171,7 @@ def _measure_leakage(own: Path, images: Path, task: ScoreTask, reporter: EventRe
     return {"psnr_db": float(mean[0]), "ssim": float(mean[1]), "num_images": len(figures)}
 
 
-def score_render(
+def _score_render(
     view: RenderedView,
     photograph: NDArray[np.float32],
     *,
@@ -171,7 +209,7 @@ def select_scored(cameras: Cameras, masks: Path | None, warn: Callable[[str], No
 
 
 def summarize_scores(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:
-    """Summarize rows of `score_render`: means, medians, reasons for missing figures, the rows."""
+    """Summarize rows of `score_images`: means, medians, reasons for missing figures, the rows."""
     errors = [ImageErrors(name=row["name"], **{figure: row[figure] for figure in FIGURES}) for row in rows]
     mean, median = mean_errors(errors), median_errors(errors)
     return {
@@ -182,19 +220,6 @@ def summarize_scores(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | 
         "lpips_network": lpips_network,
         "images": list(rows),
     }
-
-
-def save_comparison(folder: Path, view: RenderedView, photograph: NDArray[np.float32], used: Used = None) -> list[str]:
-    """Write render, photograph and their absolute difference (×3, where `used`) as PNG; returns the
-    names relative to `folder`."""
-    difference = np.clip(3 * np.abs(view.image - photograph), 0, 1) * (1.0 if used is None else used[..., None])
-    names = []
-    for kind, image in (("renders", view.image), ("photographs", photograph), ("differences", difference)):
-        name = f"{kind}/{view.name}.png"
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(folder / name, png_bytes((image * 255).round().astype(np.uint8)))
-        names.append(name)
-    return names
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:

@@ -75,7 +75,7 @@ def test_kept_figures_are_those_of_the_kept_model(scene: Path, tmp_path: Path) -
     views = arms.views(cell, METHODS["crop"])
     errors = [((view.image - photograph) ** 2).mean() for view, photograph in zip(views, arms.photographs, strict=True)]
     np.testing.assert_allclose(row.psnr_db, -10 * np.log10(errors), rtol=1e-5)
-    reference = render_views(cell.centralised.splats, arms.scene.held_out_views.cameras)
+    reference = render_views(cell.centralised_model.splats, arms.scene.held_out_views.cameras)
     assert [mask.labels.shape for mask in arms.masks(cell)] == [view.depth.shape for view in reference]
     for layout in (Layout(num_edges=2, num_devices=1), Layout(num_edges=2, num_devices=2)):
         recipe = arms.cell(layout).recipe

@@ -25,6 +25,7 @@ from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, TrainOptions
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress
+from radiant_app.report import html
 from radiant_app.report.html import TIERS
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import RunResult, run
@@ -35,7 +36,8 @@ from radiant_core.aggregate.extend import NewRegion
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.frames import geodetic_from_enu
+from radiant_core.frames import enu_change, geodetic_from_enu
+from radiant_core.geometry.similarity import move_splats
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras
@@ -122,9 +124,12 @@ def test_training_beats_both_baselines_on_every_held_out_photograph(finished: tu
 def test_resuming_skips_every_finished_stage_and_keeps_the_scene(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
     config, _, first = finished
     before = (config.out / "scene.ply").read_bytes()
+    former = [config.out / "evaluation" / name for name in ("scene.ply", "plan.json", "cameras.safetensors")]
+    for path in former:
+        path.write_text("of an earlier version")
     events: list[Event] = []
     run(config, events.append, resume=True)
-    assert not any(isinstance(event, StageDone) for event in events)
+    assert not any(isinstance(event, StageDone) for event in events) and not any(path.exists() for path in former)
     # Teachers come and go: one that the last device has stopped is not begun again.
     skipped, done = ({e.stage for e in of if isinstance(e, kind)} for of, kind in ((events, StageSkipped), (first, StageDone)))
     assert skipped <= done and all("/teachers/" in stage for stage in done - skipped)
@@ -378,6 +383,33 @@ def test_a_run_is_extended_by_another_and_by_a_region_of_the_plan(
         with pytest.raises(BadInput, match=said):
             extend(ExtendRequest(**asked), display)
         assert not (tmp_path / "y.ply").exists()
+
+
+def test_a_scene_with_an_origin_of_its_own_is_extended_by_a_later_run(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Alone extends one run by another whose GPS gives another origin."""
+    # Its pictures take longer than all stages of such a run.
+    monkeypatch.setattr(html, "write_report", lambda *_: None)
+    new, old = finished[0].out, tmp_path / "old"
+    (tmp_path / "first").mkdir()
+    for path in sorted(finished[0].source.glob("drone_*.jpg"))[:8]:
+        shutil.copyfile(path, tmp_path / "first" / path.name)
+    (tmp_path / "system.toml").write_text('[[edge]]\nid = "alone"\n[[edge.device]]\nid = "alone-1"\n')
+    tiny = replace(TINY, long_side_px=64, num_steps=30)
+    run(RunConfig(source=tmp_path / "first", system=tmp_path / "system.toml", out=old, train=tiny))
+    request = ExtendRequest(old=old, new=new, out=tmp_path / "more.ply", num_epochs=1)
+    made = extend(request, ProgressDisplay(Console(quiet=True)))
+    origins = [load_scene(folder / "sfm" / "scene.safetensors").frame.origin_lat_lon_alt for folder in (new, old)]
+    move = enu_change(*origins)
+    assert np.linalg.norm(move.translation) > 1 and f"moved by {np.linalg.norm(move.translation):.2f} m" in made["frames"]
+    standing, extended = load_ply(old / "scene.ply"), load_ply(tmp_path / "more.ply")
+    assert made["gaussians"] == len(extended) and made["views"] > 0
+    # First what lies beyond the margin, in its order and bit for bit; then what came, moved.
+    kept = [row.tobytes() for row in extended.means[: made["unchanged"]]]
+    assert 0 < len(kept) < len(standing) and kept == [row for row in (row.tobytes() for row in standing.means) if row in set(kept)]
+    came = {row.tobytes() for row in move_splats(load_ply(new / "scene.ply"), move).means}
+    assert 0 < made["new"] <= sum(row.tobytes() in came for row in extended.means[made["unchanged"] :])
 
 
 def test_commands_refuse_what_is_damaged_or_taken(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:

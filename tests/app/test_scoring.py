@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from radiant_app.config.run_config import RunConfig
+from radiant_app.report.html import describe_unscored
 from radiant_app.run.scoring import Scoring, ScoringMachine, combine_scores
 from radiant_app.workers.evaluation import SCORES_NAME, png_bytes, run_score
 from radiant_app.workers.reporting import EventReporter
@@ -109,7 +110,7 @@ def test_one_machine_with_all_photographs_and_two_devices_in_frames_of_their_own
 def test_a_machine_without_photographs_adds_nothing_and_alone_has_no_figures(run: Path) -> None:
     file = scored(run, "evaluation", CAMERAS.select([]))
     assert read_json(file)["images"] == [] and not (file.parent / "renders").exists()
-    with pytest.raises(StageFailed, match="no device could score"):
+    with pytest.raises(StageFailed, match="no held-out photograph could be scored: the machines that scored have none whose pose is known"):
         combine_scores(run, {"evaluation": file}, None)
 
 
@@ -122,6 +123,22 @@ def test_figures_of_another_scene_are_not_used_where_scoring_anew_fails(run: Pat
     recipe = SimpleNamespace(train=SimpleNamespace(long_side_px=192), backend="native")
     scoring = Scoring(config=config, recipe=cast(Any, recipe), machines=[machine])
     given_up = SimpleNamespace(fold=lambda tree, prepare, listen: [prepare(node) for node in tree])
-    with pytest.raises(StageFailed, match="no device could score"):
+    with pytest.raises(StageFailed, match="ended without figures on every machine that has any; --resume"):
         scoring.run(cast(Any, given_up), cast(Any, SimpleNamespace(listen=None)))
-    assert file.is_file() and scoring.keys
+    assert file.is_file() and scoring.keys and scoring.failed == ("evaluation",)
+
+
+@pytest.mark.parametrize(
+    ("metrics", "words"),
+    [
+        ({"missing": {}}, "the others have no known pose"),
+        ({"missing": {"a": "It was lost.", "b": "It was late."}}, "the others lie on missing devices (a, b) or have no known pose"),
+        (
+            {"missing": {"a": "It was lost."}, "failed_scoring": ["c"]},
+            "the others lie on missing devices (a) or lie on devices that ended without figures when they scored the scene (c) or have no "
+            "known pose",
+        ),
+    ],
+)
+def test_where_unscored_photographs_are_is_said(metrics: dict[str, Any], words: str) -> None:
+    assert describe_unscored(metrics) == words

@@ -149,8 +149,8 @@ def _neighbours(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray]) -
             found[a, b] = overlap
     chosen = set()
     for index in range(len(models)):
-        mine = sorted((pair for pair in found if index in pair), key=lambda pair: -found[pair].share)
-        chosen |= set(mine[:MAX_NEIGHBOURS])
+        by_share = sorted((pair for pair in found if index in pair), key=lambda pair: -found[pair].share)
+        chosen |= set(by_share[:MAX_NEIGHBOURS])
     return {pair: found[pair] for pair in sorted(chosen)}
 
 
@@ -243,8 +243,8 @@ def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int]
 def _verdict(index: int, model: PlacedModel, solved: SolvedFrames, used: Sequence[_Pair], refusals: dict[int, str]) -> RefinedFrame:
     if index in refusals:
         return RefinedFrame(status="refused", correction=IDENTITY, uncertainty=model.uncertainty, reason=refusals[index])
-    mine = [pair for pair in used if index in (pair.a, pair.b)]
-    if not mine:
+    own_pairs = [pair for pair in used if index in (pair.a, pair.b)]
+    if not own_pairs:
         loose = model.uncertainty.scale > ALONE_MAX_SCALE or model.uncertainty.rotation_rad > ALONE_MAX_ROTATION_RAD
         if loose:
             reason = (
@@ -255,15 +255,15 @@ def _verdict(index: int, model: PlacedModel, solved: SolvedFrames, used: Sequenc
             return RefinedFrame(status="refused", correction=IDENTITY, uncertainty=model.uncertainty, reason=reason)
         reason = "no other model knows enough of the same ground, so it stays where its own frame puts it."
         return RefinedFrame(status="alone", correction=IDENTITY, uncertainty=model.uncertainty, reason=reason)
-    misses = [edge_xi(pair.edge, solved.corrections[pair.a], solved.corrections[pair.b])[:3] for pair in mine]
-    squares = [pair.edge.fit.residual_m**2 + float(miss @ miss) for pair, miss in zip(mine, misses, strict=True)]
-    neighbours = tuple(sorted(pair.other(index) for pair in mine))
-    num_points = sum(pair.edge.fit.num_pairs for pair in mine)
+    misses = [edge_xi(pair.edge, solved.corrections[pair.a], solved.corrections[pair.b])[:3] for pair in own_pairs]
+    squares = [pair.edge.fit.residual_m**2 + float(miss @ miss) for pair, miss in zip(own_pairs, misses, strict=True)]
+    neighbours = tuple(sorted(pair.other(index) for pair in own_pairs))
+    num_points = sum(pair.edge.fit.num_pairs for pair in own_pairs)
     return RefinedFrame(
         status="ok",
         correction=solved.corrections[index],
         uncertainty=solved.uncertainty(index),
-        reason=f"{num_points} points on ground common with {len(mine)} other models agree.",
+        reason=f"{num_points} points on ground common with {len(own_pairs)} other models agree.",
         residual_m=float(np.sqrt(np.mean(squares))),
         neighbours=neighbours,
     )

@@ -57,10 +57,17 @@ def save_ply(path: Path, splats: Splats) -> None:
 
 
 def load_ply(path: Path) -> Splats:
-    """The Gaussians of a 3DGS PLY file; other scalar properties are skipped.
+    """Read the Gaussians of a 3DGS PLY file; other scalar properties are skipped.
 
-    Raises BadInput naming the file when it is missing, is not such a file, has another length than
-    its header says, or holds a value that is not finite.
+    Args:
+        path: a binary little-endian file, such as the scene.ply of a run.
+
+    Returns:
+        The Gaussians before activation, in the order of the file.
+
+    Raises:
+        BadInput: the file is missing, no such PLY, of another length than its header says, or has
+            values that are not finite; the message names it.
     """
     try:
         with open(path, "rb", opener=open_without_waiting) as file:

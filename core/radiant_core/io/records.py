@@ -81,7 +81,19 @@ def save_scene(path: Path, scene: SfmScene) -> None:
 
 
 def load_scene(path: Path) -> SfmScene:
-    """The scene that `save_scene` wrote; raises as `load_cameras`."""
+    """Read the scene that `save_scene` wrote.
+
+    Args:
+        path: the scene.safetensors of `radiant sfm` or of a run.
+
+    Returns:
+        Cameras, points, observations and frame.
+
+    Raises:
+        BadInput: something else than a scene, a name that leads out of a folder, or a camera larger
+            than any photograph.
+        StoreDamaged: the file is missing or broken.
+    """
     arrays, about = load_arrays(path, "radiant.scene", SCENE_DTYPES)
     with name_file_in_errors(path):
         residual_m = about["frame_residual_m"]

@@ -31,7 +31,16 @@ class RenderedView:
 
 
 def render_views(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> Iterator[RenderedView]:
-    """Render every camera at its size, one picture in memory at a time."""
+    """Render every camera at its size, one picture in memory at a time.
+
+    Args:
+        splats: the model.
+        cameras: in the frame of the model.
+        backend: the renderer; auto: gsplat where it can be used, else native.
+
+    Yields:
+        One picture per camera, in their order.
+    """
     tensors = SplatTensors.from_splats(splats, device=device_of(resolve_backend(backend)))
     for index, (width, height) in enumerate(cameras.sizes_wh):
         one = slice(index, index + 1)

@@ -170,7 +170,17 @@ _PRESETS: dict[str, TrainConfig] = {
 
 
 def train_preset(name: str) -> TrainConfig:
-    """The configuration of a preset; BadInput lists the names there are."""
+    """Return the configuration of a preset.
+
+    Args:
+        name: one of `Preset`.
+
+    Returns:
+        The configuration, as every training of that preset begins with.
+
+    Raises:
+        BadInput: an unknown name; the message lists the names there are.
+    """
     if name not in _PRESETS:
         raise BadInput(f"train preset {name!r} is unknown: use one of {', '.join(get_args(Preset))}.")
     return _PRESETS[name]
@@ -186,8 +196,19 @@ def setting_types() -> Mapping[str, Any]:
 
 
 def parse_setting(path: str, value: Any) -> Any:
-    """The value of a setting: a text is read by the setting's type, "none" as None where that is
-    one of its values. BadInput where there is no such setting, or for a value of another kind."""
+    """Return the value of a setting in its own type.
+
+    Args:
+        path: the path of the setting, as "density.every".
+        value: a text, read by the setting's type ("none" as None where that is one of its values),
+            or a value of that type.
+
+    Returns:
+        The value.
+
+    Raises:
+        BadInput: there is no such setting, or the value is of another kind.
+    """
     if path not in setting_types():
         raise BadInput(f"{path} is no setting of training: expected one of {', '.join(setting_types())}.")
     hint = setting_types()[path]
@@ -201,12 +222,19 @@ def parse_setting(path: str, value: Any) -> Any:
 
 
 def with_settings(config: TrainConfig, settings: Mapping[str, Any]) -> TrainConfig:
-    """The configuration with other values, texts or typed, by the paths of their settings.
+    """Return the configuration with other values, as
+    `with_settings(config, {"sh_degree": "2", "density.kind": "mcmc", "density.every": "50"})`.
 
-    Another "density.kind" keeps the knobs that the two policies share, and takes the defaults of
-    the others. Raises BadInput as `parse_setting`, for a value out of range, or an unknown knob:
+    Args:
+        config: the configuration to begin with.
+        settings: path of a setting → its value, a text or typed. Another "density.kind" keeps the
+            knobs that the two policies share, and takes the defaults of the others.
 
-        with_settings(config, {"sh_degree": "2", "density.kind": "mcmc", "density.every": "50"})
+    Returns:
+        A new configuration.
+
+    Raises:
+        BadInput: as `parse_setting`; a value out of range; a knob that the policy does not have.
     """
     values = {path: parse_setting(path, value) for path, value in settings.items()}
     density = densification_of(values.pop("density.kind", config.density.kind), config.density)

@@ -79,9 +79,18 @@ def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_
 
 
 def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:
-    """The Gaussians that training starts from: sparse points and, by `config`, fill-in points and a
-    sky; and how many were filled in: what the limit leaves, at least a quarter of it.
-    `views.cameras` are those of the scene in the same order."""
+    """Return the Gaussians that training starts from: sparse points and, by `config`, fill-in
+    points and a sky.
+
+    Args:
+        scene: cameras and sparse points.
+        views: the photographs; their cameras are those of the scene, in the same order.
+        config: the settings of training.
+
+    Returns:
+        The Gaussians, and how many of them were filled in: at most what the limit leaves or a
+        quarter of it, whichever is more.
+    """
     limit = config.max_num_splats
     fill = fill_in_points(scene, views).thin(max(limit - len(scene.points), limit // 4) if config.fill_in else 0)
     kept = np.linspace(0, len(scene.points) - 1, min(len(scene.points), max(1, limit - len(fill.points)))).astype(np.int64)

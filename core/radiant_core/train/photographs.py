@@ -14,7 +14,18 @@ from radiant_core.train.views import TrainingViews
 
 
 def load_images(folder: Path, cameras: Cameras) -> tuple[NDArray[np.uint8], ...]:
-    """The photographs (H,W,3) of `cameras` by name, reduced to the cameras' sizes."""
+    """Read photographs by the names of their cameras.
+
+    Args:
+        folder: the folder of the photographs.
+        cameras: their names and sizes.
+
+    Returns:
+        A photograph (H,W,3) in 8 bits per camera, reduced to the camera's size.
+
+    Raises:
+        BadInput: a photograph is missing or damaged.
+    """
     return tuple(
         (load_photograph(folder / name, (int(width), int(height))) * 255).round().astype(np.uint8)
         for name, (width, height) in zip(cameras.names, cameras.sizes_wh, strict=True)

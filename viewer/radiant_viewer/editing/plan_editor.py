@@ -133,19 +133,19 @@ class PlanEditor:
         if self._file is None:
             return ()
         kept, sentence = self._file.load()
-        told = [sentence] if sentence else []
+        sentences = [sentence] if sentence else []
         for edit in kept.done:
-            told += self._replay(edit, self._done)
+            sentences += self._replay(edit, self._done)
         undone: list[_Step] = []
         # The last undone edit is the next to redo; if one fails, those after it are dropped too.
         for edit in reversed(kept.undone):
             failed = self._replay(edit, undone)
             if failed:
-                told += failed
+                sentences += failed
                 break
         self._undone = undone[::-1]
         self._finish_step()
-        return tuple(told)
+        return tuple(sentences)
 
     def _replay(self, edit: Edit, steps: list[_Step]) -> list[str]:
         """Append the step of a stored edit, or return a sentence why not. Regions only: strips are
@@ -177,9 +177,9 @@ class PlanEditor:
 
     def adopt_other(self) -> tuple[str, ...]:
         """Replay the other window's edits, as `restore`; this window's stay in a file beside it."""
-        told = self._aside_sentences()
+        sentences = self._aside_sentences()
         self._done, self._undone = [], []
-        return (*told, *self.restore())
+        return (*sentences, *self.restore())
 
     def _aside_sentences(self) -> list[str]:
         aside = None if self._file is None else self._file.aside

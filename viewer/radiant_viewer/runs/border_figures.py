@@ -102,8 +102,8 @@ class BorderFigures:
         """The piece whose step exceeds the texture most, weighted by coverage; None without any."""
         if not self.observed.any():
             return None
-        told = np.maximum(VISIBLE_LEVELS, np.nan_to_num(self.limits))
-        return int(np.argmax(np.where(self.observed, np.nan_to_num(self.levels) / told * self.shares, -1.0)))
+        visible_levels = np.maximum(VISIBLE_LEVELS, np.nan_to_num(self.limits))
+        return int(np.argmax(np.where(self.observed, np.nan_to_num(self.levels) / visible_levels * self.shares, -1.0)))
 
     @property
     def observed_ends(self) -> FloatArray:

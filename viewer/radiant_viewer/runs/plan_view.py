@@ -29,8 +29,20 @@ USUAL_OVERLAP, LARGEST_OVERLAP = 0.8, 0.95
 
 
 def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
-    """Read the plan in the file at `path`; `scene`: its cameras in its order, for a plan without
-    waypoints. Raises BadInput where it has neither or they do not fit, and as `load_plan`."""
+    """Read a plan without a run.
+
+    Args:
+        path: the file that `radiant plan` wrote.
+        scene: the plan's cameras in the plan's order, for a plan without waypoints.
+
+    Returns:
+        The plan with the cameras at its waypoints or of the scene, without model and figures.
+
+    Raises:
+        BadInput: the plan has neither waypoints nor a scene, or they do not fit to it, or the file
+            holds no plan.
+        StoreDamaged: the file is broken.
+    """
     found = load_plan_file(path)
     cloud_plan, edge_plans = found.cloud, found.edges
     if found.waypoints is not None:

@@ -87,9 +87,17 @@ class RunView:
 def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
     """Read the run, training or scene in `folder`, that of `radiant run`, `train` or `sfm`.
 
-    `with_files` fills `RunView.files` from the devices' records; for a window, which writes nothing
-    into the run. Raises BadInput where it is none of them or has no plan yet, StoreDamaged where a
-    file is broken.
+    Args:
+        folder: the folder that the command wrote.
+        with_files: fill `RunView.files` from the devices' records; for a window, which writes
+            nothing into the run.
+
+    Returns:
+        Scene and plan, and the model and the figures if there are any yet.
+
+    Raises:
+        BadInput: the folder is of none of these commands, or has no plan yet.
+        StoreDamaged: a file is broken.
     """
     folder = Path(folder)
     if not folder.is_dir():

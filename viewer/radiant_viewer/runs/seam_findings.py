@@ -52,19 +52,19 @@ def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_ex
 def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     """Return the verdict on all borders with their observed length, and the largest step beside its
     texture."""
-    told = [finding.figures for finding in findings if finding.figures.has_verdict]
-    if not told:
+    judged = [finding.figures for finding in findings if finding.figures.has_verdict]
+    if not judged:
         return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
     found = sum(finding.found for finding in findings)
-    limit = max(figures.detectable_levels for figures in told)
+    limit = max(figures.detectable_levels for figures in judged)
     verdict = (
         f"Seam found at {found} of {len(findings)} border{'s' * (len(findings) != 1)}"
         if found
         else f"No step of {limit:.0f} levels of 255 or more could be told from texture"
     )
-    observed = sum(figures.observed_length for figures in told)
+    observed = sum(figures.observed_length for figures in judged)
     total = sum(finding.figures.border.length_m for finding in findings)
-    return f"{verdict}; observed: {observed_text(observed, total, unit)}   ·   largest: {told[0].title}, {_beside_texture(told[0])}"
+    return f"{verdict}; observed: {observed_text(observed, total, unit)}   ·   largest: {judged[0].title}, {_beside_texture(judged[0])}"
 
 
 def step_text(figures: BorderFigures) -> str:

@@ -35,8 +35,17 @@ OTHERS = 0o077
 
 
 def make_signing_key(folder: Path) -> bool:
-    """Make a key pair in `folder` (made with mode 0700); False where there is one, which stays.
-    Raises BadInput when it cannot be written."""
+    """Make a key pair.
+
+    Args:
+        folder: the folder of the pair, made with mode 0700 if there is none.
+
+    Returns:
+        Whether a pair was made; one that is there stays.
+
+    Raises:
+        BadInput: the pair cannot be written.
+    """
     private, public = folder / KEY_NAME, folder / PUBLIC_NAME
     if private.exists():
         write_atomic(public, _public_pem(load_signing_key(folder)))

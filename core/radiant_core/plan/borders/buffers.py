@@ -152,8 +152,8 @@ def _nearest_with_room(
     device_of = np.array(landed, np.int64)[away_m.argmin(axis=0)]
     for index in landed:
         limit = edge.devices[index].max_cameras
-        mine = np.flatnonzero(device_of == index)
-        fits[mine[: None if limit is None else max(0, limit - int(own[index]))]] = True
+        nearest = np.flatnonzero(device_of == index)
+        fits[nearest[: None if limit is None else max(0, limit - int(own[index]))]] = True
     return device_of, fits
 
 

@@ -156,8 +156,8 @@ class _Seen:
 
     def own(self, images: NDArray[np.int64], edge: int) -> NDArray[np.bool_]:
         """Which of the images (K,) the devices of an edge take."""
-        mine = self.edge_of_image[images] == edge
-        return np.logical_or(mine, np.isin(images, self.taken[edge])) if edge in self.taken else mine
+        planned = self.edge_of_image[images] == edge
+        return np.logical_or(planned, np.isin(images, self.taken[edge])) if edge in self.taken else planned
 
     def _sees(self, images: NDArray[np.int64], spots: FloatArray) -> NDArray[np.bool_]:
         corners = self.footprints.polygons[images] - spots[0]

@@ -420,10 +420,10 @@ def _edge_plans(
     for edge in system.edges:
         last = first + len(edge.devices)
         own = np.flatnonzero((after >= first) & (after < last))
-        mine = (before >= first) & (before < last)
+        owned = (before >= first) & (before < last)
         old = old_of.get(edge.id)
         ids = tuple(device.id for device in edge.devices)
-        untouched = old is not None and old.device_ids == ids and (before[mine] == after[mine]).all() and len(own) == mine.sum()
+        untouched = old is not None and old.device_ids == ids and (before[owned] == after[owned]).all() and len(own) == owned.sum()
         hulls = tuple(hull_of(positions[after == index]) for index in range(first, last))
         plans.append(
             EdgePlan(
