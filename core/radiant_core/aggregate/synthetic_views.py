@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
+from radiant_core.train.stored_images import store_views
 from radiant_core.train.views import TrainingViews
 
 ViewBytes = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -36,11 +38,18 @@ class Teacher:
     """Whether the model is several that are not joined yet (`pooling`): then all of it is contested."""
 
 
-def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", rendered: Rendered = {}) -> TrainingViews:  # noqa: B006
-    """`splats` at all `cameras` at their sizes, images and weights from alpha in 8 bits; what is in `rendered` is not rendered again."""
-    missing = [index for index in range(len(cameras)) if index not in rendered]
-    views = {**rendered, **dict(zip(missing, views_in_bytes(splats, cameras.select(missing), backend), strict=True))}
-    images, weights = zip(*(views[index] for index in range(len(cameras))), strict=True)
+def synthetic_views(
+    splats: Splats,
+    cameras: Cameras,
+    backend: Backend = "auto",
+    rendered: Rendered = {},  # noqa: B006
+    folder: Path | None = None,
+) -> TrainingViews:
+    """`splats` at all `cameras` at their sizes, images and weights from alpha in 8 bits, in files of
+    `folder` where one is given; what is in `rendered` is not rendered again."""
+    fresh = views_in_bytes(splats, cameras.select([index for index in range(len(cameras)) if index not in rendered]), backend)
+    views = (rendered[index] if index in rendered else next(fresh) for index in range(len(cameras)))
+    images, weights = store_views(views, folder)
     return TrainingViews(cameras=cameras, images=images, weights=weights)
 
 
