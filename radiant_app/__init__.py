@@ -1,1 +1,1 @@
-"""Wires core and viewer together; the only package that knows the command line, paths and executors."""
+"""Wires core and viewer together; only this package handles the command line and executors."""

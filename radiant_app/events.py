@@ -1,8 +1,6 @@
-"""The stream of typed events that long work emits; command line, window and report read the same
-stream.
+"""The stream of typed events of long work, read by command line, window and report.
 
-A worker process writes one event per line of standard output as JSON; `decode` turns the line back
-into the event.
+A worker process writes one event per line of standard output as JSON; `decode` parses it.
 """
 
 from __future__ import annotations
@@ -76,7 +74,7 @@ class MemoryPeaked:
 
 @dataclass(frozen=True, kw_only=True)
 class TimeLeft:
-    """Remaining time of all devices and edges once the node `after` ended; `correction`: this over the plan's time."""
+    """Remaining time of devices and edges after node `after`; `correction`: over the plan's."""
 
     seconds: float
     correction: float

@@ -1,4 +1,4 @@
-"""Signals that end a process: all are handled as Ctrl-C, with the same clean-up, so that no worker outlives its run."""
+"""Signals that end a process: all are handled as Ctrl-C, so that no worker outlives its run."""
 
 from __future__ import annotations
 

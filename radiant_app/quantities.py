@@ -1,4 +1,4 @@
-"""Times, amounts of memory and sizes as people write them on the command line: 90, 90s, 5m, 1.5h; 600MB, 2GB, 1GiB; 1280x900."""
+"""Times, memory and sizes as typed on the command line: 90, 5m, 1.5h; 600MB, 1GiB; 1280x900."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def seconds_of(text: str) -> float:
 
 
 def bytes_of(text: str) -> int:
-    """Bytes of "600MB", "2GB" (10⁹ each) or "1GiB" (2³⁰); BadInput for anything else and for less than one."""
+    """Bytes of "600MB", "2GB" (10⁹ each) or "1GiB" (2³⁰); BadInput for anything else and 0."""
     return math.floor(_amount(text, BYTES, "an amount of memory such as 600MB, 2GB or 1GiB", least=1.0))
 
 

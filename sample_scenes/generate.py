@@ -62,7 +62,8 @@ def _write_scene(config: SceneConfig, folder: Path, on_photo: Callable[[], None]
 
 
 def parse_config(arguments: Sequence[str]) -> tuple[SceneConfig, Path]:
-    """The config and the output folder of a command line; every field of SceneConfig is a switch."""
+    """The config and the output folder of a command line; every field of SceneConfig is a
+    switch."""
     parser = argparse.ArgumentParser(prog="generate.py", description="Render a sample scene with known cameras and depth.")
     parser.add_argument("--out", type=Path, required=True, help="Folder that gets images/ and known/.")
     for each in fields(SceneConfig):

@@ -1,7 +1,7 @@
 """How far a run's surface model is from the truth that the generator knows, and from the run's own
 sparse points.
 
-    python sample_scenes/surface_error.py RUN [--known sample_scenes/town/known] [--long-side-px 640] [--resolution 0.2]
+    python sample_scenes/surface_error.py RUN [--known sample_scenes/town/known] [--resolution 0.2]
 
 The run's frame is moved onto the truth's by a similarity of the camera centres. Truth are the
 heights of the topmost surface of the generator's mesh at the middles of the cells that are known,
@@ -62,7 +62,8 @@ def main() -> None:
 
 
 def point_errors(grid: HeightGrid, scene: SfmScene) -> FloatArray:
-    """Height of the grid minus that of each sparse point over a known cell (K,): a point under a roof or a tree counts too."""
+    """Height of the grid minus that of each sparse point over a known cell (K,): a point under a
+    roof or a tree counts too."""
     points = scene.points
     if grid.epsg is not None:
         places = geodetic_from_enu(points, scene.frame.origin_lat_lon_alt)
@@ -72,7 +73,8 @@ def point_errors(grid: HeightGrid, scene: SfmScene) -> FloatArray:
 
 
 def truth_errors(surface: Surface, scene: SfmScene, known: Path) -> FloatArray:
-    """Height of the run's surface minus the generator's (K,) m, both in the truth's frame, over the area of the flight."""
+    """Height of the run's surface minus the generator's (K,) m, both in the truth's frame, over the
+    area of the flight."""
     record = json.loads((known / "frame.json").read_text())["config"]
     names = {field.name for field in fields(SceneConfig)}
     given: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in record.items() if key in names}
@@ -90,7 +92,8 @@ def truth_errors(surface: Surface, scene: SfmScene, known: Path) -> FloatArray:
 
 
 def compare_depths(scene: SfmScene, splats: Splats) -> None:
-    """Print the share of pixels that count and the relative error of their depth for each way to choose opacities."""
+    """Print the share of pixels that count and the relative error of their depth for each way to
+    choose opacities."""
     opacities = 1 / (1 + np.exp(-splats.logit_opacities.astype(np.float64)))
     ways = {
         "as they are": splats,

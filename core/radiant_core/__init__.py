@@ -1,7 +1,6 @@
-"""Computes: reads, reconstructs, plans, trains, merges and measures scenes; draws, distributes and prints nothing."""
+"""Computes: reads, reconstructs, plans, trains, joins and measures scenes; it draws nothing."""
 
-# First of all: pycolmap exports a zlib of its own, and where that is loaded before the system's,
-# zlib.compress aborts.
+# First of all: zlib.compress aborts where pycolmap's own zlib is loaded before the system's.
 import zlib  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 __version__ = "0.1.0"

@@ -15,13 +15,11 @@ from radiant_core.numerics import FloatArray, check_array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cameras:
-    """C undistorted cameras: OpenCV axes (x right, y down, z forward), image corner (0,0), first
-    pixel centre (0.5,0.5).
+    """C undistorted OpenCV cameras: image corner (0,0), first pixel centre (0.5,0.5).
 
-    names (C) unique; Ks (C,3,3) px; cam_from_world (C,4,4) rigid, world in metres; sizes_wh (C,2)
-    px. Ks are [fx 0 cx; 0 fy cy; 0 0 1]. Raises BadInput when shapes disagree, a value is not
-    finite, a focal length or size is not positive, a K has another form, a name comes twice, or a
-    pose is not rigid.
+    names (C) unique; Ks (C,3,3) px, [fx 0 cx; 0 fy cy; 0 0 1]; cam_from_world (C,4,4) rigid, in
+    metres; sizes_wh (C,2) px. Raises BadInput when shapes disagree, a value is not finite, a focal
+    length or size is not positive, a K has another form, a name comes twice or a pose is not rigid.
     """
 
     names: tuple[str, ...]
@@ -56,7 +54,7 @@ class Cameras:
         return -np.einsum("cji,cj->ci", rotations, translations)
 
     def select(self, indices: ArrayLike) -> Cameras:
-        """The cameras at `indices` (K,) int, in that order, or those that a mask (C,) bool chooses."""
+        """The cameras at `indices` (K,) int, in that order, or those of a mask (C,) bool."""
         chosen: NDArray[Any] = np.asarray(indices)
         picked: NDArray[np.int64] = np.arange(len(self))[chosen if chosen.dtype == bool else chosen.astype(np.int64)]
         return Cameras(
@@ -75,7 +73,7 @@ class Cameras:
         return self.select([index_of[name] for name in names])
 
     def any_sees(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each of the points (P,3) projects into at least one image; occlusion does not count."""
+        """Whether each of the points (P,3) projects into an image; occlusion does not count."""
         points = np.asarray(points, dtype=np.float64)
         seen = np.zeros(len(points), bool)
         for K, pose, size_wh in zip(self.Ks, self.cam_from_world, self.sizes_wh, strict=True):
@@ -86,7 +84,7 @@ class Cameras:
         return seen
 
     def scaled(self, long_side_px: int) -> Cameras:
-        """The same cameras with images whose long side is at most `long_side_px`; never enlarged."""
+        """The same cameras with images of at most `long_side_px` a side; never enlarged."""
         factors = np.minimum(1.0, long_side_px / self.sizes_wh.max(axis=1, initial=1))
         sizes_wh = np.maximum(1, np.rint(self.sizes_wh * factors[:, None])).astype(np.int64)
         ratios = sizes_wh / self.sizes_wh
@@ -108,12 +106,10 @@ def concatenate_cameras(parts: Sequence[Cameras]) -> Cameras:
 
 def _require_rigid(names: tuple[str, ...], cam_from_world: FloatArray) -> None:
     rotations = cam_from_world[:, :3, :3]
-    # A rotation's entries are at most 1; the clip keeps huge ones from overflowing, where NaN would
-    # pass every comparison.
+    # A rotation has entries of at most 1; huge ones would overflow to NaN, which passes every test.
     rotations = np.clip(rotations, -10, 10)
     residual = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    # 1e-4: float32 poses from files keep 1e-6; a mirrored, scaled or transposed pose misses by far
-    # more.
+    # 1e-4: float32 poses from files keep 1e-6; a mirrored, scaled or transposed pose is far off.
     last_row_off = np.abs(cam_from_world[:, 3] - (0, 0, 0, 1)).max(axis=1, initial=0) > 1e-9
     bad = (residual > 1e-4) | (np.linalg.det(rotations) < 0) | last_row_off
     if bad.any():

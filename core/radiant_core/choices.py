@@ -1,16 +1,16 @@
-"""Closed choices of a user, each written once: the command line, files and the code share them. Imports nothing."""
+"""Closed choices of a user, shared by the command line, files and the code. Imports nothing."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 Matching = Literal["auto", "spatial", "exhaustive"]
-"""auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each
-with its GPS neighbours; exhaustive: every pair."""
+"""auto: spatial where nine in ten photographs have GPS, else exhaustive; spatial: each with its GPS
+neighbours; exhaustive: every pair."""
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
-"""exact: the least makespan; paper: the paper's Alg. 1; voronoi: the nearest edge; even: equal counts."""
+"""exact: least makespan; paper: the paper's Alg. 1; voronoi: nearest edge; even: equal counts."""
 UploadFormat = Literal["float32", "float16", "spz"]
-"""float32: exact; float16: half the bytes, centres in 21 bits; spz: about a fifth, through Open3D."""
+"""float32: exact; float16: half the bytes, centres in 21 bits; spz: a fifth, through Open3D."""
 LpipsNetwork = Literal["vgg", "alex"]
 """Backbone of LPIPS: VGG16 or AlexNet."""
 ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"]

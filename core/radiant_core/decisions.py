@@ -1,4 +1,4 @@
-"""`Decision`: one thing that was skipped or chosen, with the figure that decided it. Listed in the report, each forceable."""
+"""`Decision`: one thing that was skipped or chosen, and the figure that decided it."""
 
 from __future__ import annotations
 
@@ -24,4 +24,4 @@ class Decision:
     forced: bool = False
     """Whether the user asked for this choice."""
     changes_nothing: bool = False
-    """Whether all stays as it was, such as "0 of 3 photographs are left out": the report lists it, the terminal does not."""
+    """Whether all stays as it was ("0 of 3 are left out"): listed in the report alone."""

@@ -1,16 +1,16 @@
-"""The few errors of the project: bad input, a stage that failed, a file that cannot be written, a stored file that changed."""
+"""The few errors of the project: bad input, a failed stage, a full disk, a changed file."""
 
 from __future__ import annotations
 
 
 class RadiantError(Exception):
-    """Base of all errors that a user may cause and read; `exit_code` is what the command line returns: 2 where another input helps."""
+    """Base of all errors that a user may cause; `exit_code` is 2 where another input helps."""
 
     exit_code = 1
 
 
 class BadInput(RadiantError, ValueError):
-    """An input cannot be used; the message says what came, what was expected and what to do next."""
+    """An input cannot be used; the message says what came, what was expected and what to do."""
 
     exit_code = 2
 
@@ -20,7 +20,7 @@ class StageFailed(RadiantError):
 
 
 class CannotWrite(BadInput):
-    """A file of ours cannot be written, most often since the disk is full: no fault of the input, and what stands there is kept."""
+    """A file of ours cannot be written, most often on a full disk; what stands there is kept."""
 
 
 class StoreDamaged(BadInput):

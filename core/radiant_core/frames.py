@@ -1,5 +1,4 @@
-"""World frames: where the origin is, how latitude and longitude become metres, and similarity
-transforms.
+"""World frames: the origin, latitude and longitude to metres, and similarity transforms.
 
 Computed once per scene. WGS84 constants: NIMA TR8350.2. ECEF ↔ ENU as in Hofmann-Wellenhof et al.,
 GNSS (2008), ch. 8; latitude of a geocentric position by Bowring's iteration (Survey Review 1976).
@@ -19,19 +18,18 @@ from radiant_core.numerics import FloatArray, check_array
 WGS84_SEMI_MAJOR_M = 6378137.0
 WGS84_FLATTENING = 1 / 298.257223563
 MAX_REACH_M = 300e3
-"""Farthest that a position of one site may lie from the middle of all: generous for drones and aeroplanes, small against the globe."""
+"""Farthest that a position may lie from the middle of its site: beyond drones and aeroplanes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
     """What the world coordinates mean.
 
-    kind "metric": metres, x east, y north, z up from `origin_lat_lon_alt` (3,) degrees and metres,
-    float64. kind "scaled": metres by a known length and z up, without a place on the globe; the
-    origin is zero. kind "unscaled": no GPS was found; z is up as estimated, one unit is arbitrary,
-    the origin is zero. `residual_m`: median distance of the camera centres to GPS, None without
-    GPS. `altitude_known`: whether the origin's altitude is one; without, GPS has none, and z counts
-    from the middle of the scene's points.
+    kind "metric": metres, x east, y north, z up from `origin_lat_lon_alt` (3,) degrees and metres.
+    kind "scaled": metres by a known length, z up, no place on the globe; the origin is zero. kind
+    "unscaled": no GPS; z up as estimated, an arbitrary unit, the origin is zero. `residual_m`:
+    median distance of the camera centres to GPS, None without GPS. `altitude_known`: whether the
+    origin has an altitude; without one z counts from the middle of the scene's points.
     """
 
     kind: Literal["metric", "scaled", "unscaled"]
@@ -54,7 +52,7 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sim3:
-    """Similarity y = scale · rotation · x + translation; rotation (3,3), translation (3,), float64."""
+    """Similarity y = scale · rotation · x + translation; rotation (3,3), translation (3,)."""
 
     scale: float
     rotation: FloatArray
@@ -66,8 +64,7 @@ class Sim3:
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise BadInput(f"the scale of a similarity is {self.scale}, expected a positive number.")
         rotation = np.clip(self.rotation, -10, 10)
-        # 1e-6: an estimate in float64 is orthonormal to 1e-12, one through float32 to 1e-7; a
-        # scaled one misses by far more.
+        # 1e-6: estimates in float64 are orthonormal to 1e-12, through float32 to 1e-7.
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
             raise BadInput("the rotation of a similarity is not orthonormal or mirrors: put its scale into `scale`.")
 
@@ -76,7 +73,7 @@ class Sim3:
         return self.scale * np.asarray(points, np.float64) @ self.rotation.T + self.translation
 
     def apply_to_poses(self, cam_from_world: ArrayLike) -> FloatArray:
-        """Poses (C,4,4) of the same cameras seen from the target frame (C,4,4); camera units become target units."""
+        """Poses (C,4,4) of the same cameras in the target frame and its unit (C,4,4)."""
         poses = np.array(cam_from_world, dtype=np.float64)
         rotations = poses[:, :3, :3] @ self.rotation.T
         poses[:, :3, 3] = self.scale * poses[:, :3, 3] - rotations @ self.translation
@@ -90,9 +87,8 @@ class Sim3:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameUncertainty:
-    """Standard deviations of a model's frame: of the place of its cameras' middle in m per axis, of
-    its scale as a share, of its rotation in rad about the axis that is known worst. All positive
-    and finite."""
+    """Standard deviations of a model's frame, all positive and finite: of the middle of its cameras
+    in m per axis, of its scale as a share, of its rotation in rad about the worst axis."""
 
     position_m: float
     scale: float
@@ -111,7 +107,7 @@ class FrameUncertainty:
 
 
 def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
-    """Metres east, north, up (P,3) of positions (P,3) [deg, deg, m] about an origin (3,), float64. BadInput off the globe."""
+    """East, north, up (P,3) m of [deg, deg, m] (P,3) about an origin; BadInput off the globe."""
     positions = check_array("lat_lon_alt", lat_lon_alt, (None, 3))
     origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     _require_on_globe(positions)
@@ -119,12 +115,10 @@ def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> 
 
 
 def geodetic_from_enu(positions_m: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
-    """Latitude, longitude in [−180°, 180°] and altitude (P,3) [deg, deg, m] of metres east, north,
-    up (P,3) about an origin (3,).
+    """Latitude, longitude in ±180° and altitude (P,3) of metres (P,3) about an origin (3,).
 
-    The inverse of `enu_from_geodetic`, within 1e-6 m of it up to 10,000 km from the origin.
-    BadInput for an origin off the globe and for positions below 1,000 km from the centre of the
-    earth, where latitude loses its meaning, or above 1e8 m.
+    The inverse of `enu_from_geodetic`, within 1e-6 m up to 10,000 km from the origin. BadInput for
+    an origin off the globe and for positions outside 1e6 to 1e8 m from the centre of the earth.
     """
     positions = check_array("positions_m", positions_m, (None, 3))
     origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
@@ -143,7 +137,7 @@ def _require_on_globe(lat_lon_alt: FloatArray) -> None:
 
 
 def enu_change(from_lat_lon_alt: ArrayLike, to_lat_lon_alt: ArrayLike) -> Sim3:
-    """The rigid move from east-north-up about one origin (3,) to that about another, degrees and metres; scale 1."""
+    """The rigid move from east-north-up about one origin (3,) to another, degrees and metres."""
     start, end = (check_array("origin", origin, (3,)) for origin in (from_lat_lon_alt, to_lat_lon_alt))
     rotation = _ecef_from_enu(end).T @ _ecef_from_enu(start)
     return Sim3(scale=1.0, rotation=rotation, translation=enu_from_geodetic(start[None], end)[0])
@@ -171,7 +165,8 @@ def _ecef_from_geodetic(positions: FloatArray) -> FloatArray:
 
 
 def _geodetic_from_ecef(ecef: FloatArray) -> FloatArray:
-    """tan φ = (z + e'² b sin³ β) / (p − e² a cos³ β) with tan β = (1 − f) tan φ: near the ground each round shrinks the error to 1e-5."""
+    """tan φ = (z + e'² b sin³ β) / (p − e² a cos³ β), tan β = (1 − f) tan φ: near the
+    ground each round shrinks the error to 1e-5."""
     eccentricity2 = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
     semi_minor_m = WGS84_SEMI_MAJOR_M * (1 - WGS84_FLATTENING)
     from_axis_m, z_m = np.hypot(ecef[:, 0], ecef[:, 1]), ecef[:, 2]

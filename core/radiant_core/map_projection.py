@@ -1,11 +1,10 @@
-"""UTM, the map grid of surveyors: transverse Mercator of WGS84, by Krüger's series to the fourth
-order in n. Once per surface model.
+"""UTM, a transverse Mercator of WGS84, by Krüger's series to the fourth order. Once per surface.
 
-    ξ' = atan2(t, cos Δλ),  η' = atanh(sin Δλ / √(1 + t²)),  t = sinh(atanh sin φ − e atanh(e sin φ))
+    t = sinh(atanh sin φ − e atanh(e sin φ)),  ξ' = atan2(t, cos Δλ)
+    η' = atanh(sin Δλ / √(1 + t²))
     N = N₀ + k₀ A (ξ' + Σ αj sin 2jξ' cosh 2jη'),  E = E₀ + k₀ A (η' + Σ αj cos 2jξ' sinh 2jη')
-Within 0.2 µm of PROJ inside a zone. Not pyproj: 32 MB and 0.7 s to import, with an SQLite of its
-own beside pycolmap's, for one export. Source: Karney, Transverse Mercator with an accuracy of a few
-nanometers (2011), eqns. 7 to 15 and 35, 36.
+Within 0.2 µm of PROJ inside a zone. Not pyproj: 32 MB and 0.7 s to import, for one export. Source:
+Karney, Transverse Mercator with an accuracy of a few nanometers (2011), eqns. 7 to 15 and 35, 36.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _BETAS = (
 
 
 def utm_epsg(lat_deg: float, lon_deg: float) -> int:
-    """The EPSG code of the zone that a place lies in, 326zz north and 327zz south of the equator; BadInput where UTM is not used."""
+    """EPSG code of a place's zone, 326zz north and 327zz south; BadInput where UTM is not used."""
     if not (-80 <= lat_deg <= MAX_LATITUDE_DEG and -180 <= lon_deg <= 180):
         raise BadInput(f"latitude {lat_deg:.6g}°, longitude {lon_deg:.6g}° lies in no UTM zone, which reach from 80° south to 84° north.")
     zone = min(int((lon_deg + 180) // 6) + 1, 60)
@@ -47,7 +46,7 @@ def utm_epsg(lat_deg: float, lon_deg: float) -> int:
 
 
 def utm_from_geodetic(lat_lon_deg: ArrayLike, epsg: int) -> FloatArray:
-    """Easting and northing (P,2) m in zone `epsg` of latitudes and longitudes (P,2) deg; BadInput over 15° off its meridian."""
+    """Easting and northing (P,2) m in zone `epsg`; BadInput over 15° off its meridian."""
     places = check_array("lat_lon_deg", lat_lon_deg, (None, 2))
     meridian_deg, false_northing_m = _zone(epsg)
     off_deg = (places[:, 1] - meridian_deg + 180) % 360 - 180
@@ -64,7 +63,7 @@ def utm_from_geodetic(lat_lon_deg: ArrayLike, epsg: int) -> FloatArray:
 
 
 def geodetic_from_utm(east_north_m: ArrayLike, epsg: int) -> FloatArray:
-    """Latitude and longitude (P,2) deg of eastings and northings (P,2) m, the inverse of `utm_from_geodetic`."""
+    """Latitude and longitude (P,2) deg of (P,2) m, the inverse of `utm_from_geodetic`."""
     places = check_array("east_north_m", east_north_m, (None, 2))
     meridian_deg, false_northing_m = _zone(epsg)
     eta, xi = (places[:, 0] - FALSE_EASTING_M) / _RADIUS_M, (places[:, 1] - false_northing_m) / _RADIUS_M

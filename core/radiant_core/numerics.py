@@ -1,7 +1,4 @@
-"""Checks of arrays and the small laws of rotations, all in numpy.
-
-Runs once per object that is built, never inside a training step.
-"""
+"""Checks of arrays and the laws of rotations. Once per object, never inside a training step."""
 
 from __future__ import annotations
 
@@ -16,14 +13,13 @@ FloatArray = NDArray[np.float64]
 
 
 def check_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: type = np.float64) -> NDArray[Any]:
-    """Return `value` as a contiguous read-only array of `dtype`; None in `shape` is a free axis. It
-    is a copy, but of an array that is all this already and that cannot be written to through
-    another one.
+    """`value` as a contiguous read-only array of `dtype`; None in `shape` is a free axis. Copied
+    unless it is all this already and cannot be written to through another array.
 
     Raises BadInput when the shape differs, with the count and the first index when a value is not
     finite in `dtype`, or when `dtype` is whole numbers and a value is not one of them.
     """
-    array = _converted(name, value, dtype)
+    array = _convert(name, value, dtype)
     fits = array.ndim == len(shape) and all(want is None or want == got for want, got in zip(shape, array.shape, strict=True))
     if not fits:
         wanted = ", ".join("any" if want is None else str(want) for want in shape)
@@ -34,15 +30,14 @@ def check_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtyp
     return array
 
 
-def _converted(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
+def _convert(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
     try:
         source = np.asarray(value)
     except (TypeError, ValueError) as error:
         raise BadInput(f"{name} is not an array of numbers: {error}: give rows of equal length.") from error
     if source.dtype.kind not in "biuf":
         raise BadInput(f"{name} has elements of type {source.dtype}, expected numbers: convert them first.")
-    # A double beyond float32 becomes infinite here and is then refused with a count, instead of a
-    # warning about a cast.
+    # A double beyond float32 becomes infinite here and is refused with a count, without a warning.
     is_ours = not source.flags.writeable and source.base is None and source.flags.c_contiguous
     if is_ours and source.dtype == np.dtype[Any](dtype):
         return source
@@ -54,7 +49,7 @@ def _converted(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
 
 
 def require_finite(name: str, array: NDArray[Any]) -> None:
-    """Raise BadInput naming the array, the count and the first index of values that are NaN or infinite."""
+    """Raise BadInput with the count and the first index of values that are NaN or infinite."""
     bad = ~np.isfinite(array)
     if bad.any():
         first = tuple(int(axis[0]) for axis in np.nonzero(bad))
@@ -70,7 +65,7 @@ def unit_quats(quats: ArrayLike) -> FloatArray:
 
 
 def rotmats_from_quats(quats: ArrayLike) -> FloatArray:
-    """Rotation matrices (N,3,3) of quaternions wxyz (N,4) of any length; a zero quaternion becomes the identity."""
+    """Rotation matrices (N,3,3) of quaternions wxyz (N,4); zero becomes the identity."""
     w, x, y, z = np.moveaxis(unit_quats(quats), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -15,7 +15,7 @@ from radiant_core.numerics import FloatArray, check_array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SfmScene:
-    """C cameras and P points with who sees what.
+    """C cameras, P points and which camera sees which point.
 
     points (P,3) in the frame's unit, float64; colors (P,3) uint8; observations (T,2): point index,
     camera index. Raises BadInput when shapes disagree or an observation points outside.
@@ -51,7 +51,7 @@ class SfmScene:
         return np.flatnonzero(inside), pixels[inside].astype(np.int64)
 
     def restricted_to(self, camera_indices: NDArray[np.int64]) -> SfmScene:
-        """The scene as these cameras (K,) know it: they, the points they observe, and their observations."""
+        """The scene of these cameras (K,) alone: they, their points and their observations."""
         points = self.seen_by(camera_indices)
         new_point = np.full(len(self.points), -1)
         new_point[points] = np.arange(len(points))

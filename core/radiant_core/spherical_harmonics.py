@@ -1,5 +1,4 @@
-"""Real spherical harmonics up to degree 3, in the sign and order that 3DGS files use: the one place
-where they are written out.
+"""Real spherical harmonics up to degree 3, in the sign and order that 3DGS files use.
 
 Basis: Sloan, Stupid Spherical Harmonics Tricks (2008), appendix A2.
 """
@@ -12,7 +11,7 @@ from radiant_core.splats import SH_C0
 
 
 def sh_terms(x: Any, y: Any, z: Any, degree: int) -> list[Any]:
-    """Y_k of unit directions with coordinates x, y, z (N,) each, numpy or torch: (degree + 1)² arrays (N,), degree after degree."""
+    """Y_k of unit directions x, y, z (N,) each, numpy or torch: (degree + 1)² arrays (N,)."""
     terms = [SH_C0 + 0 * x]
     if degree >= 1:
         terms += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]

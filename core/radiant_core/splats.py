@@ -1,4 +1,4 @@
-"""`Splats`: a 3D Gaussian model as numpy arrays, in the values that are stored (before activation)."""
+"""`Splats`: a 3D Gaussian model as numpy arrays, stored values (before activation)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
+from scipy.special import expit  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import check_array
@@ -28,8 +28,7 @@ class Splats:
     """N Gaussians, float32: means (N,3) m; quats (N,4) wxyz; log_scales (N,3) ln m; logit_opacities
     (N,); sh0 (N,1,3); shN (N,K-1,3) with K in 1, 4, 9, 16.
 
-    Raises BadInput on a wrong shape or a value that is not finite, naming the tensor, the count and
-    the first index.
+    Raises BadInput on a wrong shape or a value that is not finite, naming tensor, count and index.
     """
 
     means: NDArray[np.float32]
@@ -39,10 +38,11 @@ class Splats:
     sh0: NDArray[np.float32]
     shN: NDArray[np.float32]
     antialiased: bool = False
-    """Whether it was fitted, and is to be drawn, with opacities that fade where a Gaussian is smaller than a pixel (Mip-Splatting)."""
+    """Whether opacities fade where a Gaussian is smaller than a pixel (Mip-Splatting)."""
 
     def __post_init__(self) -> None:
-        count = (*np.shape(self.means), 0)[0]  # a single number has no length; its shape is refused below
+        # A single number has no length; its shape is refused below.
+        count = (*np.shape(self.means), 0)[0]
         shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh0": (1, 3), "shN": (None, 3)}
         for name, rest in shapes.items():
             object.__setattr__(self, name, check_array(name, getattr(self, name), (count, *rest), np.float32))
@@ -78,8 +78,8 @@ class Splats:
 
 
 def concatenate_splats(parts: Sequence[Splats]) -> Splats:
-    """All Gaussians of `parts` in order; lower SH degrees are padded with zeros to the highest.
-    BadInput without parts, and where only some are antialiased."""
+    """All Gaussians of `parts`, SH degrees padded to the highest; BadInput unless all or none are
+    antialiased, and without parts."""
     if not parts:
         raise BadInput("no models to concatenate: pass at least one.")
     if len({part.antialiased for part in parts}) > 1:
@@ -90,11 +90,9 @@ def concatenate_splats(parts: Sequence[Splats]) -> Splats:
 
 
 def morton_order(means: ArrayLike) -> NDArray[np.int64]:
-    """Order (N,) of points (N,3) along a Z curve: neighbours in space stand near each other in
-    memory. 21 bits an axis; stable.
+    """Order (N,) of points (N,3) along a Z curve, near in space near in memory; 21 bits an axis.
 
-    The bits of a coordinate are spread by doubling gaps (x | x ≪ 32, 16, 8, 4, 2), five steps for
-    any number of bits.
+    The bits of a coordinate are spread by doubling gaps (x | x ≪ 32, 16, 8, 4, 2). Stable.
     """
     points = np.asarray(means, np.float64)
     if not len(points):

@@ -1,10 +1,8 @@
-"""Arms of `radiant bench methods` and `paper`: each one way of making the model of a cell, cached
-with its scores. Once per (cell, arm).
+"""Arms of `radiant bench methods` and `paper`: each one way of making the model of a cell.
 
-Models and scores are stored in the output folder under the hash of their inputs, so that an
-interrupted benchmark resumes, and an arm that several sections show is made once. The bands along
-borders are the same for all arms of a cell: surfaces are those of the first cell's centralised
-model.
+Models and scores are stored in the output folder under the hash of their inputs: an interrupted
+benchmark resumes, and an arm that several sections show is made once per cell. The bands along
+borders are the same for all arms: surfaces are those of the first cell's centralised model.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, dealt_cell, load_bench_scene, run_cell
+from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, deal_cell, load_bench_scene, run_cell
 from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
 from radiant_core.errors import BadInput
@@ -57,12 +55,8 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRow:
-    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph; band and interior in
-    dB over all borders.
-
-    Band and interior are None where too few pixels show a border. CPU seconds and training pixels
-    exclude the devices' trainings.
-    """
+    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph, band and interior
+    where enough pixels show a border. CPU seconds and pixels exclude the devices' trainings."""
 
     scene: str
     cell: str
@@ -114,10 +108,10 @@ class Arms:
         """The scene dealt to a layout, with the first cell's settings but for the seed."""
         recipe = self.first.recipe
         settings = DeviceSettings(train=replace(recipe.train, seed=seed), backend=recipe.backend, upload=recipe.upload)
-        return dealt_cell(self.scene, self.first.cache, settings, layout, placement, speeds)
+        return deal_cell(self.scene, self.first.cache, settings, layout, placement, speeds)
 
     def row(self, cell: Cell, arm: Arm, max_gaussians: int | None = None) -> ArmRow:
-        """The arm's figures, from the cache where it has them; of its model reduced to so many Gaussians, where given."""
+        """The arm's figures, cached; of its model reduced to `max_gaussians`, where given."""
         model = self._model_file(cell, arm)
         record = model.with_suffix(".json" if max_gaussians is None else f".{max_gaussians}.json")
         if model.is_file() and record.is_file():
@@ -131,7 +125,7 @@ class Arms:
             whole = self.row(cell, arm)
             splats = select_strongest(load_splats(model), self.scene.views.cameras, max_gaussians)
             made = Made(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px)
-        row = self._scored(cell, arm, made)
+        row = self._score(cell, arm, made)
         write_json(record, asdict(row))
         return row
 
@@ -156,7 +150,7 @@ class Arms:
         views = render_views(self.first.centralised.splats, self.scene.held_out_views.cameras)
         return [np.where(view.alpha >= OPAQUE, view.depth, 0) for view in views]
 
-    def _scored(self, cell: Cell, arm: Arm, made: Made) -> ArmRow:
+    def _score(self, cell: Cell, arm: Arm, made: Made) -> ArmRow:
         images = [view.image for view in render_views(made.splats, self.scene.held_out_views.cameras)]
         pairs = list(zip(images, self.photographs, strict=True))
         error = band_and_interior_psnr_db(images, self.photographs, self.masks(cell))
@@ -181,15 +175,11 @@ class Arms:
 
 
 def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings) -> Arms:
-    """Arms of a scene that is dealt to a layout or, without one, of a run under its own plan and
-    settings.
-
-    Raises:
-        BadInput: the scene has too few photographs, is not of a run, or `out` is a file.
-    """
+    """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings;
+    BadInput where the scene has too few photographs or is not of a run, or `out` is a file."""
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file: name a folder for the page, its pictures and the models.")
     cache = ModelCache(folder=out / "models")
     if layout is None:
         return Arms(out=out, first=run_cell(scene, cache))
-    return Arms(out=out, first=dealt_cell(load_bench_scene(scene, settings.train.long_side_px), cache, settings, layout))
+    return Arms(out=out, first=deal_cell(load_bench_scene(scene, settings.train.long_side_px), cache, settings, layout))

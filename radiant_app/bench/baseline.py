@@ -1,5 +1,4 @@
-"""Committed figures of the quick benchmarks that no machine changes, and whether new ones are
-worse.
+"""Committed figures of the quick benchmarks that no machine changes, to compare new ones with.
 
 Errors, ratios and counts; neither times nor memory, and nothing that only informs. A figure may be
 worse than its baseline by the tolerance that its benchmark states. One file for all benchmarks;
@@ -20,18 +19,13 @@ _OF_THE_MACHINE = ("_s", "_ms", ".seconds", "_bytes", "_scaling", "_fraction")
 
 
 def machine_independent(metrics: Sequence[Metric]) -> list[Metric]:
-    """Those that any machine reproduces within their tolerance, and that have a better and a worse."""
+    """Those that any machine reproduces within their tolerance and that can be better or worse."""
     return [metric for metric in metrics if metric.direction != "info" and not metric.key.endswith(_OF_THE_MACHINE)]
 
 
 def check_against_baseline(file: Path, name: str, metrics: Sequence[Metric]) -> int:
-    """Compare the figures of the benchmark `name` with its part of `file` and return how many there
-    are.
-
-    Raises:
-        StageFailed: Figures are worse or missing; the message names each.
-        BadInput: The file is no list of figures, or a unit or direction has changed.
-    """
+    """Compare the figures of the benchmark `name` with its part of `file`; the number of those.
+    StageFailed names each that is worse or missing; BadInput where a unit or direction changed."""
     blessed = [metric for metric in _load(file) if metric.key.startswith(f"{name}.")]
     if worse := regressions(machine_independent(metrics), blessed):
         raise StageFailed("worse than the baseline:\n  " + "\n  ".join(worse) + f"\nmend that, or add --bless where {file} is to change.")

@@ -1,10 +1,8 @@
-"""A cell of `radiant bench methods` and `paper`: one scene under one plan, with the settings and
-the seed of one run.
+"""A cell of `radiant bench methods` and `paper`: one scene under one plan, settings and seed.
 
 A plan is made for a layout of edges and devices, or is that of a finished run. What is trained and
-joined in a cell follows from its `Recipe`, as in `radiant run`. Training the devices' models takes
-most of the time, so each is cached under the hash of its task and its photographs; all methods
-share them.
+joined in a cell follows from its `Recipe`, as in `radiant run`. Training takes most of the time, so
+each device's model is cached under the hash of its task and photographs; all methods share it.
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews
 
 DEVICE_SPEEDS = (1.0, 0.6)
-"""Relative speeds of an edge's devices, in turn: unequal, so that plans by time and by number differ."""
+"""Of an edge's devices, in turn: unequal, so that plans by time and by number differ."""
 MAX_NUM_SPLATS = 200_000
 """Of a device's model."""
 
@@ -67,7 +65,7 @@ class Layout:
         return f"{self.num_edges}x{self.num_devices}"
 
     def system(self, speeds: Sequence[float] = DEVICE_SPEEDS, sites: FloatArray | None = None) -> System:
-        """Edges whose devices take 1 / speed seconds per camera; at sites (E,2) m, or without positions."""
+        """Edges whose devices take 1 / speed seconds per camera; at sites (E,2) m, where given."""
 
         def device(edge: int, index: int) -> Device:
             speed = speeds[index % len(speeds)]
@@ -95,8 +93,7 @@ class Layout:
 
 
 def random_sites(positions: FloatArray, count: int, placement: int) -> FloatArray:
-    """Sites (count,2) m of edges, uniform over the hull of cameras (C,2) m and apart from each
-    other, seeded by the placement.
+    """Sites (count,2) m of edges, uniform over the hull of cameras (C,2) m, seeded by `placement`.
 
     Sites are at least √(hull area / (2 count)) apart, a tenth less after each hundred rejected
     draws. k-means would not give different placements: from most seeds it ends at the same sites.
@@ -128,7 +125,7 @@ def layout_of(text: str) -> Layout | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BenchScene:
-    """A scene at the size of the comparison, its training and held-out parts; photographs are loaded once."""
+    """A scene at the size of the comparison, in two parts; photographs are loaded once."""
 
     name: str
     training: SfmScene
@@ -150,7 +147,7 @@ class BenchScene:
 
 
 def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
-    """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput where nothing can be held out."""
+    """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput for a small one."""
     scene, _, images = load_scored_scene(source)
     held = held_out_mask(scene.cameras.names)
     if held.sum() < 2 or (~held).sum() < 8:
@@ -176,7 +173,7 @@ class ModelCache:
     folder: Path
 
     def train(self, task: DeviceTask, views: TrainingViews, reporter: Reporter) -> DeviceModel:
-        """As `train_device`; the summary also has `cpu_s` and `training_px`, the pixels rendered by all steps."""
+        """As `train_device`; the summary also has `cpu_s` and the `training_px` of all steps."""
         key = content_key(__version__, replace(task, upload="float32"), views)
         model, record = self.folder / f"{key}.safetensors", self.folder / f"{key}.json"
         if not (model.is_file() and record.is_file()):
@@ -211,14 +208,14 @@ class Cell:
         alike = {name: getattr(first, name) for name in ("init_s", "train_s", "model_bytes", "uplink_bytes_per_s")}
         edges = [replace(e, devices=tuple(replace(own, **alike) for own in e.devices)) for e in self.recipe.system.edges]
         system = replace(self.recipe.system, edges=tuple(edges))
-        return self.recipe.with_plan(*_planned(self.name, self.scene.training, system, "even"))
+        return self.recipe.with_plan(*_make_plan(self.name, self.scene.training, system, "even"))
 
     @cached_property
     def devices(self) -> dict[str, DeviceModel]:
         """The models by the cell's own recipe."""
-        return self.trained(self.recipe)
+        return self.train_devices(self.recipe)
 
-    def trained(self, recipe: Recipe, train: Train | None = None) -> dict[str, DeviceModel]:
+    def train_devices(self, recipe: Recipe, train: Train | None = None) -> dict[str, DeviceModel]:
         """The models of the devices with photographs."""
         rows_of = {device: rows for plan in recipe.edge_plans for device in plan.device_ids if len(rows := plan.cameras_of(device))}
         return {
@@ -231,7 +228,7 @@ class Cell:
         }
 
     def model_of(self, part: SfmScene, **changes: Any) -> DeviceModel:
-        """The model of a part of the training photographs and points; `changes` of the training's settings."""
+        """The model of a part of the training scene; `changes` of the training's settings."""
         row_of = {name: row for row, name in enumerate(self.scene.training.cameras.names)}
         task = DeviceTask(scene=part, train=replace(self.recipe.train, **changes), backend=self.recipe.backend)
         return self.cache.train(task, self.scene.views.select([row_of[name] for name in part.cameras.names]), Recorder())
@@ -244,13 +241,13 @@ class Cell:
 
 
 def bench_settings(long_side_px: int, num_steps: int, upload: UploadFormat = "float16") -> DeviceSettings:
-    """How devices train: as by `radiant run --train-preset draft` with that size and number of steps."""
+    """How devices train: as by `radiant run --train-preset draft` with that size and steps."""
     backend = resolve_backend("auto")
     overrides = Overrides(long_side_px=long_side_px, num_steps=num_steps, max_num_splats=MAX_NUM_SPLATS)
     return DeviceSettings(train=fit_to_backend(train_preset("draft"), backend, overrides)[0], backend=backend, upload=upload)
 
 
-def dealt_cell(
+def deal_cell(
     scene: BenchScene,
     cache: ModelCache,
     settings: DeviceSettings,
@@ -258,13 +255,13 @@ def dealt_cell(
     placement: int = 0,
     speeds: tuple[float, ...] = DEVICE_SPEEDS,
 ) -> Cell:
-    """The scene dealt to a layout by the exact plan; placement 0 places edges as a run does, others at random sites."""
+    """The scene dealt to a layout by the exact plan; sites as in a run (placement 0) or random."""
     of_speeds = "" if speeds == DEVICE_SPEEDS else "-v" + "_".join(f"{speed:g}" for speed in speeds)
     name = f"{scene.name}-{layout}{of_speeds}-p{placement}-s{settings.train.seed}"
     positions = scene.training.cameras.centers[:, :2]
     sites = random_sites(positions, layout.num_edges, placement) if placement else None
     system = place_edges(layout.system(speeds, sites), positions, None, 0)
-    cloud_plan, edge_plans = _planned(name, scene.training, system, "exact")
+    cloud_plan, edge_plans = _make_plan(name, scene.training, system, "exact")
     recipe = Recipe(
         system=system,
         cloud_plan=cloud_plan,
@@ -281,11 +278,8 @@ def run_cell(run: Path, cache: ModelCache) -> Cell:
     """The scene of a finished run under the run's own plan, system and settings.
 
     Its recipe makes the run's scene bit for bit where every device delivered and none has a limit
-    of memory: such a limit counts what the device's process held besides.
-
-    Raises:
-        BadInput: the folder is not that of a run with pooled photographs (`--frames shared`) whose
-            edges have joined.
+    of memory: such a limit counts what the device's process held besides. BadInput unless the run
+    pooled its photographs (`--frames shared`) and its edges have joined.
     """
     tasks = [load_task(EdgeTask, path.parent, "edge task") for path in sorted(run.glob("edges/*/task.json"))]
     if not tasks:
@@ -311,7 +305,7 @@ def run_cell(run: Path, cache: ModelCache) -> Cell:
     return Cell(name=f"{scene.name}-{OF_RUN}-s{recipe.train.seed}", scene=scene, layout=layout, recipe=recipe, cache=cache)
 
 
-def _planned(name: str, training: SfmScene, system: System, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def _make_plan(name: str, training: SfmScene, system: System, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     positions = training.cameras.centers[:, :2]
     plan = plan_regions(positions, system, method=method)
     if isinstance(plan, PlanInfeasible):

@@ -1,5 +1,4 @@
-"""Synthetic models for measuring rasterizers: a drone's view of bumpy terrain with boxes, as
-Gaussians on its surface.
+"""Synthetic models for measuring rasterizers: Gaussians on bumpy terrain with boxes, from a drone.
 
 z(x, y) = Σ a sin(kx x + φ) sin(ky y + ψ), plus boxes. Gaussians are uniform over the ground, flat,
 as wide as their spacing, of all opacities. The ground is cut so that 84 % of them are in the
@@ -77,7 +76,7 @@ def drone_camera(size: SceneSize) -> Cameras:
 
 
 def _surface(places: FloatArray, boxes: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Heights (P,) and normals (P,3) on terrain and roofs, and on walls for one in three Gaussians of a box."""
+    """Heights (P,) and normals (P,3) on terrain and roofs; one in three of a box on walls."""
     x, y = places.T
     heights, slopes = np.zeros(len(places)), np.zeros((len(places), 2))
     for amplitude, along_x, along_y in _WAVES:

@@ -1,13 +1,12 @@
-"""Benchmark of joining: every method on the same device models, rasterizer, split and seams. Once
-per (layout, placement, seed).
+"""Benchmark of joining: every method on the same devices, split and seams. Once per (layout, seed).
 
-    centralised     one model of all photographs, with the steps of all devices together; the reference of every seam
+    centralised     one model of all photographs, with all devices' steps; reference of the seams
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each
     ours            the default of `radiant run`; in a run's own cell, the run's settings
     ours edges      the same, the cloud only cuts
     even            ours on even counts of photographs
-    photographs     all device models retrained on the photographs: what the paper calls its upper bound
+    photographs     device models retrained on the photographs: the paper's upper bound
     vastgaussian    its own cells, cameras and crop, its own models
     fed3dgs         its sequential server on our device models
 
@@ -29,7 +28,7 @@ import numpy as np
 
 from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import aggregate_preset
@@ -61,7 +60,7 @@ class MethodBench:
     scene: Path
     out: Path
     layout: Layout | None = TWO_BY_TWO
-    """None: the plan, the settings and the seed of the run that `scene` is; the fields of training below do not count."""
+    """None: plan, settings and seed of the run `scene`; the training fields below do not count."""
     methods: tuple[str, ...] = ()
     """Names from the list above; empty for all."""
     num_placements: int = 1
@@ -72,33 +71,31 @@ class MethodBench:
     upload: UploadFormat = "float16"
     """What devices and edges send."""
     max_gaussians: int | None = None
-    """As many as any method's model may have: of a larger one those are left that show most to the
-    training cameras, and nothing is fitted again. None: as many as a method makes."""
+    """Of a larger model those are kept that training cameras see most; nothing is refitted."""
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.methods) - set(METHODS))
-        if unknown:
+        if unknown := sorted(set(self.methods) - set(METHODS)):
             raise BadInput(f"method {unknown[0]!r} is unknown: use {', '.join(METHODS)}.")
         if self.max_gaussians is not None and self.max_gaussians < 1:
             raise BadInput(f"max_gaussians is {self.max_gaussians}, expected at least 1.")
 
 
 def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
-    """All rows, and per scene and method their means with the paired difference to the paper's preset."""
+    """All rows; per scene and method, means with the paired difference to the paper's preset."""
     arms = load_arms(bench.scene, bench.out, bench.layout, bench_settings(bench.long_side_px, bench.num_steps, bench.upload))
     cells = [arms.first]
     if bench.layout is not None:
         spread = [(placement, seed) for placement in range(bench.num_placements) for seed in range(bench.num_seeds)]
         cells += [arms.cell(bench.layout, seed, placement=placement) for placement, seed in spread[1:]]
     chosen = [arm for name, arm in METHODS.items() if not bench.methods or name in bench.methods or name == "centralised"]
-    jobs = tracked([(cell, arm) for cell in cells for arm in chosen], "bench methods")
+    jobs = track_items([(cell, arm) for cell in cells for arm in chosen], "bench methods")
     rows = [arms.row(cell, arm, bench.max_gaussians) for cell, arm in jobs]
     return rows, _metrics(arms.scene.name, rows)
 
 
-def joined(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
+def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
     """The scene of a run by this recipe, its devices' models from the cache or from `train`."""
-    models, scene = cell.trained(recipe, train), cell.scene
+    models, scene = cell.train_devices(recipe, train), cell.scene
     begun_s = time.process_time()
     run = run_in_process(
         recipe, scene.training, scene.views, train=lambda task, views, reporter: models[reporter.stage.removeprefix("devices/")]
@@ -117,32 +114,30 @@ def joined(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
     return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)))
 
 
-def _received(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
+def _receive_models(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
     """The devices' models as their edges receive them."""
     arrived = [passed_on(model, recipe.upload, recipe.train.long_side_px) for model in cell.devices.values()]
     return [model for model in arrived if isinstance(model, DeviceModel)]
 
 
-def _timed(work: Callable[[], tuple[Splats, float]]) -> Made:
-    """The product of `work` with its pixels and CPU seconds."""
+def _time_work(work: Callable[[], tuple[Splats, float]]) -> Made:
     begun_s = time.process_time()
     splats, pixels = work()
     return Made(splats=splats, cpu_s=time.process_time() - begun_s, training_px=pixels)
 
 
-def _of_trainings(splats: Splats, models: Sequence[DeviceModel]) -> Made:
-    """A product that takes what the trainings of these models took."""
+def _sum_trainings(splats: Splats, models: Sequence[DeviceModel]) -> Made:
     cpu_s, training_px = (float(sum(model.summary[name] for model in models)) for name in ("cpu_s", "training_px"))
     return Made(splats=splats, cpu_s=cpu_s, training_px=training_px)
 
 
-def _centralised(cell: Cell, recipe: Recipe) -> Made:
+def _make_centralised(cell: Cell, recipe: Recipe) -> Made:
     del recipe
-    return _of_trainings(cell.centralised.splats, [cell.centralised])
+    return _sum_trainings(cell.centralised.splats, [cell.centralised])
 
 
 def _crop(cell: Cell, recipe: Recipe) -> Made:
-    models = [model.splats for model in _received(cell, recipe)]
+    models = [model.splats for model in _receive_models(cell, recipe)]
     claims = claims_of_polygons([strip for plan in recipe.edge_plans for strip in plan.strips if len(strip)])
     if claims is None:
         raise BadInput(f"{cell.name}: no device has a strip to cut its model to.")
@@ -152,16 +147,16 @@ def _crop(cell: Cell, recipe: Recipe) -> Made:
         cut = [model.select(owner == index) for index, (model, owner) in enumerate(zip(models, owners, strict=True))]
         return concatenate_splats(cut), 0
 
-    return _timed(work)
+    return _time_work(work)
 
 
 def _on_photographs(cell: Cell, recipe: Recipe) -> Made:
-    models = concatenate_splats([model.splats for model in _received(cell, recipe)])
+    models = concatenate_splats([model.splats for model in _receive_models(cell, recipe)])
     views = cell.scene.views
     num_steps = NUM_EPOCHS_OF_PHOTOGRAPHS * len(views)
     config = replace(recipe.train, num_steps=num_steps, density=NoDensification(), start_scale=1.0, settle_epochs=None)
     options = FitOptions(backend=recipe.backend)
-    return _timed(lambda: (fit_splats(models, views, config, options).splats, training_pixels(views.cameras, config, num_steps)))
+    return _time_work(lambda: (fit_splats(models, views, config, options).splats, training_pixels(views.cameras, config, num_steps)))
 
 
 def _vast_gaussian(cell: Cell, recipe: Recipe) -> Made:
@@ -173,11 +168,11 @@ def _vast_gaussian(cell: Cell, recipe: Recipe) -> Made:
 
     layout = cell.layout
     result = vast_gaussian(cell.scene.training, layout.num_edges, layout.num_devices, train, seed=recipe.train.seed)
-    return _of_trainings(result.splats, trained)
+    return _sum_trainings(result.splats, trained)
 
 
 def _fed3dgs(cell: Cell, recipe: Recipe) -> Made:
-    models = _received(cell, recipe)
+    models = _receive_models(cell, recipe)
     cameras = [model.cameras.scaled(recipe.train.long_side_px) for model in models]
 
     def work() -> tuple[Splats, float]:
@@ -185,28 +180,27 @@ def _fed3dgs(cell: Cell, recipe: Recipe) -> Made:
         result = fed3dgs([model.splats for model in models], cameras, config, options)
         return result.splats, result.num_training_pixels
 
-    return _timed(work)
+    return _time_work(work)
 
 
-def _joined_as(name: str, **changes: Any) -> Arm:
-    """The hierarchy with some settings of joining changed."""
-    return Arm(name=name, make=joined, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
+def _own_arm(name: str, **changes: Any) -> Arm:
+    return Arm(name=name, make=join, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
 
 
-def _joined_by_paper(name: str, **changes: Any) -> Arm:
+def _paper_arm(name: str, **changes: Any) -> Arm:
     aggregate = replace(aggregate_preset("paper"), **changes)
-    return Arm(name=name, make=joined, recipe=lambda cell: replace(cell.recipe, aggregate=aggregate))
+    return Arm(name=name, make=join, recipe=lambda cell: replace(cell.recipe, aggregate=aggregate))
 
 
 METHODS: Mapping[str, Arm] = {
     arm.name: arm
     for arm in (
-        Arm(name="centralised", make=_centralised),
+        Arm(name="centralised", make=_make_centralised),
         Arm(name="crop", make=_crop),
-        _joined_by_paper("paper"),
-        _joined_as("ours"),
-        _joined_as("ours edges", cloud="crop_merge"),
-        Arm(name="even", make=joined, recipe=lambda cell: cell.even),
+        _paper_arm("paper"),
+        _own_arm("ours"),
+        _own_arm("ours edges", cloud="crop_merge"),
+        Arm(name="even", make=join, recipe=lambda cell: cell.even),
         Arm(name="photographs", make=_on_photographs),
         Arm(name="vastgaussian", make=_vast_gaussian),
         Arm(name="fed3dgs", make=_fed3dgs),
@@ -215,20 +209,20 @@ METHODS: Mapping[str, Arm] = {
 
 
 def epochs_arm(name: str, num_epochs: int) -> Arm:
-    """`ours` or `paper` with another number of epochs at both tiers; 0 is the plain cut for both."""
+    """`ours` or `paper` with other epochs at both tiers; 0 is the plain cut for both."""
     if num_epochs == 0:
         return METHODS["crop"]
     if num_epochs == aggregate_preset({"ours": "default", "paper": "paper"}[name]).num_epochs:
         return METHODS[name]
-    changed = {"ours": _joined_as, "paper": _joined_by_paper}[name]
+    changed = {"ours": _own_arm, "paper": _paper_arm}[name]
     return changed(f"{name} {num_epochs} epochs", num_epochs=num_epochs)
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:
-    """Scene by scene a line per method: means over cells of PSNR, Gaussians, CPU seconds, pixels and the seams' excess."""
+    """A line per scene and method: means over cells."""
     lines = ["| scene | method | PSNR dB | seam excess dB | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|---|"]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
-    for (scene, method), group in _grouped(rows).items():
+    for (scene, method), group in _group_rows(rows).items():
         excess = [excess_db for row in group if (excess_db := seam_excess_db(row, references[row.cell])) is not None]
         seam = f"{np.mean(excess):+.2f}" if excess else "insufficient"
         names = ("mean_psnr_db", "num_gaussians", "cpu_s", "training_px")
@@ -241,13 +235,13 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
 
 
 def seam_excess_db(row: ArmRow, reference: ArmRow) -> float | None:
-    """(band − interior) of an arm minus that of the centralised model of its cell; None where too little of the seams is seen."""
+    """(band − interior) of an arm minus the reference's; None where too few seams are seen."""
     gaps_db = [of.band_db - of.interior_db for of in (row, reference) if of.band_db is not None and of.interior_db is not None]
     return gaps_db[0] - gaps_db[1] if len(gaps_db) == 2 else None
 
 
 def curves_of(rows: Sequence[ArmRow]) -> dict[str, list[CurvePoint]]:
-    """The rows by method, for a picture of quality against CPU seconds; a tenth of a second at least, since the axis is logarithmic."""
+    """The rows by method, each with at least 0.1 CPU seconds: the axis is logarithmic."""
     curves: dict[str, list[CurvePoint]] = {}
     for row in rows:
         point = CurvePoint(cpu_s=max(row.cpu_s, 0.1), num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
@@ -255,7 +249,7 @@ def curves_of(rows: Sequence[ArmRow]) -> dict[str, list[CurvePoint]]:
     return curves
 
 
-def _grouped(rows: Sequence[ArmRow]) -> dict[tuple[str, str], list[ArmRow]]:
+def _group_rows(rows: Sequence[ArmRow]) -> dict[tuple[str, str], list[ArmRow]]:
     groups: dict[tuple[str, str], list[ArmRow]] = {}
     for row in rows:
         groups.setdefault((row.scene, row.arm), []).append(row)
@@ -263,7 +257,7 @@ def _grouped(rows: Sequence[ArmRow]) -> dict[tuple[str, str], list[ArmRow]]:
 
 
 def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
-    groups = {method: group for (of, method), group in _grouped(rows).items() if of == scene}
+    groups = {method: group for (of, method), group in _group_rows(rows).items() if of == scene}
     metrics: list[Metric] = []
     for method, group in groups.items():
         key = f"methods.{scene}.{method.replace(' ', '_')}"

@@ -38,7 +38,7 @@ _FLAGS = {
     "num_placements": "--placements",
 }
 OF_RUN = "run"
-"""The layout of a cell that has the plan, the settings and the seed of the run that the scene is of."""
+"""The layout of a cell that has the plan, the settings and the seed of the run `scene`."""
 _OF_A_LAYOUT = ("quick", "num_seeds", "num_placements", "long_side_px")
 
 
@@ -49,7 +49,7 @@ class BenchOptions:
     quick: bool = False
     """Fewer and smaller cases."""
     scene: Path | None = None
-    """Scene with known cameras (sfm); photographs, a COLMAP project, a folder of `radiant sfm` or a run."""
+    """Known cameras (sfm); photographs, a COLMAP project, a folder of `radiant sfm` or a run."""
     threads: int | None = None
     """Threads of the rasterizer; None for all cores."""
     presets: tuple[str, ...] = ()
@@ -67,7 +67,7 @@ class BenchOptions:
     plot: Path | None = None
     """PNG of the curves."""
     methods: tuple[str, ...] = ()
-    """Methods to compare (methods), sections of the page (paper) or ablations (train); empty for all."""
+    """Of those to compare (methods), sections (paper) or ablations (train); empty for all."""
     layout: str = "2x2"
     """Edges x devices per edge, or `OF_RUN`."""
     num_placements: int = 1

@@ -1,9 +1,8 @@
-"""`radiant bench paper`: the paper's figures and tables, made anew from our own data. Once per
-scene.
+"""`radiant bench paper`: the paper's figures and tables from our own data. Once per scene.
 
     plan      costs of training, convergence and partitions (`paper_plan.py`)
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
-    others    main, fed3dgs, border, regions, fusion, epochs: models joined in every way (`paper_parts.py`)
+    others    main, fed3dgs, border, regions, fusion, epochs: joined models (`paper_parts.py`)
 
 Everything is written to one folder: `paper.md` with its pictures, `paper.json` with all figures,
 and in `models/` and `joined/` what a later call reuses. The page is rewritten after every section.
@@ -39,15 +38,14 @@ PARTS: Mapping[str, Callable[[Arms, Sequence[int], bool], Part]] = {
     "main": main_part,
     "fed3dgs": fed3dgs_part,
 }
-"""In the order of their making: those of few models first, so that the page can be read meanwhile.
-`fed3dgs` repeats the main table with one more row."""
+"""In order of making, few models first; `fed3dgs` repeats the main table with one more row."""
 PAGE_ORDER = ("main", "regions", "epochs", "fusion", "balance", "border", "plan")
 LAYOUT, QUICK_LAYOUT = Layout(num_edges=2, num_devices=2), Layout(num_edges=2, num_devices=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperBench:
-    """What to make. `num_steps` of a device's training; `parts`: names of sections, empty for all."""
+    """What to make. `num_steps` of a device's training; `parts`: sections, empty for all."""
 
     scene: Path
     out: Path
@@ -64,7 +62,7 @@ class PaperBench:
 
 
 def bench_paper(bench: PaperBench) -> list[Metric]:
-    """Page, pictures and JSON in `bench.out`; the figures of its tables as metrics `paper.<scene>.<part>.<cell>.<arm>.…`."""
+    """Page, pictures and JSON in `bench.out`; metrics `paper.<scene>.<part>.<cell>.<arm>.…`."""
     layout = QUICK_LAYOUT if bench.quick else LAYOUT
     arms = load_arms(bench.scene, bench.out, layout, bench_settings(bench.long_side_px, bench.num_steps))
     bench.out.mkdir(parents=True, exist_ok=True)
@@ -79,7 +77,6 @@ def bench_paper(bench: PaperBench) -> list[Metric]:
 
 
 def _write(bench: PaperBench, arms: Arms, made: Mapping[str, Part]) -> None:
-    """The page and the JSON of what is made so far."""
     from radiant_viewer.pictures.images import save_png
 
     lines = [f"# The paper's figures on our own data: {arms.scene.name}", "", *_facts(bench, arms), ""]
@@ -110,7 +107,6 @@ def _facts(bench: PaperBench, arms: Arms) -> list[str]:
 
 
 def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
-    """Quality and cost of every arm of a part, and what balanced regions save."""
     named: dict[str, Any] = made.figures if isinstance(made.figures, dict) else {}
     rows: list[dict[str, Any]] = made.figures if isinstance(made.figures, list) else named.get("rows", [])
     metrics: list[Metric] = []

@@ -1,5 +1,4 @@
-"""Even against balanced regions: training time of each device and quality of the joined scene. Once
-per `radiant bench paper`.
+"""Even against balanced regions: time of each device, quality of the joined scene. Once per page.
 
 Here every device takes equally many steps per photograph, so that its time follows the number of
 its photographs as the plan assumes; all devices together take the steps of the other sections.
@@ -17,9 +16,9 @@ import numpy as np
 
 from radiant_app.bench.arms import Arm, Arms
 from radiant_app.bench.cells import Cell, Train
-from radiant_app.bench.methods import joined
+from radiant_app.bench.methods import join
 from radiant_app.bench.paper_parts import Part
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.reporter import Reporter
@@ -33,7 +32,7 @@ NAMES = ("even", "balanced")
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceTime:
-    """A device: its speed relative to this machine, its photographs, and CPU seconds of training here, mean over seeds."""
+    """A device: its speed relative to this machine, and CPU seconds here, mean over seeds."""
 
     device: str
     speed: float
@@ -48,7 +47,7 @@ class DeviceTime:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Side:
-    """Devices and joined scene of one plan; photograph_s: mean CPU seconds per photograph over both plans."""
+    """Devices and joined scene of one plan; photograph_s: mean CPU seconds over both plans."""
 
     name: str
     devices: list[DeviceTime]
@@ -73,7 +72,7 @@ def balance_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
     del quick
     cells = [arms.cell(arms.layout, seed) for seed in seeds]
-    jobs = tracked([(name, cell) for name in NAMES for cell in cells], "bench paper, balance")
+    jobs = track_items([(name, cell) for name in NAMES for cell in cells], "bench paper, balance")
     done = [(name, arms.row(cell, _arm(name)), _times(cell, _recipe(name, cell))) for name, cell in jobs]
     every = [device for _, _, own in done for device in own]
     photograph_s = sum(device.cpu_s for device in every) / sum(device.num_photographs for device in every)
@@ -97,7 +96,7 @@ def balance_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     return Part(
         title=title,
         text=_table([even, balanced], saved),
-        pictures={"balance.png": latency_picture([_drawn(side) for side in (even, balanced)], title, detail)},
+        pictures={"balance.png": latency_picture([_latency_of(side) for side in (even, balanced)], title, detail)},
         figures={
             "rows": [asdict(row) for _, row, _ in done],
             "devices": {side.name: [asdict(device) for device in side.devices] for side in (even, balanced)},
@@ -122,7 +121,7 @@ def _table(sides: Sequence[_Side], saved: dict[str, float]) -> str:
     return "\n".join([*lines, "", (__doc__ or "").split("\n\n")[1].strip()])
 
 
-def _drawn(side: _Side) -> PlanLatency:
+def _latency_of(side: _Side) -> PlanLatency:
     from radiant_viewer.charts.latency_chart import DeviceLatency, PlanLatency
 
     devices = [
@@ -144,7 +143,7 @@ def _recipe(name: str, cell: Cell) -> Recipe:
 def _arm(name: str) -> Arm:
     return Arm(
         name=f"{name} steps by photographs",
-        make=lambda cell, recipe: joined(cell, recipe, _train_by_photographs(cell)),
+        make=lambda cell, recipe: join(cell, recipe, _train_by_photographs(cell)),
         recipe=lambda cell: _recipe(name, cell),
     )
 
@@ -162,7 +161,7 @@ def _train_by_photographs(cell: Cell) -> Train:
 
 
 def _times(cell: Cell, recipe: Recipe) -> list[DeviceTime]:
-    models = cell.trained(recipe, _train_by_photographs(cell))
+    models = cell.train_devices(recipe, _train_by_photographs(cell))
     return [
         DeviceTime(
             device=device.id,

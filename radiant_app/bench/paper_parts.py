@@ -2,9 +2,9 @@
 
     main      every method there is here, on one layout; `fed3dgs` adds that one to its table
     border    one border as the cut, `paper` and ours show it
-    regions   merge against retrain on 2, 4 and 8 regions of devices, beside the length of all borders
+    regions   merge against retrain on 2, 4 and 8 regions of devices, beside the borders' length
     epochs    quality beside borders and elsewhere against the epochs of retraining at both tiers
-    fusion    cut at both tiers, retrain at the edges alone, at the cloud alone, at both; on two systems
+    fusion    cut at both tiers, retrain at edges alone, at the cloud alone, at both; two systems
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
 
 An arm that several sections show is made once (`arms.py`).
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from radiant_app.bench.arms import Arm, ArmRow, Arms
 from radiant_app.bench.cells import DEVICE_SPEEDS, Cell, Layout
-from radiant_app.bench.methods import METHODS, epochs_arm
-from radiant_app.report.progress import tracked
+from radiant_app.bench.methods import METHODS, curves_of, epochs_arm
+from radiant_app.report.progress import track_items
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.seam_error import MIN_IMAGES
 from radiant_core.numerics import FloatArray
@@ -53,7 +53,7 @@ NAMES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
-    """A section of the page: Markdown below its title, pictures by the name of their file, and its figures for the JSON."""
+    """A section of the page: Markdown below its title, pictures by file name, figures for JSON."""
 
     title: str
     text: str
@@ -68,19 +68,19 @@ def main_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def fed3dgs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The same with Fed3DGS, which takes twice the time of any other method; a quick run omits it."""
+    """The same with Fed3DGS, which takes twice the time of any other; a quick run omits it."""
     return main_part(arms, seeds, quick) if quick else _main_table(arms, seeds, [name for name in METHODS if name != "ours edges"])
 
 
 def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Part:
-    from radiant_viewer.charts.curve_chart import CurvePoint, curve_picture
+    from radiant_viewer.charts.curve_chart import curve_picture
 
     rows = _rows(arms, [(arms.cell(arms.layout, seed), METHODS[name]) for name in methods for seed in seeds], "main")
     lines = ["| method | PSNR dB | SSIM | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|"]
     for name in methods:
         own = [row for row in rows if row.arm == name]
         lines.append(
-            f"| {_called(name)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'mean_ssim'):.3f} | {_mean(own, 'num_gaussians'):,.0f} |"
+            f"| {_label(name)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'mean_ssim'):.3f} | {_mean(own, 'num_gaussians'):,.0f} |"
             f" {_mean(own, 'cpu_s'):.0f} | {_mean(own, 'training_px') / 1e6:.0f} |"
         )
     devices = [model.summary for seed in seeds for model in arms.cell(arms.layout, seed).devices.values()]
@@ -90,14 +90,7 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
         f"Seconds and pixels come on top of the devices' trainings, {cpu_s:.0f} s and {pixels / 1e6:.0f} Mpx, which all methods but the",
         "centralised model and VastGaussian share; those two train models of their own, which are counted.",
     ]
-    curves = {
-        _called(name): [
-            CurvePoint(cpu_s=max(row.cpu_s, 0.1), num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
-            for row in rows
-            if row.arm == name
-        ]
-        for name in methods
-    }
+    curves = {_label(name): points for name, points in curves_of(rows).items()}
     picture = curve_picture(curves, "Every method on the same devices' models", _data(arms), "CPU time after the devices' trainings (s)")
     return Part(title="Main table", text="\n".join(lines), pictures={"main.png": picture}, figures=_records(rows))
 
@@ -120,7 +113,7 @@ def regions_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
             psnr, cpu_s, pixels = (_mean(own, what) for what in ("mean_psnr_db", "cpu_s", "training_px"))
             table[name].append((_regions(layout), psnr, cpu_s, pixels / 1e6))
             lines.append(
-                f"| {layout} | {_regions(layout)} | {lengths_m[layout]:.0f} | {_called(name)} | {psnr:.2f} |"
+                f"| {layout} | {_regions(layout)} | {lengths_m[layout]:.0f} | {_label(name)} | {psnr:.2f} |"
                 f" {_mean(own, 'mean_ssim'):.3f} | {cpu_s:.1f} | {pixels / 1e6:.0f} |"
             )
     picture = line_picture(
@@ -144,20 +137,20 @@ def _region_panels(table: Mapping[str, list[tuple[float, float, float, float]]],
     x = {"x_label": "Regions of devices", "x_ticks": tuple(counts.tolist())}
     length = Line(name="length of all borders", x=counts, y=np.array(lengths_m) / lengths_m[0], marked=True, style=len(REGION_METHODS))
     growth = [
-        Line(name=_called(name), x=counts, y=values[:, 3] / values[0, 3], marked=True, style=REGION_METHODS.index(name))
+        Line(name=_label(name), x=counts, y=values[:, 3] / values[0, 3], marked=True, style=REGION_METHODS.index(name))
         for name, values in retrained.items()
     ]
-    quality = [Line(name=_called(name), x=counts, y=values[:, 1], marked=True) for name, values in columns.items()]
-    seconds = [Line(name=_called(name), x=counts, y=values[:, 2], marked=True) for name, values in columns.items()]
+    quality = [Line(name=_label(name), x=counts, y=values[:, 1], marked=True) for name, values in columns.items()]
+    seconds = [Line(name=_label(name), x=counts, y=values[:, 2], marked=True) for name, values in columns.items()]
     return [
-        Panel(lines=tuple(quality), y_label="PSNR of held-out photographs (dB)", y_range=_around(psnr), **x),
+        Panel(lines=tuple(quality), y_label="PSNR of held-out photographs (dB)", y_range=_span_around(psnr), **x),
         Panel(lines=tuple(seconds), y_label="Joining (CPU s)", **x),
         Panel(lines=(*growth, length), y_label="Training pixels and borders ÷ those of 2 regions", **x),
     ]
 
 
 def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """Quality in the band and in the interior against epochs; of whole photographs where the band is insufficient."""
+    """Quality in band and interior against epochs; of whole photographs if bands are too small."""
     from radiant_viewer.charts.line_chart import line_picture
 
     epochs = QUICK_EPOCHS if quick else EPOCHS
@@ -166,7 +159,7 @@ def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     of = {key: [row for row in rows if row.arm == arm.name] for key, arm in jobs.items()}
     lines = ["| epochs | method | band dB | interior dB | whole dB | CPU s |", "|---|---|---|---|---|---|"]
     for (name, count), own in of.items():
-        texts = [_text(_mean_known(own, what)) for what in ("band_db", "interior_db")]
+        texts = [_mean_text(own, what) for what in ("band_db", "interior_db")]
         lines.append(f"| {count} | {name} | {' | '.join(texts)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'cpu_s'):.0f} |")
     lines += [
         "",
@@ -187,7 +180,7 @@ def _epoch_panels(of: Mapping[tuple[str, int], list[ArmRow]], epochs: Sequence[i
     from radiant_viewer.charts.line_chart import Line, Panel
 
     values = {kind: {name: np.array([_mean(of[name, count], kind) for count in epochs]) for name in ("ours", "paper")} for kind in kinds}
-    span = _around(np.concatenate([line for lines in values.values() for line in lines.values()]))
+    span = _span_around(np.concatenate([line for lines in values.values() for line in lines.values()]))
     xs = np.array(epochs, float)
     return [
         Panel(
@@ -228,7 +221,7 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The place at a border where the plain cut falls most behind the centralised model, rendered by each method."""
+    """Where the plain cut falls most behind the centralised model at a border, by each method."""
     from radiant_viewer.charts.healing_chart import Healed, healing_picture
 
     del quick
@@ -236,15 +229,13 @@ def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     bands = [mask.band for mask in arms.masks(cell)]
     if not any(band.any() for band in bands):
         return Part(title=title, text="No held-out photograph sees a border.")
-    views = {name: arms.views(cell, METHODS[name]) for name in tracked(("centralised", *REGION_METHODS), "bench paper, border")}
+    views = {name: arms.views(cell, METHODS[name]) for name in track_items(("centralised", *REGION_METHODS), "bench paper, border")}
     images = zip(views["crop"], views["centralised"], arms.photographs, strict=True)
     excess = [((cut.image - photograph) ** 2 - (whole.image - photograph) ** 2).sum(axis=2) for cut, whole, photograph in images]
     index, place = _worst_window([error * band for error, band in zip(excess, bands, strict=True)])
     photograph = arms.photographs[index][place]
     shown = [
-        Healed(
-            caption=f"{_called(name)}: {psnr_db(view[index].image[place], photograph):.1f} dB here", image=view[index].image_bytes[place]
-        )
+        Healed(caption=f"{_label(name)}: {psnr_db(view[index].image[place], photograph):.1f} dB here", image=view[index].image_bytes[place])
         for name, view in views.items()
     ]
     name = arms.scene.held_out_views.cameras.names[index]
@@ -256,7 +247,7 @@ def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def _worst_window(errors: Sequence[NDArray[np.floating]]) -> tuple[int, tuple[slice, slice]]:
-    """Of images (H,W) of errors the one, and in it the rows and columns of the window, in whose middle half their sum is largest."""
+    """Index of the image (H,W) of errors and its window whose middle half has the largest sum."""
     best, found = -np.inf, (0, (slice(None), slice(None)))
     for index, error in enumerate(errors):
         size = [max(1, round(WINDOW_SHARE * side)) for side in error.shape]
@@ -276,7 +267,7 @@ def _worst_window(errors: Sequence[NDArray[np.floating]]) -> tuple[int, tuple[sl
 
 
 def border_length_m(plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> float:
-    """Metres of all borders between edges, and between devices of one edge, inside the plan's outline."""
+    """Metres of the borders between edges and between devices of one edge, inside the outline."""
     between_edges = sum(border.length_m for border in shared_borders(plan))
     # A cut is part of the outlines of two strips, the region's outline of one.
     cuts = sum(
@@ -292,7 +283,7 @@ def _perimeter_m(polygon: FloatArray) -> float:
 
 
 def _rows(arms: Arms, jobs: Sequence[tuple[Cell, Arm]], part: str) -> list[ArmRow]:
-    found = [arms.row(cell, arm) for cell, arm in tracked(jobs, f"bench paper, {part}")]
+    found = [arms.row(cell, arm) for cell, arm in track_items(jobs, f"bench paper, {part}")]
     return list({(row.cell, row.arm): row for row in found}.values())
 
 
@@ -300,21 +291,17 @@ def _mean(rows: Sequence[ArmRow], what: str) -> float:
     return float(np.mean([getattr(row, what) for row in rows]))
 
 
-def _mean_known(rows: Sequence[ArmRow], what: str) -> float | None:
-    return None if any(getattr(row, what) is None for row in rows) else _mean(rows, what)
+def _mean_text(rows: Sequence[ArmRow], what: str) -> str:
+    return "insufficient" if any(getattr(row, what) is None for row in rows) else f"{_mean(rows, what):.2f}"
 
 
-def _text(value: float | None) -> str:
-    return "insufficient" if value is None else f"{value:.2f}"
-
-
-def _around(values: FloatArray) -> tuple[float, float]:
+def _span_around(values: FloatArray) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     margin = max(0.08 * (high - low), 0.05)
     return low - margin, high + margin
 
 
-def _called(method: str) -> str:
+def _label(method: str) -> str:
     return NAMES.get(method, method)
 
 

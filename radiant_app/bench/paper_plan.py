@@ -1,11 +1,11 @@
-"""The planning section of `radiant bench paper`: what training costs, how the paper's loops
-converge, and what methods make of one scene.
+"""The planning section of `radiant bench paper`: cost, convergence, and what methods make.
 
-    costs.png        training time and model size against photographs, with the fitted curves; trained on the scene of the page
-    convergence.png  max|T − T̄| / T̄ before each iteration of the paper's loops, and of the exact plan
+    costs.png        training time and model size against photographs, with the fitted curves
+    convergence.png  max|T − T̄| / T̄ before each iteration of the paper's loops; the exact plan's
     partitions.png   all methods' regions with the latency of each
 
-The last two are of synthetic cameras in five clusters with six unequal edges.
+The first is trained on the scene of the page; the others are of synthetic cameras in five clusters
+with six unequal edges.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from radiant_app.bench.arms import Arms
 from radiant_app.bench.paper_parts import Part
 from radiant_app.bench.plan import camera_layout, unequal_system
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.plan.baselines import compare
 from radiant_core.plan.profiles.curve_fit import fit_curve
 from radiant_core.plan.regions.edge_sites import place_edges
@@ -36,7 +36,7 @@ def plan_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     counts = sorted({max(2, round(share * len(from_west))) for share in (QUICK_SHARES if quick else SHARES)})
     models = [
         cell.model_of(cell.scene.training.restricted_to(np.sort(from_west[:count])), num_steps=STEPS_PER_PHOTOGRAPH * count)
-        for count in tracked(counts, "bench paper, plan")
+        for count in track_items(counts, "bench paper, plan")
     ]
     costs = {
         "Training (CPU s)": [float(model.summary["cpu_s"]) for model in models],

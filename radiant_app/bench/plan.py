@@ -1,5 +1,4 @@
-"""Benchmark of the planner: makespan over the lower bound beside its time, large plans, drags, and
-the paper's systems.
+"""Benchmark of the planner: makespan over bound beside time, large plans, drags, paper's systems.
 
 Each instance is drawn from a fixed seed: edges placed among the cameras, two to four devices per
 edge with speeds from 0.5 to 2 and uplinks from 10 to 100 Mbit/s. Times of methods are the best of
@@ -19,7 +18,7 @@ import numpy as np
 
 import radiant_app
 from radiant_app.files.system_file import load_system
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.choices import PlanMethod
 from radiant_core.evaluate.metric import Metric
 from radiant_core.numerics import FloatArray
@@ -38,17 +37,12 @@ _SIZES = (*_QUICK_SIZES, (1600, 16), (10_000, 16))
 _REPEATS = 3
 _Scale = tuple[int, int, LayoutKind]
 _QUICK_SCALES: tuple[_Scale, ...] = ((1700, 4, "uniform"), (1700, 4, "street"))
-_SCALES: tuple[_Scale, ...] = (
-    *_QUICK_SCALES,
-    *((1_000_000, 256, kind) for kind in get_args(LayoutKind)),
-    (10_000_000, 1024, "uniform"),
-)
+_SCALES: tuple[_Scale, ...] = (*_QUICK_SCALES, *((1_000_000, 256, kind) for kind in get_args(LayoutKind)), (10_000_000, 1024, "uniform"))
 _SCENES = {"rubble": 1678, "building": 1940}
 
 
 def bench_plan(quick: bool) -> list[Metric]:
-    """Measure every method, plans from nothing and from an earlier plan, drags, and systems 1 and
-    2.
+    """Measure every method, plans from nothing and from an earlier one, drags, and two systems.
 
     Keys: `plan.<cameras>x<edges>.<kind>.<method>.<makespan_over_bound|time_ms>`,
     `….exact.<cold|warm>_…`, `plan.2000x64.[weight_]drag_…` and
@@ -56,14 +50,14 @@ def bench_plan(quick: bool) -> list[Metric]:
     """
     metrics: list[Metric] = []
     cases = list(product(_QUICK_SIZES if quick else _SIZES, get_args(LayoutKind)))
-    for (num_cameras, num_edges), kind in tracked(cases, "bench plan"):
+    for (num_cameras, num_edges), kind in track_items(cases, "bench plan"):
         rng = np.random.default_rng(num_cameras + num_edges)
         positions = camera_layout(kind, num_cameras, rng)
         system = place_edges(unequal_system(num_edges, rng), positions, None, seed=0)
         for method in get_args(PlanMethod):
             key = f"plan.{num_cameras}x{num_edges}.{kind}.{method}"
             metrics += _method_metrics(key, lambda p=positions, s=system, m=method: _plan(p, s, m))
-    for num_cameras, num_edges, kind in tracked(_QUICK_SCALES if quick else _SCALES, "bench plan, scale"):
+    for num_cameras, num_edges, kind in track_items(_QUICK_SCALES if quick else _SCALES, "bench plan, scale"):
         metrics += _scale_metrics(num_cameras, num_edges, kind)
     return [*metrics, *drag_metrics(5 if quick else 40), *system_metrics()]
 
@@ -130,7 +124,7 @@ def _plan(
     return plan
 
 
-def _timed(work: Callable[[], CloudPlan], clock: Callable[[], float] = time.process_time) -> tuple[CloudPlan, float]:
+def _time_plan(work: Callable[[], CloudPlan], clock: Callable[[], float] = time.process_time) -> tuple[CloudPlan, float]:
     """The plan and its milliseconds."""
     start_s = clock()
     plan = work()
@@ -138,7 +132,7 @@ def _timed(work: Callable[[], CloudPlan], clock: Callable[[], float] = time.proc
 
 
 def _method_metrics(key: str, make_plan: Callable[[], CloudPlan]) -> list[Metric]:
-    runs = [_timed(make_plan, time.perf_counter) for _ in range(_REPEATS)]
+    runs = [_time_plan(make_plan, time.perf_counter) for _ in range(_REPEATS)]
     ratio = _over_bound(runs[0][0])
     # A heuristic may break ties by rounding, which differs among machines.
     tolerance = 1e-6 if key.endswith(".exact") else 0.02 * ratio
@@ -149,29 +143,29 @@ def _method_metrics(key: str, make_plan: Callable[[], CloudPlan]) -> list[Metric
 
 
 def _scale_metrics(num_cameras: int, num_edges: int, kind: LayoutKind) -> list[Metric]:
-    """A plan from nothing (cold), and one from it (warm) after the devices of one edge became half as fast."""
+    """A plan from nothing (cold), and one from it (warm) with one edge's devices half as fast."""
     rng = np.random.default_rng(num_cameras + num_edges)
     positions = camera_layout(kind, num_cameras, rng)
     system = place_edges(unequal_system(num_edges, rng), positions[:: max(1, num_cameras // 20_000)], None, seed=0)
     key = f"plan.{num_cameras}x{num_edges}.{kind}.exact"
-    runs = [_timed(lambda: _plan(positions, system)) for _ in range(_REPEATS if num_cameras < 2_000_000 else 1)]
+    runs = [_time_plan(lambda: _plan(positions, system)) for _ in range(_REPEATS if num_cameras < 2_000_000 else 1)]
     cold, colds_ms = runs[0][0], [ms for _, ms in runs]
     first, *others = system.edges
     slower = replace(first, devices=tuple(replace(d, train_s=d.train_s.scaled(2.0)) for d in first.devices))
-    warm, warm_ms = _timed(lambda: _plan(positions, System(edges=(slower, *others)), start=cold))
+    warm, warm_ms = _time_plan(lambda: _plan(positions, System(edges=(slower, *others)), start=cold))
     return [
         _ms(f"{key}.cold_median_ms", float(np.median(colds_ms))),
         _ms(f"{key}.cold_worst_ms", max(colds_ms)),
         _ratio(f"{key}.cold_makespan_over_bound", [cold]),
-        _certified(f"{key}.cold_certified", cold),
+        _certificate(f"{key}.cold_certified", cold),
         _ms(f"{key}.warm_ms", warm_ms),
         _ratio(f"{key}.warm_makespan_over_bound", [warm]),
-        _certified(f"{key}.warm_certified", warm),
+        _certificate(f"{key}.warm_certified", warm),
     ]
 
 
 def drag_metrics(num_moves: int) -> list[Metric]:
-    """One of 64 edges pulled across 2,000 cameras, each plan from the last; and one weight pulled over ±800 m², each from the first."""
+    """One of 64 edges pulled across 2,000 cameras, and one weight over ±800 m² from one plan."""
     rng = np.random.default_rng(0)
     positions = camera_layout("uniform", 2000, rng)
     system = place_edges(unequal_system(64, rng), positions, None, seed=0)
@@ -180,11 +174,11 @@ def drag_metrics(num_moves: int) -> list[Metric]:
     moves: list[tuple[CloudPlan, float]] = [(before, 0.0)]
     for x_m, y_m in np.linspace([50.0, 50.0], [450.0, 200.0], num_moves).tolist():
         moved = System(edges=(replace(first, position=(x_m, y_m)), *others))
-        moves.append(_timed(lambda moved=moved: _plan(positions, moved, start=moves[-1][0])))
+        moves.append(_time_plan(lambda moved=moved: _plan(positions, moved, start=moves[-1][0])))
     weights: list[tuple[CloudPlan, float]] = []
     for shift_m2 in np.linspace(-800, 800, num_moves).tolist():
         held = PlanConstraints(fixed_weights_m2={before.edge_ids[0]: float(before.weights[0]) + shift_m2})
-        weights.append(_timed(lambda held=held: _plan(positions, system, start=before, constraints=held)))
+        weights.append(_time_plan(lambda held=held: _plan(positions, system, start=before, constraints=held)))
     key = "plan.2000x64"
     price = max(_over_bound(plan) for plan, _ in weights)
     outside = max(plan.num_outside for plan, _ in weights)
@@ -199,7 +193,7 @@ def drag_metrics(num_moves: int) -> list[Metric]:
 
 
 def system_metrics() -> list[Metric]:
-    """Simulated seconds of the paper's systems 1 and 2: planned exactly, by Alg. 1, and with equally many photographs per device."""
+    """Simulated seconds of the paper's two systems: planned exactly, by Alg. 1, and evenly."""
     folder = Path(radiant_app.__file__).parent / "systems"
     metrics: list[Metric] = []
     for number, (scene, num_cameras) in product((1, 2), _SCENES.items()):
@@ -229,7 +223,7 @@ def _ratio(key: str, plans: Iterable[CloudPlan]) -> Metric:
     return Metric(key=key, value=max(map(_over_bound, plans)), unit="1", direction="lower", tolerance=1e-6)
 
 
-def _certified(key: str, plan: CloudPlan) -> Metric:
+def _certificate(key: str, plan: CloudPlan) -> Metric:
     return Metric(key=key, value=float(plan.certified), unit="1", direction="higher")
 
 

@@ -1,12 +1,10 @@
-"""Benchmark of the rasterizer: CPU milliseconds of forward, forward + backward and a whole training
-step, beside errors against float64.
+"""Benchmark of the rasterizer: CPU milliseconds of forward, backward and steps beside errors.
 
 Equal for all cases of a size: Gaussians, camera, SH degree 3, threads. Every round runs each case
 once, so that a slow minute of the machine affects all of them; figures are medians over the rounds.
 The peak rate of fused multiply-adds is measured in the same rounds. A pair is a pixel and a
-Gaussian that reaches its 4 × 4 block. With several threads each round also runs on one thread: the
-speed-up of the rasterizer is divided by that of the peak. Seconds with `quick` (S only), one or two
-minutes without.
+Gaussian that reaches its 4 × 4 block. With several threads each round also runs on one: the gain
+of the rasterizer is divided by that of the peak. Minutes; seconds with `quick` (S only).
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ import torch
 
 from radiant_app.bench.drone_scene import SIZES, drone_scene
 from radiant_app.bench.raster_accuracy import image_gradient, num_pairs, render, tile_errors
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core import _native
 from radiant_core.cameras import Cameras
 from radiant_core.evaluate.metric import Direction, Metric
@@ -37,7 +35,7 @@ from radiant_core.train.optimizer import SelectiveAdam
 
 NUM_ROUNDS = {"S": 15, "M": 9, "L": 5}
 FMA_PER_PAIR = 17 + 31
-"""Multiplications, additions and fused multiply-adds per pair of pixel and Gaussian, forward and backward."""
+"""Multiplications, additions and fused multiply-adds per pair, forward and backward."""
 # Forward (raster_blend.h, blend_block): u 2, v 1, log₂ α 2, polynomial of 2ᶠ 5, weight 1,
 # transmittance 1, sums of colour, depth and weight 5. Backward (raster_blend_backward.h,
 # instance_moments): u 2, v 1, log₂ α 2, polynomial 5, 1 − α 1, Newton step of its inverse 2,
@@ -46,7 +44,7 @@ FMA_PER_PAIR = 17 + 31
 _TIME_TOLERANCE = 0.3
 """Share by which a time may differ between runs on a machine that does other work."""
 _ERROR_TOLERANCE = 0.7
-"""Share of an error by which it may exceed an earlier one: instruction sets and other tiles change it by a factor of up to 1.7."""
+"""Share by which an error may exceed an earlier one: instruction sets and tiles change it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +66,7 @@ class Case:
 
 
 def bench_raster(quick: bool, threads: int | None = None) -> list[Metric]:
-    """`raster.<S|M|L>.<random|morton>.native.<…>` and `raster.peak_fma_per_s` (16 lanes, per thread)."""
+    """`raster.<S|M|L>.<random|morton>.native.<…>`, `raster.peak_fma_per_s` (16 lanes, a thread)."""
     before = torch.get_num_threads()
     torch.set_num_threads(threads or before)
     try:
@@ -90,7 +88,7 @@ def _bench_size(size: str) -> list[Metric]:
         for order, model in (("random", splats), ("morton", splats.select(morton_order(splats.means))))
     ]
     peaks = []
-    for _ in tracked(range(NUM_ROUNDS[size]), f"bench raster {size}"):
+    for _ in track_items(range(NUM_ROUNDS[size]), f"bench raster {size}"):
         peaks.append(peak_fma_per_s())
         gain = 1.0 if threads == 1 else peak_fma_per_s(threads) / peaks[-1]
         for case in cases:
@@ -102,7 +100,7 @@ def _bench_size(size: str) -> list[Metric]:
 def _run(case: Case, peak_gain: float) -> None:
     leaves = SplatTensors.from_splats(case.splats)
     weights = image_gradient(case.cameras)
-    case.forward_ms.append(_timed(lambda: render(leaves, case.cameras))[0])
+    case.forward_ms.append(_time_work(lambda: render(leaves, case.cameras))[0])
     for leaf in leaves.tensors().values():
         leaf.requires_grad_()
 
@@ -113,18 +111,18 @@ def _run(case: Case, peak_gain: float) -> None:
 
     # The first pass allocates the gradients, which a training loop does once.
     both()
-    cpu_ms, wall_ms = _timed(both)
+    cpu_ms, wall_ms = _time_work(both)
     case.both_ms.append(cpu_ms)
     case.both_wall_ms.append(wall_ms)
     threads = torch.get_num_threads()
     if threads > 1:
         torch.set_num_threads(1)
-        case.scaling.append(_timed(both)[1] / wall_ms / peak_gain)
+        case.scaling.append(_time_work(both)[1] / wall_ms / peak_gain)
         torch.set_num_threads(threads)
 
 
 def _run_step(case: Case) -> None:
-    """One training step of a device: render, fused loss, backward, Adam on the visible Gaussians. The target is a darker image."""
+    """One training step of a device, from render to Adam. The target is a darker image."""
     leaves = SplatTensors.from_splats(case.splats)
     with torch.no_grad():
         target = TargetStatistics.of(render(leaves, case.cameras).images[0] * 0.9)
@@ -139,7 +137,7 @@ def _run_step(case: Case) -> None:
         return loss
 
     step()
-    cpu_ms, wall_ms = _timed(step)
+    cpu_ms, wall_ms = _time_work(step)
     case.step_ms.append(cpu_ms)
     case.step_wall_ms.append(wall_ms)
     with torch.no_grad():
@@ -148,7 +146,7 @@ def _run_step(case: Case) -> None:
     case.loss_error.append(abs(float(target_loss(image.float(), target, None, 0.2)) - exact) / exact)
 
 
-def _timed(work: Callable[[], object]) -> tuple[float, float]:
+def _time_work(work: Callable[[], object]) -> tuple[float, float]:
     """CPU and wall milliseconds."""
     cpu_s, wall_s = time.process_time(), time.perf_counter()
     work()
@@ -156,16 +154,14 @@ def _timed(work: Callable[[], object]) -> tuple[float, float]:
 
 
 def peak_fma_per_s(threads: int = 1, rounds: int = 2_000_000) -> float:
-    """16-lane fused multiply-adds per second in a loop of nothing else: per CPU second of one thread, per wall second of several."""
+    """16-lane multiply-adds per second: of CPU time with one thread, of wall time with several."""
     instruction_set = _native.instruction_sets()[0]
     if threads == 1:
-        # The clock of this thread alone: OpenMP's threads go on spinning after a parallel operation
-        # of torch.
+        # The clock of this thread: OpenMP's go on spinning after a parallel operation of torch.
         start_s = time.thread_time()
         return _native.multiply_adds(instruction_set, rounds) / (time.thread_time() - start_s)
     with ThreadPoolExecutor(threads) as pool:
-        # A short round starts the threads; in the long one their uneven starts and ends do not
-        # matter.
+        # A short round starts the threads; uneven starts and ends do not matter in the long one.
         for factor in (0.1, 4):
             start_s = time.perf_counter()
             done = sum(pool.map(lambda _, n=int(factor * rounds): _native.multiply_adds(instruction_set, n), range(threads)))
@@ -204,7 +200,7 @@ def _metrics(case: Case, peak: float) -> list[Metric]:
 
 
 def peak_rss_bytes(splats: Splats, key: str) -> int:
-    """Peak memory, less that of the imports, of a new process that loads the model and renders it forward and backward three times."""
+    """Peak memory, less that of the imports, of a process that renders the model three times."""
     with TemporaryDirectory(prefix="radiant-bench-raster-") as folder:
         file = Path(folder) / "model.npz"
         np.savez(file, allow_pickle=False, **splats.arrays())

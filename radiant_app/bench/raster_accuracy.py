@@ -1,4 +1,4 @@
-"""Errors of the rasterizer's image and gradients against float64 on the benchmark's scene, and how many pairs the scene has."""
+"""Errors of the rasterizer's image and gradients against float64 on the benchmark's scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TILE_PX = 16
 SEED = zlib.crc32(__version__.encode())
 """Selects the tiles on which errors are measured; it changes with the version of the project."""
 UNDECIDED = 1e-5
-"""A pair whose ln α is this close to α_min, or to the cut of transmittance, may fall on either side of it."""
+"""A pair whose ln α is this close to α_min or the cut of transmittance is on either side of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,9 @@ def tile_errors(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> 
     """
     keep = _random_tiles(cameras)
     with torch.no_grad():
-        chosen = splats.select(_touching(render(SplatTensors.from_splats(splats), cameras), keep))
+        chosen = splats.select(_mask_touching(render(SplatTensors.from_splats(splats), cameras), keep))
     exact = SplatTensors.from_splats(chosen, torch.float64)
-    low, middle, high = (render(_shifted(exact, shift), cameras, "reference").images for shift in (-UNDECIDED, 0.0, UNDECIDED))
+    low, middle, high = (render(_shift_opacities(exact, shift), cameras, "reference").images for shift in (-UNDECIDED, 0.0, UNDECIDED))
     jumps = (low - 2 * middle + high).abs().amax(-1)[0] > 1e-6
     decided = keep & ~jumps
     leaves = SplatTensors.from_splats(chosen)
@@ -96,7 +96,7 @@ def tile_errors(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> 
     )
 
 
-def _shifted(tensors: SplatTensors, shift: float) -> SplatTensors:
+def _shift_opacities(tensors: SplatTensors, shift: float) -> SplatTensors:
     """The model with ln opacities changed by `shift`, by less where opacity exceeds 0.99."""
     logits = tensors.logit_opacities
     return replace(tensors, logit_opacities=logits + shift / torch.sigmoid(-logits).clamp_min(1e-2))
@@ -111,8 +111,8 @@ def _random_tiles(cameras: Cameras) -> Tensor:
     return tiles.reshape(rows, columns).repeat_interleave(TILE_PX, 0).repeat_interleave(TILE_PX, 1)[:height, :width]
 
 
-def _touching(output: RenderOutput, keep: Tensor) -> np.ndarray:
-    """Mask (N,) of Gaussians whose box of half side `radii_px`, a pixel wider, covers a kept pixel."""
+def _mask_touching(output: RenderOutput, keep: Tensor) -> np.ndarray:
+    """Mask (N,) of Gaussians whose box of half side `radii_px` + 1 covers a kept pixel."""
     height, width = keep.shape
     counts = torch.zeros(height + 1, width + 1, dtype=torch.int64)
     counts[1:, 1:] = keep.long().cumsum(0).cumsum(1)

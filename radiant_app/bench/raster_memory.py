@@ -1,5 +1,4 @@
-"""A separate process that renders one stored model forward and backward and prints by how many
-bytes its peak memory grew.
+"""A process that renders a stored model forward and backward and prints its peak memory's growth.
 
 python -m radiant_app.bench.raster_memory MODEL.npz S|M|L THREADS
 """

@@ -1,4 +1,4 @@
-"""`radiant bench NAME`: run one benchmark, print its figures as a table, write and compare them. The one entry to the benchmarks."""
+"""`radiant bench NAME`: run one benchmark, print its figures, write and compare them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 
 def run_bench(name: BenchName, json_file: Path | None, options: BenchOptions) -> None:
-    """Run the benchmark `name` and report.
-
-    Raises:
-        BadInput: An option is missing or not accepted, or a file cannot be written.
-        StageFailed: A figure is worse than in `options.baseline`.
-    """
+    """Run a benchmark and report; BadInput for options and files, StageFailed for worse figures."""
     options.check(name)
     for file in (json_file, options.plot, options.baseline if options.bless else None):
         if file is not None and not file.parent.is_dir():

@@ -1,11 +1,10 @@
-"""Benchmark of structure from motion: seconds beside position and rotation errors, GPS neighbours
-against exhaustive matching.
+"""Benchmark of structure from motion: seconds beside errors, GPS neighbours against all pairs.
 
 The scene is one of the generator, whose cameras are known exactly. Errors are the residuals of the
 best similarity to the known cameras: e = ‖s R c + t − c*‖ and the angle of R*ᵀ R R_c. Equal for
 both: photographs, features, mapper, threads. Runs are interleaved (spatial, exhaustive, spatial, …)
 so that a slow minute of the machine affects both; figures are medians of three. Quick: one run each
-with 1,500 features, faster and less accurate: compare quick figures with quick ones only.
+with 1,500 features, less accurate: compare quick figures with quick ones only.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
@@ -30,7 +29,7 @@ MatchingKind = Literal["spatial", "exhaustive"]
 NUM_RUNS = 3
 QUICK_FEATURES = 1500
 _TIME_TOLERANCE, _ERROR_TOLERANCE = 0.3, 0.5
-"""Shares by which a time (load of the machine) and an error (order of threads) may differ between runs."""
+"""Shares by which a time and an error (order of threads) may differ between runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +44,9 @@ class SfmRun:
 
 
 def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
-    """`sfm.<scene>.<spatial|exhaustive>.<seconds|registered|position_error_m|position_max_percent|rotation_error_deg>`.
+    """Keys `sfm.<scene>.<spatial|exhaustive>.…`: seconds, registered, position and rotation errors.
 
-    `scene` holds images/ with GPS and known/ (a COLMAP model); None is the sample town. Raises
-    BadInput when either is missing.
+    `scene` holds images/ with GPS and known/ (a COLMAP model), else BadInput; None: the town.
     """
     from radiant_core.sfm.world_frame.world import cameras_of
 
@@ -58,7 +56,7 @@ def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
     known = cameras_of(read_model(scene_folder / "known"))
     runs: dict[MatchingKind, list[SfmRun]] = {"spatial": [], "exhaustive": []}
     turns: list[MatchingKind] = ["spatial", "exhaustive"] * (1 if quick else NUM_RUNS)
-    for matching in tracked(turns, "bench sfm"):
+    for matching in track_items(turns, "bench sfm"):
         runs[matching].append(_run(scene_folder / "images", matching, known, QUICK_FEATURES if quick else None))
     return [metric for matching, done in runs.items() for metric in _metrics(f"sfm.{scene_folder.name}.{matching}", done)]
 
@@ -91,7 +89,7 @@ def _run(images: Path, matching: MatchingKind, known: Cameras, num_features: int
 
 
 def rotation_errors_deg(rotations: FloatArray, truth: FloatArray) -> FloatArray:
-    """Angles (C,) in degrees between rotations (C,3,3) and (C,3,3): 2 asin(‖A − B‖ / √8), exact for small ones too."""
+    """Angles (C,) in degrees between rotations: 2 asin(‖A − B‖ / √8), exact for small ones too."""
     chord = np.linalg.norm(rotations - truth, axis=(1, 2))
     return np.degrees(2 * np.arcsin(np.clip(chord / np.sqrt(8), 0, 1)))
 

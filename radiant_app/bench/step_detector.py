@@ -1,13 +1,11 @@
-"""Calibration of the step detector: thresholds, false alarms and power on virtual borders inside
-centralised models.
+"""Calibration of the step detector: thresholds, false alarms and power on virtual borders.
 
 `python -m radiant_app.bench.step_detector [--borders 40] MODEL.ply…` draws as many random straight
 lines through each model, where nothing was joined. Thresholds are the quantiles of the scores at
 which 5 % of all lines raise an alarm in any quantity, with the same share α for each quantity.
-False alarms are cross-validated: counted on one half of the lines with the thresholds of the other
-half. Power is that of the printed thresholds on every fourth line, with a step planted in the
-model: the Gaussians left of the line become brighter, higher or fewer, or those at the line are
-removed.
+False alarms are cross-validated: counted on one half of the lines with the thresholds of the other.
+Power is that of the printed thresholds on every fourth line, with a step planted in the model: the
+Gaussians left of the line become brighter, higher or fewer, or those at the line are removed.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from radiant_app.report.progress import tracked
+from radiant_app.report.progress import track_items
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.step_detector import MIN_OPACITY, QUANTITIES, Quantity, border_steps
 from radiant_core.io.ply import load_ply
@@ -45,11 +43,8 @@ def plants() -> dict[tuple[Quantity, str], Plant]:
 
 
 def virtual_borders(splats: Splats, count: int, seed: int = 0) -> list[FloatArray]:
-    """Random lines (2,2) m across the region that was photographed; BadInput for an empty model.
-
-    Photographed regions have small Gaussians: the region is the box of the middle 80 % in x and y
-    of the smaller half of the opaque ones.
-    """
+    """Random lines (2,2) m across the photographed region, which is the box of the middle 80 % in x
+    and y of the smaller half of the opaque Gaussians; BadInput for an empty model."""
     shows = np.flatnonzero(splats.logit_opacities > np.log(MIN_OPACITY / (1 - MIN_OPACITY)))
     if len(shows) < 100:
         raise BadInput(f"the model has {len(shows)} Gaussians that show, expected 100 or more: train it first.")
@@ -67,7 +62,7 @@ def virtual_borders(splats: Splats, count: int, seed: int = 0) -> list[FloatArra
 
 
 def thresholds_of(scores: FloatArray) -> FloatArray:
-    """Thresholds (Q,) that 5 % of the lines (L,Q) exceed in any quantity, each quantity on the same share of lines; NaN is no alarm."""
+    """Thresholds (Q,) that 5 % of lines (L,Q) exceed, each on the same share; NaN is no alarm."""
     scores = np.nan_to_num(scores, nan=0.0)
     low, high = 0.0, FALSE_ALARMS
     for _ in range(30):
@@ -88,7 +83,7 @@ def measure_step_detector(models: Sequence[Path], num_borders: int) -> str:
     """A report of thresholds, false alarms and power; BadInput for a model that cannot be read."""
     loaded = [load_ply(path) for path in models]
     cases = [(model, line) for seed, model in enumerate(loaded) for line in virtual_borders(model, num_borders, seed)]
-    scores = np.array([_scores(model, line) for model, line in tracked(cases, "virtual borders")])
+    scores = np.array([_scores(model, line) for model, line in track_items(cases, "virtual borders")])
     limits = thresholds_of(scores)
     length_m = np.mean([np.hypot(*(line[1] - line[0])) for _, line in cases])
     unknown = zip(QUANTITIES, np.isnan(scores).mean(axis=0), strict=True)
@@ -100,7 +95,7 @@ def measure_step_detector(models: Sequence[Path], num_borders: int) -> str:
     ]
     tried = cases[::4]
     for (quantity, name), plant in plants().items():
-        found = np.array([_scores(plant(model, line), line) for model, line in tracked(tried, f"planted {quantity} {name}")]) > limits
+        found = np.array([_scores(plant(model, line), line) for model, line in track_items(tried, f"planted {quantity} {name}")]) > limits
         own = found[:, QUANTITIES.index(quantity)]
         shares = f"{own.mean():.2f} by its own score, {found.any(axis=1).mean():.2f} by any"
         lines.append(f"power: {quantity} {name}: {shares} ({len(tried)} borders)")
@@ -120,17 +115,13 @@ def _left_m(splats: Splats, line: FloatArray) -> FloatArray:
 
 
 def _brighter(levels: float) -> Plant:
-    def plant(splats: Splats, line: FloatArray) -> Splats:
-        return replace(splats, sh0=splats.sh0 + (levels / 255 / SH_C0 * (_left_m(splats, line) > 0))[:, None, None])
-
-    return plant
+    step = levels / 255 / SH_C0
+    return lambda splats, line: replace(splats, sh0=splats.sh0 + (step * (_left_m(splats, line) > 0))[:, None, None])
 
 
 def _higher(step_m: float) -> Plant:
-    def plant(splats: Splats, line: FloatArray) -> Splats:
-        return replace(splats, means=splats.means + step_m * (_left_m(splats, line) > 0)[:, None] * np.array([0.0, 0.0, 1.0]))
-
-    return plant
+    up = np.array([0.0, 0.0, 1.0])
+    return lambda splats, line: replace(splats, means=splats.means + step_m * (_left_m(splats, line) > 0)[:, None] * up)
 
 
 def _fewer(share: float) -> Plant:
@@ -142,10 +133,7 @@ def _fewer(share: float) -> Plant:
 
 
 def _cut(width_m: float) -> Plant:
-    def plant(splats: Splats, line: FloatArray) -> Splats:
-        return splats.select(np.flatnonzero(np.abs(_left_m(splats, line)) > width_m / 2))
-
-    return plant
+    return lambda splats, line: splats.select(np.flatnonzero(np.abs(_left_m(splats, line)) > width_m / 2))
 
 
 def main(

@@ -1,15 +1,13 @@
-"""Benchmark of training: held-out PSNR against CPU seconds and Gaussians, presets against each
-other at budgets of CPU time.
+"""Benchmark of training: held-out PSNR against CPU seconds and Gaussians, presets at equal budgets.
 
 One model of all training photographs of a scene, without tiers. Budgets are CPU seconds of the
 whole process, which do not depend on the load of the machine. Equal for all presets: scene,
 photographs, size, budgets, seeds, held-out photographs; every row states its number of Gaussians.
 Each preset is also trained with half of each budget, and its difference to the reference at the
 full budget is stated with the 95 % bounds of a bootstrap over images and seeds. More `splits` hold
-out other photographs, each with its own models, so that a single photograph weighs less; the
-bootstrap draws from the images of all splits, and with one seed it does not cover how a split's
-model varies. `ablations`: the first preset with one part switched off at a time, at the first
-budget, paired. With a folder for its rows an interrupted benchmark resumes.
+out other photographs, each with its own models; the bootstrap draws from the images of all splits,
+and with one seed it does not cover how a split's model varies. `ablations`: the first preset with
+one part switched off at a time, at the first budget, paired. Rows in a folder are not made again.
 """
 
 from __future__ import annotations
@@ -23,12 +21,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rich.console import Console
 
 from radiant_app.bench.options import BenchOptions
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
-from radiant_app.report.progress import ProgressDisplay, tracked
+from radiant_app.report.progress import terminal_display, track_items
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import load_scored_scene, masks_folder_of, reconstruct_source, sfm_task
 from radiant_core import __version__
@@ -157,13 +154,8 @@ class _Split:
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
-    """All rows, and
-    `train.<scene>.<variant>.<budget>s.<psnr_db|psnr_cc_db|cpu_s|num_gaussians|num_steps>` with the
-    differences.
-
-    `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs.
-    BadInput where nothing can be held out.
-    """
+    """All rows, and the metrics `train.<scene>.<variant>.<budget>s.<…>` with the differences; the
+    scene is any source. BadInput where nothing can be held out."""
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
         source = _load(bench.scene, Path(folder))
         splits = _splits(source, bench.splits)
@@ -174,13 +166,12 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
             (split, preset, _config(preset, bench.long_side_px), budget_s, seed)
             for split in splits
             for budget_s in sorted({*bench.budgets_s, *halves})
-            # The reference first: once its largest budget is done, each further row completes a
-            # difference at half the time.
+            # The reference first: every row after its largest budget completes a difference.
             for preset in sorted(bench.presets, key=lambda preset: preset != REFERENCE)
             for seed in bench.seeds
             if budget_s in bench.budgets_s or preset != REFERENCE
         ]
-        rows = [_row(bench.out, *job) for job in tracked(jobs, "bench train")]
+        rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
     metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(source.name, group)]
     for preset in bench.presets:
         for budget_s in bench.budgets_s if preset != REFERENCE and REFERENCE in bench.presets else ():
@@ -191,7 +182,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
 
 
 def bench_of(options: BenchOptions) -> TrainBench:
-    """The benchmark that the options ask for; `quick` has two budgets of seconds at a small size."""
+    """The benchmark by the options; `quick` has two budgets of seconds at a small size."""
     ablations = options.ablations
     budgets_s = options.budgets_s or ((4.0, 8.0) if options.quick else (ABLATION_BUDGET_S,) if ablations else BUDGETS_S)
     num_seeds = options.num_seeds or (len(ABLATION_SEEDS) if ablations and not options.quick else 1)
@@ -229,7 +220,7 @@ def _ablations(bench: TrainBench, splits: Sequence[_Split]) -> tuple[list[Traine
     # A change that the preset makes already is no ablation.
     variants = {name: config for name, config in variants.items() if name == whole or config != base}
     jobs = [(split, name, config, budget_s, seed) for split in splits for seed in bench.seeds for name, config in variants.items()]
-    rows = [_row(bench.out, *job) for job in tracked(jobs, "bench train")]
+    rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
     scene = splits[0].source.name
     metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(scene, group)]
     for name in variants:
@@ -250,7 +241,7 @@ def _load(source: Path, work: Path) -> _Source:
         masks = masks_folder_of(source)
     except BadInput:
         task = sfm_task(source, SfmConfig(), None, Placement())
-        display = ProgressDisplay(Console(stderr=True))
+        display = terminal_display()
         with stage_bar(display, "sfm"):
             result = reconstruct_source(task, work / "sfm", EventReporter(stage="sfm", emit=display).sfm_progress)
         scene, images, masks = result.scene, result.undistorted_folder, None
@@ -278,19 +269,19 @@ def _split(source: _Source, first: int) -> _Split:
 
 def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     if out is None:
-        return _trained(split, variant, config, budget_s, seed)
+        return _train_row(split, variant, config, budget_s, seed)
     key = content_key(__version__, {"scene": split.training.cameras.names, "config": asdict(config)})[:16]
     record = out / "rows" / f"{split.source.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
     if record.is_file():
         fields = read_json(record)
         return TrainedRow(**{**fields, "psnr_db": tuple(fields["psnr_db"]), "psnr_cc_db": tuple(fields["psnr_cc_db"])})
-    row = _trained(split, variant, config, budget_s, seed)
+    row = _train_row(split, variant, config, budget_s, seed)
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, asdict(row))
     return row
 
 
-def _trained(split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
+def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     cameras = split.training.cameras.scaled(config.long_side_px)
     views = load_training_views(split.source.images, cameras, split.source.masks)
     begun_s = time.process_time()
@@ -333,12 +324,9 @@ def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedR
     return groups
 
 
-_FIGURES = ("cpu_s", "num_gaussians", "num_steps")
-
-
 def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
     key = f"train.{scene}.{_key(rows[0].variant)}.{rows[0].budget_s:g}s"
-    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in _FIGURES}
+    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in ("cpu_s", "num_gaussians", "num_steps")}
     # Over images, as in the differences: splits may hold out different numbers.
     means |= {f"mean_{name}": float(_by_seed_and_image(rows, name).mean()) for name in ("psnr_db", "psnr_cc_db")}
     return [
@@ -351,7 +339,6 @@ def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
 
 
 def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, float], other: tuple[str, float]) -> list[Metric]:
-    """The paired differences of two groups of rows in PSNR, without and with corrected colours."""
     groups = _groups(rows)
     metrics = []
     for figure, mark in (("psnr_db", ""), ("psnr_cc_db", "cc_")):
@@ -362,7 +349,7 @@ def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, fl
 
 
 def _by_seed_and_image(rows: Sequence[TrainedRow], figure: str) -> FloatArray:
-    """A figure (S,I) of every seed's models, over the held-out images of all splits one after the other."""
+    """A figure (S,I) per seed, over the held-out images of all splits one after the other."""
     seeds = sorted({row.seed for row in rows})
     of_seed = [sorted((row for row in rows if row.seed == seed), key=lambda row: row.split) for seed in seeds]
     return np.array([np.concatenate([getattr(row, figure) for row in own]) for own in of_seed])

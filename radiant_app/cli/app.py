@@ -1,4 +1,4 @@
-"""The command `radiant`. Heavy libraries are imported inside the commands, so that `radiant --help` answers at once."""
+"""The command `radiant`; commands import heavy libraries themselves, so that `--help` is quick."""
 
 from __future__ import annotations
 
@@ -33,7 +33,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
 _INSPECTED_HELP = "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window also a 3DGS .ply."
@@ -73,15 +72,12 @@ def extend(
     new: Annotated[Path, typer.Argument(help="The run of the new region.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="PLY of the extended scene.", show_default=False)],
     region: Annotated[
-        Path | None,
-        typer.Option(help="GeoJSON polygons of the land that NEW takes over, else the hull of its cameras.", show_default=False),
+        Path | None, typer.Option(help="GeoJSON polygons of the land that NEW takes over, else the hull of its cameras.")
     ] = None,
     margin_m: Annotated[
-        float | None, typer.Option("--margin-m", help="Half width of the strip that is fitted, else 5 % of the region's side.")
+        float | None, typer.Option("--margin-m", help="Half width of the fitted strip, else 5 % of the region's side.")
     ] = None,
-    epochs: Annotated[
-        int | None, typer.Option(min=1, help="How often each view of the strip is shown, else as often as a run does.")
-    ] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="How often each view of the strip is shown, else as in a run.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Join a new region to a finished scene, which keeps its bits beyond a margin."""
@@ -101,20 +97,15 @@ def evaluate(
     model: Annotated[Path, typer.Argument(help="A run, a 3DGS PLY, or a model.safetensors.", show_default=False)],
     scene: Annotated[
         Path | None,
-        typer.Argument(
-            help="A run, a folder of `radiant sfm`, or an undistorted COLMAP project in its own frame; without it the run MODEL.",
-            show_default=False,
-        ),
+        typer.Argument(help="A run, a folder of `radiant sfm`, or an undistorted COLMAP project in its own frame; else the run MODEL."),
     ] = None,
-    long_side_px: Annotated[
-        int | None, typer.Option("--long-side-px", min=16, help="Long side of the images; without it the run's, else 1600 at most.")
-    ] = None,
+    long_side_px: Annotated[int | None, typer.Option(min=16, help="Long side of the images, else the run's, or 1600 at most.")] = None,
     lpips_weights: LpipsWeights = None,
     lpips_net: LpipsNet = "vgg",
     out: Annotated[Path | None, typer.Option("--out", help="JSON file for all figures; must not exist.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """PSNR, SSIM (both also after colour correction), FLIP and LPIPS on the photographs that a scene holds out."""
+    """PSNR, SSIM (both also after colour correction), FLIP and LPIPS on held-out photographs."""
     from radiant_app.commands.evaluate import EvaluateRequest
     from radiant_app.commands.evaluate import evaluate as score
     from radiant_app.report.progress import terminal_display
@@ -133,22 +124,17 @@ def inspect(
     run_folder: Annotated[Path, typer.Argument(help=_INSPECTED_HELP, show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[
-        View | None,
-        typer.Option(help="What the picture shows; else regions of a run, splats of a training, cameras of a scene.", show_default=False),
+        View | None, typer.Option(help="What is shown; else regions of a run, splats of a training, cameras of a scene.")
     ] = None,
     size: SizeOption = "1280x900",
-    camera: Annotated[
-        str | None, typer.Option(help="A photograph's name: splats are seen from there, compare shows it alone.", show_default=False)
-    ] = None,
+    camera: Annotated[str | None, typer.Option(help="A photograph's name: splats are seen from there, compare shows it alone.")] = None,
     system: Annotated[Path | None, typer.Option(help="TOML of edges and devices with which the plan is changed; else its own.")] = None,
     scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.")] = None,
     web: Annotated[bool, typer.Option("--web", help=_WEB_HELP)] = False,
-    host: Annotated[
-        str, typer.Option(help="--web: address to bind; all but this machine's own can be reached from outside.")
-    ] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="--web: address to bind; any but this machine's own is open to others.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
-    """Regions, cameras, seams and splats of a run, or a plan to be changed: in a window, as a picture, or as a page for a browser."""
+    """Show a run, or a plan to be changed: in a window, as a picture, or as a page to browse."""
     if web and screenshot is not None:
         raise BadInput("--web serves a page and --screenshot writes a picture: ask for one of them.")
     if web:
@@ -181,7 +167,7 @@ def doctor(as_json: AsJson = False) -> None:
 
 
 def main() -> NoReturn:
-    """Entry point: one sentence for what a user can mend, exit code 2 for bad input, 130 for Ctrl-C."""
+    """Entry point: one sentence for what a user can mend; exit code 2: bad input, 130: Ctrl-C."""
     make_streams_last()
     interrupt_on_signals()
     try:
@@ -211,7 +197,7 @@ def main() -> NoReturn:
 
 
 def _require_working_folder() -> None:
-    """Raise BadInput where the folder that a relative path begins in is gone: libraries die there of what they cannot find."""
+    """Raise BadInput where the working folder is gone: libraries fail there in obscure ways."""
     try:
         Path.cwd()
     except FileNotFoundError:
@@ -219,13 +205,11 @@ def _require_working_folder() -> None:
 
 
 def _how_to_go_on() -> str:
-    """What to say of a command that did not come to its end."""
     resumable = set(sys.argv[1:2]) & {"run", "demo", "train", "sfm"}
     return "What was finished is kept: go on with the same command and --resume." if resumable else ""
 
 
 def _where_it_lies() -> str:
-    """What to say of a result that exists and was not printed."""
     given = [after for option, after in pairwise(sys.argv) if option == "--out"]
     given += [argument.removeprefix("--out=") for argument in sys.argv if argument.startswith("--out=")]
     made = [out for out in given if Path(out).exists()]

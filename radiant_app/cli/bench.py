@@ -29,9 +29,7 @@ def bench(
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
     max_gaussians: Annotated[int | None, typer.Option(min=1, help="methods: reduce every method's model to as many.")] = None,
     out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train: folder of models; a later call resumes.")] = None,
-    baseline: Annotated[
-        Path | None, typer.Option(help="sfm, plan, raster: file of earlier figures; exit code 1 where a new one is worse.")
-    ] = None,
+    baseline: Annotated[Path | None, typer.Option(help="sfm, plan, raster: earlier figures; exit code 1 where one is worse.")] = None,
     bless: Annotated[bool, typer.Option("--bless", help="Write the figures into the baseline instead of comparing.")] = False,
 ) -> None:
     """Run time beside error."""

@@ -1,4 +1,4 @@
-"""Options made from the fields of `RunConfig`, so that each is declared once, there: name, type, limits, default and help text."""
+"""Options made from the fields of `RunConfig`, so that each is declared once, there."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from radiant_app.config.run_config import RUN_PRESETS
 
 
 def option(path: str, *names: str, help: str | None = None) -> Any:  # noqa: A002
-    """Typer's description of a field's option, for `Annotated`; with other `names` or another `help` where a command means more or less."""
+    """Typer's description of a field's option, with other `names` or `help` where it means more."""
     field = config_fields()[path]
     assert field.option is not None
     known = field.option
@@ -23,7 +23,7 @@ def option(path: str, *names: str, help: str | None = None) -> Any:  # noqa: A00
 
 
 def with_config_options(command: Callable[..., None]) -> Callable[..., None]:
-    """`command` with an option for every field of `RunConfig` in place of its `**`; `given_values` reads them."""
+    """`command` with an option per field of `RunConfig` for its `**`, see `given_values`."""
     own = [each for each in inspect.signature(command, eval_str=True).parameters.values() if each.kind is not each.VAR_KEYWORD]
     first = [each for each in own if each.default is each.empty]
     made = [_parameter(field) for field in config_fields().values() if field.option is not None and field.path != "source"]

@@ -1,4 +1,4 @@
-"""Options that several commands have; those of a run are its fields' own, the others stand here alone."""
+"""Options that several commands have; those of a run are its fields' own, the others stand here."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RasterCellOption = Annotated[float | None, option("plan.raster_cell_m")]
 BenchScene = Annotated[
     Path | None,
     typer.Option(
-        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm' or a run."
+        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm', a run."
     ),
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train, methods: PNG of the curves.")]

@@ -1,4 +1,4 @@
-"""The options of `radiant render` and `radiant export`: what leaves a run as pictures, films and files of other programs."""
+"""The options of `radiant render` and `radiant export`: what leaves a run as other files."""
 
 from __future__ import annotations
 
@@ -14,14 +14,10 @@ from radiant_core.choices import ExportFormat, Trajectory
 
 def render(
     model: Annotated[Path, typer.Argument(help="A run, the folder of `radiant train`, or a PLY.", show_default=False)],
-    out: Annotated[
-        Path, typer.Option("--out", help="New folder of PNG frames, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)
-    ],
+    out: Annotated[Path, typer.Option("--out", help="New folder of PNGs, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)],
     cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without any path the held-out cameras.")] = None,
-    trajectory: Annotated[
-        Trajectory | None, typer.Option(help="orbit: once around the scene; border: along one, the worst seam by default.")
-    ] = None,
-    border: Annotated[str | None, typer.Option(help="Two edges, as EAST,WEST: fly along their border.", show_default=False)] = None,
+    trajectory: Annotated[Trajectory | None, typer.Option(help="orbit: once around; border: along one, else the worst seam.")] = None,
+    border: Annotated[str | None, typer.Option(help="Two edges, as EAST,WEST: fly along their border.")] = None,
     keyframes: Annotated[
         Path | None, typer.Option(help='JSON: {"keyframes": [{"time_s": 0, "position": [x, y, z], "target": [x, y, z]}, …]}.')
     ] = None,
@@ -31,7 +27,7 @@ def render(
     long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the pictures, at most as given.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Pictures or a film of a model: from given cameras, around the scene, along a border, or through keyframes."""
+    """Pictures or a film of a model: from cameras, around it, along a border, or by keyframes."""
     from radiant_app.commands.render import RenderRequest
     from radiant_app.commands.render import render as render_pictures
     from radiant_app.quantities import size_wh_of
@@ -53,25 +49,19 @@ def render(
 
 
 def export(
-    model: Annotated[
-        Path,
-        typer.Argument(help="Folder of `radiant run`, `train` or `sfm`, or a model alone.", show_default=False),
-    ],
+    model: Annotated[Path, typer.Argument(help="Folder of `radiant run`, `train` or `sfm`, or a model alone.", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File to write; a folder for COLMAP. Its ending says what.", show_default=False)],
     format: Annotated[  # noqa: A002
         ExportFormat | None,
         typer.Option(help="Model: ply, spz, sog. Scene: geojson (regions, cameras), colmap. Surface: mesh (PLY), dsm (GeoTIFF)."),
     ] = None,
     resolution: Annotated[
-        float | None,
-        typer.Option(
-            min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.", show_default=False
-        ),
+        float | None, typer.Option(min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.")
     ] = None,
     long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the depth pictures of mesh and dsm.")] = 640,
     as_json: AsJson = False,
 ) -> None:
-    """A model, its plan, its cameras or its surface in the files of other programs; says what a format rounds or cannot hold."""
+    """A model, its plan, cameras or surface in the files of other programs; says what is lost."""
     from radiant_app.commands.export import ExportRequest
     from radiant_app.commands.export import export as write_export
     from radiant_app.report.progress import terminal_display

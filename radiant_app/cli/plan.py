@@ -7,58 +7,40 @@ from typing import Annotated
 
 import typer
 
-from radiant_app.cli.option_types import (
-    AsJson,
-    BufferOption,
-    DeadlineOption,
-    FieldOfViewOption,
-    GroundOption,
-    LongSide,
-    MaxSplats,
-    NumSteps,
-    PlanMethodOption,
-    RasterCellOption,
-    Seed,
-    SystemFile,
-)
+from radiant_app.cli import option_types as options
 from radiant_app.report.tables import finish
 from radiant_core.train.config import Preset
 
 
 def plan(
     source: Annotated[
-        Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, or a run.", show_default=False)
+        Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, a run.", show_default=False)
     ],
     out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
-    system: SystemFile = None,
-    plan_method: PlanMethodOption = "exact",
+    system: options.SystemFile = None,
+    plan_method: options.PlanMethodOption = "exact",
     compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
     slack: Annotated[float | None, typer.Option(min=1, help="Makespan may be so many times the shortest for shorter ways: 1.1.")] = None,
     slack_curve: Annotated[bool, typer.Option("--slack-curve", help="Table and picture of what several slacks buy.")] = False,
     constraints: Annotated[Path | None, typer.Option(help="TOML of fixed weights, locked regions, pinned cameras.")] = None,
-    raster_cell_m: RasterCellOption = None,
-    ground: GroundOption = None,
-    field_of_view: FieldOfViewOption = 73.7,
-    buffer: BufferOption = None,
-    deadline: DeadlineOption = None,
-    train_preset: Annotated[
-        Preset,
-        typer.Option(help="What will be trained: how many photographs memory holds, and whether measured curves are of it."),
-    ] = "default",
-    long_side_px: LongSide = None,
-    steps: NumSteps = None,
-    max_splats: MaxSplats = None,
-    seed: Seed = 0,
-    as_json: AsJson = False,
+    raster_cell_m: options.RasterCellOption = None,
+    ground: options.GroundOption = None,
+    field_of_view: options.FieldOfViewOption = 73.7,
+    buffer: options.BufferOption = None,
+    deadline: options.DeadlineOption = None,
+    train_preset: Annotated[Preset, typer.Option(help="What will be trained, for limits by memory and measured curves.")] = "default",
+    long_side_px: options.LongSide = None,
+    steps: options.NumSteps = None,
+    max_splats: options.MaxSplats = None,
+    seed: options.Seed = 0,
+    as_json: options.AsJson = False,
 ) -> None:
-    """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
-    from rich.console import Console
-
+    """Regions per edge and waypoints or photographs per device, by position; before capture too."""
     from radiant_app.commands.plan import PlanRequest
     from radiant_app.commands.plan import plan as make_plan
     from radiant_app.commands.plan_content import content_request
     from radiant_app.commands.plan_tables import plan_tables
-    from radiant_app.report.progress import ProgressDisplay
+    from radiant_app.report.progress import terminal_display
     from radiant_core.train.needs import Overrides
 
     request = PlanRequest(
@@ -76,7 +58,7 @@ def plan(
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
     )
-    result = make_plan(request, ProgressDisplay(Console(stderr=True)))
+    result = make_plan(request, terminal_display())
     for table in [] if as_json else plan_tables(result):
         typer.echo(table)
     finish(result, as_json)

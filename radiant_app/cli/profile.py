@@ -15,24 +15,21 @@ from radiant_core.train.config import Preset
 
 def profile(
     source: Annotated[
-        Path | None,
-        typer.Argument(help="Photographs, a COLMAP project, a folder of `radiant sfm`, a run; without: the town.", show_default=False),
+        Path | None, typer.Argument(help="Photographs, a COLMAP project, a folder of `radiant sfm`, a run; else the town.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Curve file to write, .toml or .json.", show_default=False)] = None,
-    from_run: Annotated[
-        Path | None, typer.Option("--from", help="Take the stage times of this finished run instead of measuring.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Curve file to write, .toml or .json.")] = None,
+    from_run: Annotated[Path | None, typer.Option("--from", help="Take the stage times of this finished run instead of measuring.")] = None,
     list_known: Annotated[bool, typer.Option("--list", help="Show the library's machines, each with its source.")] = False,
     time: Annotated[str, typer.Option(help="Time of measuring; structure from motion comes on top.")] = "4m",
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of a training; all cores without it.")] = None,
-    machine: Annotated[str | None, typer.Option(help="Name of this machine; else processor and threads.", show_default=False)] = None,
+    machine: Annotated[str | None, typer.Option(help="Name of this machine; else processor and threads.")] = None,
     train_preset: Annotated[Preset, typer.Option(help="Training that the curves are to hold for.")] = "default",
     long_side_px: LongSide = None,
     steps: NumSteps = None,
     max_splats: MaxSplats = None,
     as_json: AsJson = False,
 ) -> None:
-    """Cost curves of this machine for the planner, by a short real run: times and sizes against photographs, and how well they predict."""
+    """Cost curves of this machine for the planner by a short real run, and their errors."""
     from radiant_app.commands import profile as profile_command
 
     if list_known:
@@ -45,10 +42,8 @@ def profile(
             raise BadInput("--from takes the times of a run that is done: leave out the photographs.")
         result = profile_command.profile_of_run(from_run, out, machine)
     else:
-        from rich.console import Console
-
         from radiant_app.quantities import seconds_of
-        from radiant_app.report.progress import ProgressDisplay
+        from radiant_app.report.progress import terminal_display
         from radiant_core.train.needs import Overrides
 
         request = profile_command.ProfileRequest(
@@ -60,7 +55,7 @@ def profile(
             num_threads=threads,
             machine=machine,
         )
-        with ProgressDisplay(Console(stderr=True)) as display:
+        with terminal_display() as display:
             result = profile_command.profile(request, display)
     if as_json:
         typer.echo(json.dumps(result))

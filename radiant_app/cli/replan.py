@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from radiant_app.cli.option_types import AsJson, Seed
+from radiant_app.report.tables import finish
 
 
 def replan_plan(
@@ -25,11 +25,9 @@ def replan_plan(
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """A plan after a device died, became slow or finished, or others joined: least makespan, then fewest positions that move."""
-    from rich.console import Console
-
+    """A plan after a device died, slowed down or finished, or others joined; few positions move."""
     from radiant_app.commands.replan import ReplanRequest, parse_values, replan_files, replan_table
-    from radiant_app.report.progress import ProgressDisplay
+    from radiant_app.report.progress import terminal_display
     from radiant_core.plan.revision.replan import FleetChange
 
     change = FleetChange(
@@ -41,11 +39,7 @@ def replan_plan(
     request = ReplanRequest(
         source=source, out=out, system=system, change=change, join=join, captured=captured, tolerance=tolerance, seed=seed
     )
-    result = replan_files(request, ProgressDisplay(Console(stderr=True)))
-    if as_json:
-        typer.echo(json.dumps(result))
-        return
-    typer.echo(replan_table(result))
-    for key, value in result.items():
-        if not isinstance(value, list):
-            typer.echo(f"{key}: {value}")
+    result = replan_files(request, terminal_display())
+    if not as_json:
+        typer.echo(replan_table(result))
+    finish(result, as_json)

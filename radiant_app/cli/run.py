@@ -34,12 +34,10 @@ def run(
     as_json: AsJson = False,
     **_: Any,
 ) -> None:
-    """Photographs in, one Gaussian model out: structure from motion, plan, devices, edges, cloud,
-    report.
+    """Photographs in, one Gaussian model out: poses, plan, devices, edges, cloud, report.
 
     A RUN.toml holds these options in sections, and options beside it win. A JOBS.toml runs several
-    scenes, goes on after a failure and ends with a summary (radiant_app/files/job_file.py says what
-    stands in them).
+    scenes, goes on after a failure and ends with a summary (keys: radiant_app/files/job_file.py).
     """
     from radiant_app.files.job_file import is_job_file, load_run_file
 

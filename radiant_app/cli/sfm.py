@@ -19,9 +19,7 @@ def sfm(
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with what was interrupted in --out: features and matches are kept.")
-    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on in --out: features and matches are kept.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""

@@ -1,5 +1,4 @@
-"""Standard output and error of a command that may work for hours: where they break, what it does
-goes on.
+"""Standard output and error of a command that goes on for hours though they break.
 
 Standard error carries progress: a full disk under its log or a reader that went away (`2>&1 |
 head`) silences it and ends nothing. Standard output carries results: there only a reader that went
@@ -15,11 +14,11 @@ from typing import Any, TextIO
 
 
 class CannotPrint(OSError):
-    """What was to be printed did not arrive, most often since the disk is full: what was made for it is whole."""
+    """What was to be printed did not arrive; what was made for it is whole."""
 
 
 class LastingStream(io.TextIOWrapper):
-    """A text stream that leads nowhere from the first error on; one that is not among those that silence it is told as CannotPrint."""
+    """A text stream silenced from its first error on; CannotPrint for one not in `silenced_by`."""
 
     def __init__(self, stream: TextIO, silenced_by: type[OSError]) -> None:
         super().__init__(stream.buffer, encoding=stream.encoding, errors=stream.errors, line_buffering=True)
@@ -41,8 +40,7 @@ class LastingStream(io.TextIOWrapper):
             self._silence(error)
 
     def _silence(self, error: OSError) -> None:
-        # What is still buffered goes there too: else it would be tried again, at the latest when
-        # the process ends.
+        # What is still buffered goes there too, else it would be tried again.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())
         os.close(nowhere)
@@ -51,7 +49,7 @@ class LastingStream(io.TextIOWrapper):
 
 
 def make_streams_last() -> None:
-    """Let the standard streams of this process break without ending what it does; those that are closed or not its own stay."""
+    """Let this process outlive its standard streams; those closed or not its own stay."""
     for name, silenced_by in (("stdout", BrokenPipeError), ("stderr", OSError)):
         stream: Any = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and not isinstance(stream, LastingStream):

@@ -15,14 +15,12 @@ from radiant_app.report.tables import finish
 
 
 def train(
-    scene: Annotated[
-        Path, typer.Argument(help="A run, the folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)
-    ],
+    scene: Annotated[Path, typer.Argument(help="A run, a folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)],
     out: Annotated[
-        Path, typer.Option("--out", help="Folder of model, figures and pictures; or, of a run or scene, MODEL.ply.", show_default=False)
+        Path, typer.Option("--out", help="Folder of model, figures, pictures; or MODEL.ply, of a run or scene.", show_default=False)
     ],
     train_preset: TrainPresetOption = "default",
-    time: Annotated[str | None, typer.Option(help="End training after this time: 90, 90s, 5m, 1h.", show_default=False)] = None,
+    time: Annotated[str | None, typer.Option(help="End training after this time: 90, 90s, 5m, 1h.")] = None,
     steps: Annotated[int | None, option("train.num_steps", help="End training after so many steps.")] = None,
     gaussians: Annotated[
         int | None, option("train.max_num_splats", "--gaussians", "--max-splats", help="Upper limit of Gaussians.")
@@ -35,8 +33,7 @@ def train(
         ),
     ] = None,
     validate: Annotated[
-        bool | None,
-        typer.Option(help="An eighth of the training photographs only picks the best model.", show_default="from 100 on"),
+        bool | None, typer.Option(help="An eighth of the training photographs only picks the best model.", show_default="from 100 on")
     ] = None,
     long_side_px: LongSide = None,
     masks: MaskFolder = None,
@@ -51,7 +48,7 @@ def train(
     checkpoint_every: Annotated[str, option("execution.checkpoint_every_s", help="Time between two checkpoints.")] = "10s",
     as_json: AsJson = False,
 ) -> None:
-    """One model from all photographs of a scene but every 8th, without regions; scored on those that were held out."""
+    """One model from all photographs of a scene but every 8th, which score it; without regions."""
     from radiant_app.commands.train import TrainRequest
     from radiant_app.commands.train import train as run_training
     from radiant_app.report.progress import terminal_display

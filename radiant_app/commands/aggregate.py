@@ -1,4 +1,4 @@
-"""`radiant aggregate`: join the device models of a run again, with other settings and without limits."""
+"""`radiant aggregate`: join the device models of a run again, otherwise and without limits."""
 
 from __future__ import annotations
 
@@ -25,20 +25,10 @@ from radiant_core.plan.system import Cloud
 
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
-    """Join the device models of a finished run and write a PLY; neither edges nor the cloud have a
-    limit.
+    """Join the device models of a finished run into the new PLY `out`; neither tier has a limit.
 
-    Args:
-        run: folder of the run.
-        out: the PLY, which must not exist.
-        preset, epochs: how models are joined; None: as many epochs as the preset has.
-        display: shows progress.
-
-    Returns:
-        Figures of the joined model, for the command line.
-
-    Raises:
-        BadInput: the run is of an earlier version, or none of its models can be joined.
+    `epochs` None: as many as the preset has. Returns figures of the joined model, for the command
+    line. BadInput: the run is of an earlier version, or none of its models can be joined.
     """
     require_file_to_be(out)
     require_run(run)
@@ -56,7 +46,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
 
 
 def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tuple[SceneModel, float]:
-    """The scene that edges and the cloud of a run make of its device models, and the seconds that edges retrained."""
+    """The scene that a run's edges and cloud make of its device models; seconds of the edges."""
     cloud_plan, edge_plans = load_plan(run / "plan.json")
     folders = [run / "edges" / plan.edge_id for plan in edge_plans if len(plan.camera_indices)]
     tasks = {folder.name: load_task(EdgeTask, folder) for folder in folders if (folder / "inbox").is_dir()}

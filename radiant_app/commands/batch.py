@@ -1,5 +1,4 @@
 """A batch: the jobs of a job file one after the other, going on after a failure, with a summary.
-Nothing is computed here.
 
 Each job is a process of its own that runs the pipeline (worker kind "run") and streams its events
 here: a segmentation fault or a full memory ends one job and not the night, and its memory is free
@@ -88,19 +87,14 @@ Display = Callable[[str], AbstractContextManager[Listener]]
 """Opens a display of one job's events under a title."""
 
 
-def batch_folder(path: Path, out: Path | None) -> Path:
-    """Where the batch of a job file goes: `out`, or a folder beside the file with its name."""
-    return out or path.with_suffix("")
-
-
 def run_batch(path: Path, out: Path | None, display: Display, *, resume: bool = False) -> BatchResult:
-    """Run the jobs of a file; with `resume` finished ones are skipped and begun ones go on.
+    """Run the jobs of a file into `out`, else a folder of its name beside it; `resume` goes on.
 
     Raises BadInput before anything starts when the file or a folder cannot be used. A job's failure
     is in the result. After Ctrl-C the running job is stopped and the summary written; the result
-    then says what was interrupted and what never started.
+    says what was interrupted and what never started.
     """
-    folder = batch_folder(path, out)
+    folder = out or path.with_suffix("")
     jobs = load_jobs(path, folder)
     with _open_batch(folder, jobs, resume):
         results = [JobResult(name=job.name, source=str(job.config.source), out=str(job.config.out)) for job in jobs]
@@ -135,23 +129,22 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
 
     begun_s = time.monotonic()
 
-    def ended(status: Status, **more: Any) -> JobResult:
+    def end(status: Status, **more: Any) -> JobResult:
         return replace(started, status=status, seconds=time.monotonic() - begun_s, **more)
 
     try:
         run_task(NodeTask(kind="run", stage=stage, folder=record, key=key, module="radiant_app.run.job"), note)
         metrics = read_json(out / "metrics.json", FIGURES)
     except RadiantError as error:
-        return ended("failed", exit_code=error.exit_code, message=str(error).removeprefix(f"{stage}: "))
+        return end("failed", exit_code=error.exit_code, message=str(error).removeprefix(f"{stage}: "))
     except KeyboardInterrupt:
         stop_repeating_interrupt()
-        return ended("interrupted", exit_code=INTERRUPTED)
-    return ended("skipped" if skipped else "done", exit_code=0, figures={name: metrics[name] for name in FIGURES})
+        return end("interrupted", exit_code=INTERRUPTED)
+    return end("skipped" if skipped else "done", exit_code=0, figures={name: metrics[name] for name in FIGURES})
 
 
 @contextmanager
 def _open_batch(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[None]:
-    """Make or reopen the batch's folder and hold its lock."""
     if resume and folder.is_dir() and any(folder.iterdir()):
         if not (folder / "summary.json").is_file():
             raise BadInput(f"{folder} holds no summary.json, so it is no batch to resume: choose another folder.")
@@ -169,7 +162,7 @@ def _open_batch(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[Non
 
 
 def _write_summary(folder: Path, results: Sequence[JobResult]) -> None:
-    """summary.json and the page; whole after every job, so that a killed batch leaves what it knew."""
+    """summary.json and the page; written after every job, so that a killed batch leaves both."""
     result = BatchResult(folder=folder, jobs=tuple(results))
     write_json(folder / "summary.json", result.record)
     template = jinja2.Environment(

@@ -1,4 +1,4 @@
-"""The demo: the sample town that comes with the project's source, at a size that ends in minutes on two cores."""
+"""The demo: the sample town of the project's source, at a size that takes minutes on two cores."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DEMO_TRAINING = TrainOptions(preset="draft", long_side_px=400, num_steps=800, ma
 
 
 def sample_scenes_folder() -> Path:
-    """The folder `sample_scenes` of the project's source; BadInput when the package was installed without it."""
+    """The folder `sample_scenes` of the project's source; BadInput in an install without it."""
     folder = Path(radiant_app.__file__).resolve().parents[1] / "sample_scenes"
     if not folder.is_dir():
         raise BadInput("the sample scenes come with the project's source, not with the installed package: clone the repository.")

@@ -1,4 +1,4 @@
-"""What this machine has: versions, native module, GPU, display, memory, disk, sample scenes. Once per call of `radiant doctor`."""
+"""What this machine has and what it lacks. Once per call of `radiant doctor`."""
 
 from __future__ import annotations
 
@@ -35,16 +35,7 @@ PACKAGES = ("torch", "pycolmap", "open3d", "numpy", "scipy", "opencv-contrib-pyt
 
 def examine() -> list[Finding]:
     """All findings, cheapest first."""
-    return [
-        _python(),
-        *(_package(name) for name in PACKAGES),
-        _native(),
-        _cuda(),
-        _desktop(),
-        _memory(),
-        _disk(),
-        _sample_scenes(),
-    ]
+    return [_python(), *(_package(name) for name in PACKAGES), _native(), _cuda(), _desktop(), _memory(), _disk(), _sample_scenes()]
 
 
 def table(findings: list[Finding]) -> str:

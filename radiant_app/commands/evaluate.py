@@ -1,12 +1,9 @@
-"""`radiant evaluate MODEL [SCENE]`: any model of a scene on the photographs that the scene holds
-out.
+"""`radiant evaluate MODEL [SCENE]`: any model on the photographs that a scene holds out.
 
-MODEL: the folder of a run, a 3DGS PLY, or a model.safetensors. SCENE, by default MODEL itself where
-that is a run:
+MODEL: the folder of a run, a 3DGS PLY, or a model.safetensors. SCENE, else MODEL if it is a run:
     a run          its held-out cameras and photographs at the size it was scored at
     an sfm folder  (`radiant sfm`, or a run that was not scored) every 8th photograph by name
-    a COLMAP project, undistorted: every 8th by name, in the project's own frame, where other
-    trainers leave their models
+    a COLMAP project, undistorted: every 8th by name, in the project's own frame
 One photograph is in memory at a time.
 """
 
@@ -55,7 +52,7 @@ class EvaluateRequest:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _HeldOut:
-    """Held-out cameras with the folder of their photographs, and the scene's untrained Gaussians where a run kept them."""
+    """Held-out cameras, the folder of their photographs, and a run's untrained Gaussians."""
 
     cameras: Cameras
     photographs: Path
@@ -66,7 +63,7 @@ class _HeldOut:
 
 
 def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """The figures as in a run's metrics.json, with the size and number of images they stand for. Raises BadInput with one sentence."""
+    """The figures as in metrics.json, with size and number of images; BadInput for bad requests."""
     from radiant_core.render.rendered_view import render_views
 
     if request.out is not None:
@@ -141,7 +138,7 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
 
 
 def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of a project without copies, and warnings about those: the split is that of `radiant train` on the same project."""
+    """A project's cameras without copies, and warnings about those; split as by `radiant train`."""
     from radiant_core.io.colmap.model import read_model
     from radiant_core.sfm.copies import cameras_without_repeats
     from radiant_core.sfm.known_poses import without_copies
@@ -158,7 +155,7 @@ def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Ca
 
 
 def _require_shapes(cameras: Cameras, everything: Cameras, images: Path) -> None:
-    """Photographs of another shape than their cameras would be squeezed and score a good model as bad."""
+    """Photographs of another shape than their cameras would be squeezed, and score too low."""
     names = cameras.names if len(cameras) > 1 else everything.names[:2]
     found = {photo.name: photo.size_wh for photo in list_photographs(images, names=names).photographs}
     for name, size_wh in zip(cameras.names, cameras.sizes_wh.tolist(), strict=True):

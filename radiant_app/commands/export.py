@@ -1,8 +1,6 @@
-"""`radiant export`: a run or a model in the files of other programs, and its surface for surveyors.
-Once per call.
+"""`radiant export`: a run or a model in the files of other programs, and its surface.
 
-Every loss of a format is reported with its figure, for example that SOG keeps 16 bits of a
-position.
+Every loss of a format is reported with its figure, such as the 16 bits of a position in SOG.
 """
 
 from __future__ import annotations
@@ -44,15 +42,13 @@ _WANTED = {
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
-
 _LEVEL = "the middle of the scene's points, not from the sea"
-
 _ADVICE = "what was seen lies scattered: look at it before anything is measured, and try a coarser --resolution, which closes gaps."
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """What `radiant export` was asked for; resolution in the model's unit and long_side_px are of mesh and surface model."""
+    """What to export; resolution (model's unit) and long_side_px are of mesh and surface model."""
 
     model: Path
     out: Path
@@ -62,7 +58,7 @@ class ExportRequest:
 
 
 def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write what was asked for and return figures of it; BadInput names what is missing, and an existing file is not overwritten."""
+    """Write the file and return its figures; BadInput names what is missing or already exists."""
     kind = _format_of(request)
     if request.out.exists():
         raise BadInput(f"{request.out} exists: choose another name.")
@@ -151,14 +147,14 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.files.run_folder import create_folder
     from radiant_core.io.export.scene import save_colmap
 
-    scene = _unrepeated_scene(_run_of(request), display)
+    scene = _scene_without_repeats(_run_of(request), display)
     with create_folder(request.out):
         save_colmap(request.out, scene)
     return {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
 
 
-def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
-    """The scene, of a training or of structure from motion without copies of photographs, as training takes it."""
+def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:
+    """The scene, if not of a run without copies of photographs, as training takes it."""
     from radiant_core.sfm.copies import without_repeats
     from radiant_viewer.runs.unplanned import unplanned_photographs
 
@@ -231,11 +227,11 @@ def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface,
             report=lambda done, total: report(done, total, "views"),
         )
     if surface.voxel > surface.finest_voxel:
-        display(Decided(decision=_coarser(surface, run.unit)))
+        display(Decided(decision=_resolution_decision(surface, run.unit)))
     return surface, run
 
 
-def _coarser(surface: Surface, unit: str) -> Decision:
+def _resolution_decision(surface: Surface, unit: str) -> Decision:
     return Decision(
         stage="surface",
         topic="resolution",

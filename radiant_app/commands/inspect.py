@@ -1,4 +1,4 @@
-"""`radiant inspect`: what is to be looked at, a run or a plan without one, and with which machines its plan may be changed."""
+"""`radiant inspect`: what is looked at, and with which machines its plan may be changed."""
 
 from __future__ import annotations
 
@@ -26,11 +26,8 @@ EDITS = "_edits.json"
 
 
 def plan_file_of(source: Path) -> Path | None:
-    """The plan file where `source` is one, or a folder without a run that holds exactly one plan;
-    None for a run, and for anything else.
-
-    Raises BadInput for a folder with several plans, and for a run that lost its manifest.
-    """
+    """The plan file that `source` is, or a folder's only plan; None for a run and anything else.
+    BadInput for a folder with several plans, and for a run that lost its manifest."""
     if source.is_file():
         return source if source.suffix == ".json" else None
     if not source.is_dir() or (source / "manifest.json").is_file():
@@ -47,7 +44,7 @@ def plan_file_of(source: Path) -> Path | None:
 
 
 def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None) -> int:
-    """Show a run or a plan until its window is closed; returns the exit code. BadInput as `plan_file_of` and the readers."""
+    """Show a run or a plan; returns the exit code. BadInput as `plan_file_of` and the readers."""
     from radiant_app.commands.inspect_feeds import feeds_of
     from radiant_viewer.window.inspector import open_window
 
@@ -56,12 +53,12 @@ def open_inspector(source: Path, system: Path | None = None, scene: Path | None 
         if scene is not None:
             raise BadInput("a run knows its scene: leave out --scene, or give a plan file.")
         return open_window(source, feeds_of(source), setting=(lambda: run_setting(source, system)) if source.is_dir() else None)
-    return open_window(plan, setting=lambda: plan_setting(plan, system), scene=None if scene is None else _planned_scene(scene))
+    return open_window(plan, setting=lambda: plan_setting(plan, system), scene=None if scene is None else _load_planned_scene(scene))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """How a view is drawn: size (width, height) px, the photograph it is about, and the scene of a plan that has no waypoints."""
+    """A view's size (width, height) px, photograph, and scene where a plan has no waypoints."""
 
     size_wh: tuple[int, int] = (1280, 900)
     camera: str | None = None
@@ -69,8 +66,7 @@ class Picture:
 
 
 def save_picture(source: Path, view: str | None, path: Path, picture: Picture = Picture()) -> str:
-    """Write one view of a run, a training, a scene or a plan as PNG, without `view` the usual one;
-    BadInput where there is no such view of it, and where the file exists."""
+    """Write a view (or the usual one) as PNG; BadInput for a wrong view or an existing `path`."""
     if source.suffix.lower() == ".ply" and source.is_file():
         raise BadInput(
             f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "
@@ -95,7 +91,7 @@ def save_picture(source: Path, view: str | None, path: Path, picture: Picture = 
     from radiant_viewer.runs.plan_view import load_plan_view
     from radiant_viewer.runs.run_pictures import cameras_picture, plan_picture
 
-    shown = load_plan_view(plan, None if scene is None else _planned_scene(scene))
+    shown = load_plan_view(plan, None if scene is None else _load_planned_scene(scene))
     if view == "regions":
         save_png(path, plan_picture(shown.scene, shown.cloud_plan, shown.edge_plans, size_wh=picture.size_wh))
     else:
@@ -120,12 +116,8 @@ def plan_setting(plan: Path, system: Path | None = None) -> PlanSetting:
 
 
 def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[System | None, str]:
-    """The system that was named, else the first that stands in `places`, else None and why:
-    `reason`, or what is wrong with the file.
-
-    Only a named file raises an error if it is broken: without machines everything but editing the
-    plan works.
-    """
+    """The system that was named, else the first of `places`, else None and why: only a named file
+    raises an error if it is broken, since everything but editing the plan works without."""
     if named is not None:
         return load_system(named, curves=True), ""
     found = [path for path in places if path.is_file()]
@@ -152,7 +144,7 @@ def _setting(machines: tuple[System | None, str], edits_path: Path, plan: PlanFi
     )
 
 
-def _planned_scene(scene: Path) -> SfmScene:
+def _load_planned_scene(scene: Path) -> SfmScene:
     """The cameras of a scene that a plan deals: those that are not held out."""
     # Imported here: half a second that a window of a run need not wait for.
     from radiant_app.commands.steps import training_part

@@ -1,4 +1,4 @@
-"""What the inspector is handed beside the files of a run: its timeline, and how its stages stand. Once per window."""
+"""What the inspector gets beside a run's files: its timeline and stages. Once per window."""
 
 from __future__ import annotations
 
@@ -25,14 +25,12 @@ def feeds_of(run: Path) -> RunFeeds:
     if not (run / "manifest.json").is_file():
         return RunFeeds()
     return RunFeeds(
-        gantt_rows=lambda: _gantt_rows(run),
-        gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)],
-        progress=_Progress(run),
+        gantt_rows=lambda: _gantt_rows(run), gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)], progress=_Progress(run)
     )
 
 
 class _Progress:
-    """The progress of a run, read again only if its files changed: a window polls once a second, also long after the run."""
+    """The progress of a run, read again only if its files changed: it is polled every second."""
 
     def __init__(self, run: Path) -> None:
         self._run = run

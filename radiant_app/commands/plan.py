@@ -1,5 +1,4 @@
-"""`radiant plan`: regions and quotas from positions alone, of a scene, of waypoints before capture,
-or of photographs' GPS.
+"""`radiant plan`: regions and quotas from positions alone, of a scene, waypoints or photographs.
 
 Beside plan.json stand its picture, the system it is for and, where the positions are on the globe,
 `<stem>_waypoints/<device>.csv` and `<stem>_regions.geojson`. All are written into a hidden folder
@@ -86,13 +85,13 @@ class PlanRequest:
     compare: bool = False
     """Whether all other methods are measured on the same positions."""
     train_preset: Preset = "default"
-    """What will be trained: it decides how many photographs memory holds, and whether the machines' curves are of that training."""
+    """What will be trained: decides what memory holds and whether measured curves fit."""
     overrides: Overrides = Overrides()
     """Sizes and steps of that training."""
     raster_cell_m: float | None = None
-    """Side of the cells of a count raster that the cloud plans from; None: it plans from positions."""
+    """Side of the cells of a count raster that the cloud plans from; None: from positions."""
     slack: float | None = None
-    """Factor on the shortest makespan that the plan may take where that brings cameras nearer to their edges."""
+    """Factor on the shortest makespan allowed where that brings cameras nearer to their edges."""
     slack_curve: bool = False
     """Whether several slacks are planned, too, for a table and a picture of what each buys."""
     constraints: Path | None = None
@@ -103,7 +102,7 @@ class PlanRequest:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PlanInput:
-    """What is planned: positions (C,2) m about `origin`, names (C), and how much each camera sees (C,) where that is known."""
+    """Positions (C,2) m about `origin`, names (C), and how much each camera sees (C,) if known."""
 
     positions: FloatArray
     origin: FloatArray | None
@@ -124,11 +123,8 @@ class _Plan:
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write the plan and what goes beside it; returns what the command line prints.
-
-    Raises BadInput with one sentence when the input, the system or the place to write to cannot be
-    used; nothing stays behind.
-    """
+    """Write the plan and what goes beside it; returns what the command line prints. BadInput for an
+    unusable input, system or place, where nothing stays behind."""
     _require_places(request.out)
     system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
     with stage_bar(display, "plan") as report:
@@ -144,7 +140,6 @@ def _is_scene(source: Path) -> bool:
 
 
 def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[str, Any]:
-    """Plan the training cameras of a scene; the plan and its picture."""
     from radiant_viewer.runs.run_pictures import plan_picture
 
     scene = training_part(load_scene_of(request.source))
@@ -163,7 +158,6 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 
 
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
-    """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
     from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
     waypoints = _above_ground(found.waypoints, request)
@@ -202,18 +196,12 @@ def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, 
             save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
             save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers)
         save_plan(
-            folder / out.name,
-            made.cloud,
-            made.edges,
-            waypoints,
-            slack_curve=made.curve,
-            warnings=made.warnings,
-            content=content.record(),
+            folder / out.name, made.cloud, made.edges, waypoints, slack_curve=made.curve, warnings=made.warnings, content=content.record()
         )
 
 
 def _positions_of(source: Path, report: Report) -> FoundWaypoints:
-    """The waypoints of a file, all of them, or the positions of a folder's photographs without every 8th by name, as a run holds out."""
+    """The waypoints of a file, or the positions of a folder's photographs but every 8th by name."""
     if not source.exists():
         raise BadInput(f"{source} does not exist: give a scene folder, a waypoint file (.csv, .geojson, .kml) or a folder of photographs.")
     if not source.is_dir():
@@ -232,7 +220,7 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
 
 
 def _points_seen(scene: SfmScene) -> FloatArray | None:
-    """The number of sparse points that each camera sees, the content of its image; None if unknown."""
+    """Sparse points that each camera sees (C,), the content of its image; None if unknown."""
     if not len(scene.observations):
         return None
     return np.bincount(scene.observations[:, 1], minlength=len(scene.cameras)).astype(np.float64)
@@ -314,7 +302,7 @@ def _require_places(out: Path) -> None:
 
 @contextmanager
 def write_folder_atomically(target: Path) -> Iterator[Path]:
-    """A hidden folder inside `target` whose content moves there when the block ends well, and vanishes when it does not."""
+    """A hidden folder in `target`; its content moves there if the block ends well."""
     folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
     try:
         yield folder

@@ -1,9 +1,8 @@
-"""What a plan says of footprints before anybody flies: the forecast of its borders and the buffer
-captures, for `radiant plan`.
+"""What `radiant plan` says of footprints before capture: its borders' forecast, buffer captures.
 
-Waypoints know their altitude, not the ground's: it is 0 unless it is given, as for heights above
-take-off. Where the altitudes cannot be heights above that ground nothing is forecast, and the
-reason is said. A scene has its cameras' poses and sparse points instead.
+Waypoints have an altitude, but not the ground's: it is 0 unless given, as for heights above
+take-off. Where the altitudes cannot be heights above that ground nothing is forecast, with the
+reason. A scene has its cameras' poses and sparse points instead.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ class PlanContent:
 
 
 def buffer_rule(text: str | None, deadline_s: float | None) -> BufferRule | None:
-    """`--buffer` as a rule: "20%" of the footprint, or "15m" from the region; BadInput for anything else."""
+    """`--buffer` as a rule: "20%" of the footprint, or "15m" from the region; else BadInput."""
     if text is None:
         if deadline_s is not None:
             raise BadInput("--deadline bounds buffer captures: give --buffer as well, such as 20% or 15m.")
@@ -107,7 +106,7 @@ def content_of_waypoints(
 
 
 def content_of_scene(scene: SfmScene, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, request: ContentRequest) -> PlanContent:
-    """Forecasts and buffers of a plan of posed cameras over the median height of their sparse points."""
+    """Forecasts and buffers of posed cameras over the median height of their sparse points."""
     if not len(scene.points):
         return PlanContent(reason="not made, for the scene has no points to estimate the ground from.")
     ground_m = float(np.median(scene.points[:, 2])) if request.ground_m is None else request.ground_m
@@ -153,7 +152,6 @@ def _near_buffers(
 
 
 def _forecast_heights(waypoints: Waypoints) -> FloatArray | str:
-    """Heights (P,) above the ground, or why there is no forecast."""
     if len(waypoints) > MAX_IMAGES:
         return f"not made, for {len(waypoints)} positions are more than {MAX_IMAGES}."
     heights_m = waypoints.heights_m

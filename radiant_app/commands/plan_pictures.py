@@ -1,4 +1,4 @@
-"""What stands beside a plan: names of its files, and its pictures besides the map. Once per plan; the viewer is imported when drawing."""
+"""What stands beside a plan: names of its files, and its pictures besides the map."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def plan_gantt(system: System, edges: Sequence[EdgePlan]) -> Image:
 def side_pictures(
     positions: FloatArray, unit: str, cloud: CloudPlan, compared: Sequence[ComparedPlan], curve: Sequence[SlackPoint]
 ) -> dict[str, Image]:
-    """Endings and pictures of what was asked for: the methods compared on positions (P,2), and what slacks buy."""
+    """Ending → picture: the methods compared on positions (P,2), and what slacks buy."""
     pictures: dict[str, Image] = {}
     if compared:
         pictures[METHODS] = _methods_picture(positions, unit, cloud, compared)

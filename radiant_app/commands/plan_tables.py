@@ -22,7 +22,7 @@ def method_row(row: ComparedPlan) -> dict[str, Any]:
 
 
 def plan_tables(result: dict[str, Any]) -> list[str]:
-    """The tables of `--compare`, `--slack-curve` and of the borders, where there are any, as text for a terminal."""
+    """The tables of `--compare`, `--slack-curve` and the borders that `result` has, as text."""
     tables = (("methods", method_table), ("slack_curve", slack_table), ("borders", border_table))
     return [aligned(result[name]) for name, aligned in tables if result.get(name)]
 

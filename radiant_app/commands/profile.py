@@ -1,9 +1,7 @@
-"""`radiant profile`: cost curves of this machine, from a short real run or from the stage times of
-a finished one, as a curve file.
+"""`radiant profile`: cost curves of this machine, from a short real run or a finished one's times.
 
 Without photographs the sample town is trained. A count of photographs in the middle is predicted
-from the others and compared with what was measured there; the curves that are written are fitted on
-all.
+from the others and compared with its measurement; the written curves are fitted on all.
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ class ProfileRequest:
     out: Path
     """The curve file to write, .toml or .json."""
     source: Path | None = None
-    """Photographs, a COLMAP project, the folder of `radiant sfm` or of a run; None: the sample town."""
+    """Photographs, a COLMAP project, a folder of `radiant sfm` or a run; None: the sample town."""
     preset: Preset = "default"
     overrides: Overrides = Overrides()
     time_s: float = DEFAULT_TIME_S
@@ -72,10 +70,8 @@ class ProfileRequest:
 
 
 def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float] = time.monotonic) -> dict[str, Any]:
-    """Measure this machine and write its curve file; returns what the command line prints.
-
-    Raises BadInput for unusable input, StageFailed when a training fails; no file is written then.
-    """
+    """Measure this machine and write its curve file; returns what the command line prints. BadInput
+    for unusable input, StageFailed when a training fails; no file is written then."""
     from radiant_core.render.rasterize import resolve_backend
 
     backend = resolve_backend("auto")
@@ -104,15 +100,12 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
     source = f"radiant profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
     machine = request.machine or machine_label(request.num_threads)
-    return _written(request.out, measured, key, machine, source)
+    return _write_profile(request.out, measured, key, machine, source)
 
 
 def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str, Any]:
-    """Write the curve file of a finished run on this machine from its stage times; returns what the
-    command line prints.
-
-    BadInput for an emulated run, whose times are played, and for one without a trained device.
-    """
+    """As `profile`, from the stage times of a finished run on this machine; BadInput for an
+    emulated run, whose times are played, and for one without a trained device."""
     _require_place(out)
     require_run(run, "metrics.json")
     require_run(run)
@@ -146,7 +139,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out)
     source = f"stage times of a run, {len(devices)} devices and {len(edges)} edges, run side by side as it did"
-    return _written(out, measured, key, machine or machine_label(None), source)
+    return _write_profile(out, measured, key, machine or machine_label(None), source)
 
 
 def library_table() -> str:
@@ -175,11 +168,8 @@ def machine_label(num_threads: int | None) -> str:
     import torch
 
     info = Path("/proc/cpuinfo")
-    models = (
-        [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
-        if info.is_file()
-        else []
-    )
+    text = info.read_text() if info.is_file() else ""
+    models = [line.partition(":")[2].strip() for line in text.splitlines() if line.startswith("model name")]
     parts = [models[0] if models else platform.processor() or platform.machine()]
     if torch.cuda.is_available():
         parts.append(torch.cuda.get_device_name(0))
@@ -194,7 +184,7 @@ def _require_place(out: Path) -> None:
 
 
 def _scene(source: Path | None, work: Path, listen: Listener) -> tuple[SfmScene, Path]:
-    """The scene and the folder of its photographs; structure from motion in `work` where there is none yet."""
+    """The scene and its photographs' folder; made in `work` by structure from motion if need be."""
     if source is not None and has_scene(source):
         return load_scene_of(source), images_folder_of(source)
     if source is None:
@@ -214,7 +204,7 @@ def _seconds(stages: dict[str, dict[str, float]], stage: str) -> float:
     return stages[stage]["ended_s"] - stages[stage]["started_s"] if stage in stages else 0.0
 
 
-def _written(out: Path, measured: Measured, key: ProfileKey, machine: str, source: str) -> dict[str, Any]:
+def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str, source: str) -> dict[str, Any]:
     joined = [sample for sample in measured.edges if sample.num_devices > 1]
     alone = [sample for sample in measured.edges if sample.num_devices == 1]
     made = Profile(
@@ -259,7 +249,7 @@ def _edge_curve(samples: Sequence[EdgeSample]) -> FittedCurve:
 
 
 def _check(measured: Measured, joined: Sequence[EdgeSample]) -> list[dict[str, Any]]:
-    """One row per quantity for the samples at the held-out count, predicted by curves of all others."""
+    """A row per quantity for samples at the held-out count, predicted by curves of the others."""
     count = measured.held_out
     held = [sample for sample in measured.devices if sample.num_cameras == count]
     rest = [sample for sample in measured.devices if sample.num_cameras != count]
@@ -283,11 +273,4 @@ def _check(measured: Measured, joined: Sequence[EdgeSample]) -> list[dict[str, A
 
 def _row(quantity: str, unit: str, num_cameras: int, predicted: float, measured: float) -> dict[str, Any]:
     error = predicted / measured - 1
-    return {
-        "quantity": quantity,
-        "unit": unit,
-        "num_cameras": num_cameras,
-        "predicted": predicted,
-        "measured": measured,
-        "error": error,
-    }
+    return {"quantity": quantity, "unit": unit, "num_cameras": num_cameras, "predicted": predicted, "measured": measured, "error": error}

@@ -1,9 +1,8 @@
-"""Measures what this machine takes to train and to join, by running the nodes of a real run on
-parts of a scene. Once per profile.
+"""Measures what this machine takes to train and to join, by nodes of a real run. Once per profile.
 
-    pilot           the largest count of photographs, a few steps      → seconds per step, hence how many steps the time allows
-    G, F_n, H (c)   a device node per count                            → start-up, steps, bytes
-    F_m (c)         an edge node per count with two devices' models    → a + b · views; and with one device's: nothing is joined
+    pilot           the largest count of photographs, a few steps    → how many steps are possible
+    G, F_n, H (c)   a device node per count                          → start-up, steps, bytes
+    F_m (c)         an edge node per count with two devices' models  → a + b · views; and with one's
 
 An edge does what it would in a run of this scene by several edges: it leaves joining to the cloud
 where that is expected to retrain (it then pools models and makes pictures of them), else it
@@ -11,8 +10,7 @@ retrains itself. Which one is settled once, by the pilot's model.
 
 Where the time does not allow all the steps that a run takes, all trainings get the same smaller
 number and their seconds are multiplied: every schedule of a preset follows the share of its steps,
-and density control gets as many rounds. The two models of an edge are one model twice, each with
-half of the cameras.
+and density control gets as many rounds. An edge's two models are one, each with half the cameras.
 """
 
 from __future__ import annotations
@@ -49,10 +47,10 @@ MAX_COUNT = 200
 """Larger parts of a scene would only take longer: beyond twice this a plan warns."""
 NUM_COUNTS = 4
 PILOT_STEPS = 100
-"""Also the fewest steps of a training: below, start-up and density control's first rounds would be all there is."""
+"""Also the fewest steps of a training: fewer are start-up and first rounds of density control."""
 _TRAINING_SHARE = 0.7
 _RETRAIN_STEP_COST = 2.0
-"""A step of retraining against one of training, at a guess: twice the Gaussians. Only divides the time."""
+"""A step of retraining against one of training, a guess that only divides the time."""
 UPLOAD = "float16"
 _UNLIMITED_CLOUD = CloudOutlook(limits=Cloud(memory_bytes=1e18), share=1.0)
 """What an edge's task says of the cloud where the edge is to pool."""
@@ -86,17 +84,14 @@ class Measured:
     edges: tuple[EdgeSample, ...]
     num_steps: int
     num_epochs: int
-    """Of an edge's retraining; 0 where edges leave joining to the cloud, and where it is not known."""
+    """Of an edge's retraining; 0 where edges leave joining to the cloud, or if unknown."""
     held_out: int | None
     """Count of photographs that a check leaves out of the fit."""
 
 
 def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
     """Counts of photographs to measure, evenly in ratio from an eighth on, and one in the middle
-    that checks the fit; None among few.
-
-    Raises BadInput below `MIN_PHOTOGRAPHS`.
-    """
+    that checks the fit (None among few); BadInput below `MIN_PHOTOGRAPHS`."""
     if num_photographs < MIN_PHOTOGRAPHS:
         raise BadInput(f"{num_photographs} photographs are left for training, expected {MIN_PHOTOGRAPHS} or more: give more that overlap.")
     largest = min(num_photographs, MAX_COUNT)
@@ -108,7 +103,7 @@ def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
 
 
 def shorten_training(train: TrainConfig, num_steps: int) -> TrainConfig:
-    """The same training in fewer steps: as many rounds of density control, so that as many Gaussians come as early."""
+    """The same training in fewer steps, with as many rounds of density control."""
     density = train.density
     if not isinstance(density, NoDensification):
         density = replace(density, every=max(1, round(density.every * num_steps / train.num_steps)))
@@ -132,7 +127,7 @@ class Measuring:
     """What the nodes still to come are expected to take."""
     note: str = ""
     edges_pool: bool = True
-    """Whether edges leave joining to the cloud, as they do unless the system file limits the cloud; else they retrain."""
+    """Whether edges leave joining to the cloud, as if it has no limits; else they retrain."""
     _begun_s: float = 0.0
 
     def measure(self, time_s: float) -> Measured:
@@ -176,7 +171,7 @@ class Measuring:
         return self.clock() - self._begun_s
 
     def _device(self, count: int, num_steps: int) -> DeviceSample:
-        """Train on the first photographs along the scene's long side, as one of several strips would."""
+        """Train on the first photographs along the scene's long side, as one of several strips."""
         folder = self._folder(f"devices/{count}-{num_steps}")
         own = self.scene.restricted_to(np.sort(self._order[:count]))
         deal_files(self.images, own.cameras.names, folder / "photos")
@@ -191,7 +186,7 @@ class Measuring:
         )
 
     def _edge(self, count: int, num_steps: int, num_devices: int, num_epochs: int) -> EdgeSample:
-        """Join the model of so many photographs with itself, half of the cameras each, or take it as it is."""
+        """Join the model of so many photographs with itself, half the cameras each."""
         folder = self._folder(f"edges/{count}-{num_devices}")
         cameras = self.scene.cameras
         names = [f"device-{index + 1}" for index in range(num_devices)]
@@ -220,7 +215,6 @@ class Measuring:
 
     @property
     def _order(self) -> NDArray[np.int64]:
-        """Photographs along the longer side of the scene."""
         positions = self.scene.cameras.centers[:, :2]
         return np.argsort((positions - positions.mean(axis=0)) @ long_axis(positions), kind="stable")
 

@@ -1,4 +1,4 @@
-"""`radiant render`: pictures or a film of a model from given cameras, around it, along a border, or through keyframes. Once per call."""
+"""`radiant render`: pictures or a film of a model, from cameras or along a path. Once per call."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MIN_OPAQUE = 0.1
 ORBIT_ELEVATION_DEG, ORBIT_RADII = 35.0, 0.9
 """Distance of an orbit, in diagonals of the regions."""
 FLIGHT_HEIGHTS = 0.5
-"""Height of a flight along a border, as a share of the cameras' own above the ground; never under a twentieth of the border."""
+"""Height of a flight along a border over the cameras' own; at least a twentieth of the border."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ def _cameras(request: RenderRequest) -> Cameras:
 
 
 def held_out_of_training(run: RunView) -> Cameras:
-    """The cameras whose photographs a training held out, as evaluating scores them: at most 1600 px long."""
+    """The cameras whose photographs a training held out, as scored: at most 1600 px long."""
     held_out = [index for index, name in enumerate(run.scene.cameras.names) if name in run.held_out]
     return run.scene.cameras.select(held_out).scaled(DEFAULT_LONG_SIDE_PX)
 
@@ -180,7 +180,6 @@ def _orbit_around(box: FloatArray, num_frames: int, lens: Lens) -> Cameras:
 
 
 def _border(run: Any, names: tuple[str, ...] | None) -> Border:
-    """The border of two edges, or without names that with the largest colour step."""
     from radiant_viewer.runs.run_pictures import worst_border
 
     edge_ids = run.cloud_plan.edge_ids
@@ -213,11 +212,8 @@ class _Keyframes(BaseModel):
 
 
 def keyframe_cameras(path: Path, fps: float, size_wh: tuple[int, int]) -> Cameras:
-    """The frames of a flight written down as JSON: field_of_view_deg (60) and keyframes with
-    time_s, position and target in the world.
-
-    BadInput names the first place in the file that is not so.
-    """
+    """The frames of a flight in JSON: field_of_view_deg, keyframes of time_s, position, target;
+    BadInput names the first place in the file that is not so."""
     try:
         record = _Keyframes.model_validate_json(read_bounded(path, MAX_KEYFRAME_BYTES))
     except ValidationError as error:

@@ -1,12 +1,10 @@
-"""`radiant replan`: a plan or run after a device died, became slow, is busy or finished, or others
-joined.
+"""`radiant replan`: a plan or run after a device died, became slow, is busy or finished, or joined.
 
 A plan file: positions are its waypoints, captured are those that `--captured` names; its system is
 `--system`. A run: its training cameras, its own system with curves corrected by what has finished.
 There, finished nodes are done; a device that has begun keeps exactly what it has; and with
 `--frames gps` or `known` every position is captured where it is. Beside the new plan stand its
-picture, a Gantt chart, the system it is for, what moved (CSV) and, for waypoints, lists per device
-and GeoJSON as of `radiant plan`.
+picture, a Gantt chart, its system, what moved (CSV) and, for waypoints, what `radiant plan` writes.
 """
 
 from __future__ import annotations
@@ -99,11 +97,8 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, float]:
 
 
 def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write the new plan and the files beside it; returns the summary that the command line prints.
-
-    Raises BadInput with one sentence when something cannot be used, and where the machines that are
-    left cannot hold what is left; nothing stays behind.
-    """
+    """Write the new plan and the files beside it; returns what the command line prints. BadInput
+    for what cannot be used and where machines cannot hold what is left; nothing stays behind."""
     if request.out.suffix != ".json":
         raise BadInput(f"{request.out} is no name for a plan: choose one that ends in .json.")
     for path in (request.out, *(beside(request.out, ending) for ending in ENDINGS)):
@@ -117,14 +112,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
     with stage_bar(display, "replan") as report:
         report(0, 2, "planning")
         new = replan(
-            before.cloud,
-            before.edges,
-            positions,
-            old,
-            before.change,
-            captured=before.captured,
-            joining=joined,
-            tolerance=request.tolerance,
+            before.cloud, before.edges, positions, old, before.change, captured=before.captured, joining=joined, tolerance=request.tolerance
         )
         if isinstance(new, ReplanInfeasible):
             raise BadInput(f"replan: {new.reason}")
@@ -134,7 +122,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
 
 
 def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[str, ...]]:
-    """The system with as many positions per device as its memory holds where it says no number, for the default training, and warnings."""
+    """The system with limits by memory, where it has none, for the default training; warnings."""
     if not depends_on_training(system):
         return system, ()
     limited, _, warnings = with_camera_limits(system, planned_training("default", Overrides()), num_positions)
@@ -150,7 +138,6 @@ def _grow_system(before: _Before, joining: System | None) -> System:
 
 
 def _split_system(grown: System, known: System) -> tuple[System, System | None]:
-    """Split a grown system, edges placed, into its known part and the joining part."""
     devices = {device.id for device in known.devices}
     old, new = (
         [replace(edge, devices=own) for edge in grown.edges if (own := tuple(d for d in edge.devices if (d.id in devices) == is_old))]
@@ -229,7 +216,7 @@ def _load_delivered(run: Path) -> tuple[tuple[CloudPlan, tuple[EdgePlan, ...]], 
 
 
 def _warn_undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) -> tuple[str, ...]:
-    """A sentence where devices have photographs in the plan of a run and none in what was delivered."""
+    """A sentence where devices have photographs in the plan of a run and none were delivered."""
     arrived = {device: len(plan.cameras_of(device)) for plan in delivered for device in plan.device_ids}
     lost = {device: len(plan.cameras_of(device)) for plan in dealt for device in plan.device_ids if not arrived.get(device)}
     names = [f"{device} ({count})" for device, count in lost.items() if count]
@@ -237,7 +224,7 @@ def _warn_undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) 
 
 
 def _add_progress(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: FleetChange) -> FleetChange:
-    """Add the progress of a run to the given change: sealed nodes are done, started devices work until their planned time."""
+    """`given` with a run's progress: sealed nodes are done, others busy for their planned time."""
     sealed = {path.parent.name for kind in ("devices", "edges") for path in run.glob(f"{kind}/*/done.json")}
     delivered = {device.id for edge in system.edges if edge.id in sealed for device in edge.devices} | sealed
     dead = given.dead - delivered  # what a dead machine has delivered is not lost
@@ -273,7 +260,7 @@ def _write(out: Path, before: _Before, new: Replan) -> None:
 
 
 def _gantt_rows(new: Replan) -> list[Any]:
-    """Rows of what is still to come: machines that are done have no bars, those that are busy begin later."""
+    """Rows of what is still to come: machines that are done have no bars, busy ones begin later."""
     from radiant_viewer.charts.charts import TimelineSpan
 
     ends = {f"devices/{d.id}": float(time_s) for d, time_s in zip(new.system.devices, new.time_after_s, strict=True)}
@@ -290,7 +277,6 @@ def _gantt_rows(new: Replan) -> list[Any]:
 
 
 def _moved_csv(before: _Before, new: Replan) -> str:
-    """name, x_m, y_m, from, to of every position that moved."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")
     writer.writerow(("name", "x_m", "y_m", "from", "to"))

@@ -1,4 +1,4 @@
-"""The single steps of the main job as commands: each returns what the command line prints, as a plain dictionary."""
+"""The single steps of the main job as commands: each returns what the command line prints."""
 
 from __future__ import annotations
 
@@ -36,11 +36,8 @@ def sfm(  # noqa: PLR0913
     *,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """Structure from motion of `source` into the new folder `out`, or with `resume` on with one
-    that was interrupted there.
-
-    `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`.
-    """
+    """Structure from motion of `source` into the new folder `out`, where `resume` goes on;
+    `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`."""
     task = sfm_task(source, SfmConfig(matching=matching), masks, Placement(**(placement or {})))
     with sfm_folder(out, message_record(task), resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
         result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=display).sfm_progress)
@@ -78,7 +75,7 @@ def require_run(folder: Path, name: str = "plan.json") -> None:
 
 
 def require_model(model: Path) -> None:
-    """Raise BadInput where a folder holds no model, with what makes one; a file is its reader's matter."""
+    """Raise BadInput where a folder holds no model, with what makes one; files have readers."""
     from radiant_viewer.runs.run_view import no_model_text
 
     if not model.exists():
@@ -97,11 +94,8 @@ def require_file_to_be(out: Path) -> None:
 
 @contextmanager
 def libraries_log_to(path: Path) -> Iterator[None]:
-    """Redirect standard error of C++ libraries to a file, as in the processes of a run; Python's
-    stays visible.
-
-    Without effect if Python's standard error is not that of the process, as in tests.
-    """
+    """Redirect standard error of C++ libraries to a file, as in a run; Python's stays visible.
+    Without effect if Python's standard error is not that of the process, as in tests."""
     stderr = sys.stderr
     try:
         own = stderr.fileno() == 2

@@ -1,10 +1,9 @@
-"""`radiant train`: one model of one machine from all training photographs of a scene, without
-tiers: the centralised baseline.
+"""`radiant train`: one model of all training photographs of a scene, the centralised baseline.
 
-    OUT/manifest.json metrics.json scene.ply        settings and decisions; figures of the held-out photographs; the model
-    OUT/pictures/{photographs,renders,differences}/ the held-out photographs beside what the model shows there
-    OUT/sfm/                                        structure from motion, where the source is no scene yet
-    OUT/checkpoints/ done.json                      while it trains; once the model is whole
+    OUT/manifest.json metrics.json scene.ply         settings, held-out figures, model
+    OUT/pictures/{photographs,renders,differences}/  held-out photographs beside their renders
+    OUT/sfm/                                         where the source is no scene yet
+    OUT/checkpoints/ done.json                       while it trains; once the model is whole
 
 With --out MODEL.ply the model alone is written, of a source that has a scene: nothing is scored,
 and a kill starts again from nothing.
@@ -57,7 +56,7 @@ from radiant_core.train.views import TrainingViews
 STAGE = "train"
 MIN_PHOTOGRAPHS = 3
 MIN_VALIDATED = 100
-"""Of fewer training photographs an eighth is worth more in training than for choosing a model (docs/experiments/training.md)."""
+"""Fewer photographs are worth more in training than for choosing (experiments/training.md)."""
 STEPS_OF_A_TIME = 10_000_000
 """Limit of steps where a time ends the training."""
 KEPT = ("sfm/done.json", f"{CHECKPOINTS}/*.json", "done.json")
@@ -69,7 +68,7 @@ class TrainRequest:
     """What `radiant train` was asked for."""
 
     source: Path
-    """A finished run, the folder of `radiant sfm`, a COLMAP project with its images, or photographs."""
+    """A finished run, a folder of `radiant sfm`, a COLMAP project with images, or photographs."""
     out: Path
     """A folder, new or empty; or the name of a PLY."""
     preset: Preset = "default"
@@ -77,16 +76,15 @@ class TrainRequest:
     time_s: float | None = None
     """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
     masks: Path | None = None
-    """Folder of masks of the photographs, see `radiant_core.io.photos.masks`; not with a scene, which has its own."""
+    """Folder of masks, see `radiant_core.io.photos.masks`; not with a scene, which has its own."""
     up: str | None = None
-    """Which way is up, as distance and height see
-    `radiant_core.sfm.world_frame.placement.Placement`; not with a scene, which has its frame."""
+    """Which way is up; like the next two a field of `Placement`, and not with a scene."""
     distance: str | None = None
     height_m: float | None = None
     memory_bytes: int | None = None
     """What the process may hold; None: as much as the preset's Gaussians take."""
     validate: bool | None = None
-    """Whether an eighth of the training photographs only chooses the best model; None: from `MIN_VALIDATED` photographs on."""
+    """Whether an eighth of them only chooses the model; None: from `MIN_VALIDATED` on."""
     seed: int = 0
     checkpoint_every_s: float = 10.0
 
@@ -109,18 +107,9 @@ def train(
 ) -> dict[str, Any]:
     """Train one model of all photographs of a source and score it on those held out.
 
-    Args:
-        request: source, output and settings.
-        listen: receives the events of the training.
-        resume: go on with what an interrupted training left in the output folder.
-        clock: seconds, for tests.
-
-    Returns:
-        The content of metrics.json, or figures of the training for a single PLY.
-
-    Raises:
-        BadInput: unusable input, with one sentence; nothing stays behind.
-        StageFailed: the training diverges.
+    `resume` goes on with what an interrupted training left in the output folder. Returns the
+    content of metrics.json, or figures of the training for a single PLY. BadInput for unusable
+    input, where nothing stays behind; StageFailed when the training diverges.
     """
     if request.out.suffix.lower() == ".ply":
         return _single_ply(request, listen, resume, clock)
@@ -170,7 +159,7 @@ _Photos = tuple[Path, Path | None]
 
 
 def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmScene, _Photos]:
-    """The scene of the source and its photographs; structure from motion in sfm/ where there is none yet."""
+    """The scene of the source and its photographs; by structure from motion if it has none yet."""
     if has_scene(request.source):
         return _load_scene(request, progress.listen)
     detect_source(request.source)
@@ -202,7 +191,6 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
 
 
 def _prepare(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> PreparedTraining:
-    """The training of all photographs that are not held out, with the decisions taken on the way."""
     base_bytes = resident_bytes()
     if len(scene.cameras) < MIN_PHOTOGRAPHS:
         raise BadInput(f"the scene has {len(scene.cameras)} photographs, expected at least {MIN_PHOTOGRAPHS}: take more that overlap.")
@@ -248,7 +236,6 @@ def _validation_decision(request: TrainRequest, num_training: int, num_validated
 
 
 def _resolve_config(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """The configuration that was asked for, as far as this machine can carry it."""
     config, decisions = fit_to_backend(replace(train_preset(request.preset), seed=request.seed), backend, request.overrides)
     if request.time_s is None:
         return config, decisions
@@ -267,7 +254,7 @@ def _resolve_config(request: TrainRequest, backend: str) -> tuple[TrainConfig, t
 
 
 def _train_model(training: PreparedTraining, request: TrainRequest, stage: _Stage) -> tuple[Splats, dict[str, Any]]:
-    """The model and a summary of its training: those that lie in the folder where they are whole, else trained on from the checkpoint."""
+    """The model and a summary of its training: taken from the folder if whole, else trained on."""
     out = request.out
     if is_sealed(out, training.key):
         record = read_json(out / "training.json")
@@ -308,7 +295,7 @@ def _validation_figures(result: TrainResult) -> dict[str, Any]:
 
 
 def _score_model(out: Path, models: tuple[Splats, Splats], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
-    """Figures of the trained and the first model on the held-out photographs; writes the pictures."""
+    """Figures of trained and first model on the held-out photographs; writes the pictures."""
     images, masks = photos
     cameras, used = select_scored(cameras, masks, lambda message: stage.emit(Warned(stage=stage.name, message=message)))
     trained, first = (render_views(model, cameras) for model in models)
@@ -327,7 +314,6 @@ def _totals(manifest: Manifest, num_splats: int) -> dict[str, Any]:
 
 
 def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Callable[[], float]) -> dict[str, Any]:
-    """The model alone, of a source that has a scene."""
     if resume:
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)

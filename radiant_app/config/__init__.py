@@ -1,1 +1,1 @@
-"""The one configuration of a run: its fields, and the options, files and `--set` paths that are made from them."""
+"""The one configuration of a run: its fields, and the options, files and `--set` paths of them."""

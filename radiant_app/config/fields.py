@@ -1,7 +1,6 @@
-"""The fields of `RunConfig` by dotted path, such as train.num_steps: the one list behind options,
-run and job files, `--set` and manifests.
+"""The fields of `RunConfig` by dotted path (train.num_steps), for options, files and manifests.
 
-    values of paths  ─config_of→  RunConfig  ─tables_of→  tables, as a run file has them  ─values_of→  values of paths
+    values of paths  ─config_of→  RunConfig  ─tables_of→  tables of a run file  ─values_of→  values
 
 Fields of `TrainConfig` and `AggregateConfig` belong to the sections train and aggregate, where they
 are settings beside a preset.
@@ -74,7 +73,7 @@ class ConfigField:
         return self.option.parse(value) if self.option is not None and self.option.parse is not None else value
 
     def read(self, value: Any, kind: str | None = None) -> Any:
-        """The value in a `kind` of file, or the text given to `--set`; "none" is None. BadInput names the place and what is expected."""
+        """The value in a `kind` of file, or of `--set`'s text; BadInput says what is expected."""
         from pydantic import ConfigDict, TypeAdapter, ValidationError
 
         if isinstance(value, str) and value.strip().lower() == "none" and type(None) in get_args(self.kind):
@@ -115,7 +114,7 @@ def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
 
 @cache
 def _sentences_under_fields() -> dict[str, str]:
-    """Class.field of `radiant_app.config.run_config` → the text that stands under it in the source, on one line."""
+    """Class.field of `run_config` → the text under it in the source, on one line."""
     classes = [node for node in ast.parse(inspect.getsource(config_module)).body if isinstance(node, ast.ClassDef)]
     return {
         f"{defined.name}.{field.target.id}": " ".join(text.value.value.split())
@@ -127,10 +126,8 @@ def _sentences_under_fields() -> dict[str, str]:
 
 
 def config_of(values: Mapping[str, Any]) -> RunConfig:
-    """The run that is asked for by values of paths: a value given beside a preset wins over it.
-
-    Raises BadInput where a value is missing, wrong, or contradicts another.
-    """
+    """The run that values of paths ask for, of which one beside a preset wins over it; BadInput
+    where a value is missing, wrong, or contradicts another."""
     given = dict(values)
     preset = given.pop(PRESET, "default")
     if preset not in RUN_PRESETS:
@@ -144,12 +141,11 @@ def config_of(values: Mapping[str, Any]) -> RunConfig:
 
 
 def train_options(values: Mapping[str, Any]) -> TrainOptions:
-    """The training that is asked for by values of paths in the section train; BadInput as `config_of`."""
+    """The training that values of paths in the section train ask for; BadInput as `config_of`."""
     return _arguments(values)["train"]
 
 
 def _arguments(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Field of `RunConfig` → its value or section."""
     arguments: dict[str, Any] = {}
     sections: dict[str, dict[str, Any]] = {}
     for path, value in values.items():
@@ -165,7 +161,7 @@ def _arguments(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tables_of(config: Any) -> dict[str, Any]:
-    """All fields of a configuration as nested tables that JSON can hold, its settings among them; paths become absolute."""
+    """All fields of a configuration as nested tables for JSON, with settings and absolute paths."""
     tables: dict[str, Any] = {}
     for each in fields(config):
         value = getattr(config, each.name)
@@ -182,7 +178,7 @@ def tables_of(config: Any) -> dict[str, Any]:
 
 
 def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[str, Any]:
-    """The values in the tables of a file, by path; BadInput with one sentence that names the place and the `kind` of file."""
+    """The values in a file's tables, by path; BadInput names the place and the `kind` of file."""
     values: dict[str, Any] = {}
     for key, value in tables.items():
         path = f"{prefix}{key}"
@@ -197,11 +193,8 @@ def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[st
 
 
 def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: str = "") -> dict[str, Any]:
-    """The values `given` by options together with those of `--set PATH=VALUE`, by path.
-
-    Raises BadInput for a path that is unknown or outside of the `section`, a value of another kind,
-    or a path twice.
-    """
+    """The values `given` by options with those of `--set PATH=VALUE`, by path; BadInput for a path
+    that is unknown, outside of the `section` or there twice, and a value of another kind."""
     values = dict(given)
     for text in settings:
         path, equals, value = text.partition("=")
@@ -210,7 +203,8 @@ def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: st
         if not equals or field is None or not path.startswith(section):
             raise BadInput(f"--set {text!r} sets nothing: {_instead(path, section)}.")
         if path in values:
-            raise BadInput(f"--set {path} is given twice: keep one of them.")
+            other = f", once as {field.option_name}" if path in given else ""
+            raise BadInput(f"--set {path} is given twice{other}: keep one of them.")
         values[path] = field.read(value)
     return values
 
@@ -222,7 +216,7 @@ def _unknown_key(path: str, value: Any, kind: str) -> str:
 
 
 def _instead(path: str, section: str = "", expected: str = "expected PATH=VALUE with") -> str:
-    """What to write in place of an unknown path: the whole path where a bare name is meant, else what there is."""
+    """What to write in place of an unknown path: the path of a bare name, else what there is."""
     paths = [known for known in config_fields() if known.startswith(section)]
     if path in paths:
         return f"expected {path}=VALUE"

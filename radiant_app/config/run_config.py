@@ -1,7 +1,6 @@
-"""`RunConfig`: what one run is asked to do, in sections. A sentence under a field is also the help
-text of its option.
+"""`RunConfig`: what one run is asked to do; a sentence under a field is also its option's help.
 
-    RunConfig(source=photos, out=folder, train=TrainOptions(num_steps=300), plan=PlanOptions(method="voronoi"))
+    RunConfig(source=photos, out=folder, train=TrainOptions(num_steps=300))
 
 The options of `radiant run`, the keys of a run file, `--set PATH=VALUE` and a run's manifest are
 made from these fields (`radiant_app.config.fields`). Pure: nothing heavy is imported.
@@ -27,11 +26,11 @@ if TYPE_CHECKING:
     from radiant_core.train.needs import Overrides
 
 Frames = Literal["shared", "gps", "known"]
-"""shared: one owner pools the photographs and places them at once; gps, known: every device places its own, by GPS or given poses."""
+"""shared: one owner pools and places the photographs; gps, known: every device places its own."""
 RunPreset = Literal["default", "paper"]
-"""default: ours; paper: the paper's plan (Voronoi, Alg. 1, RTP), training (20,000 steps) and aggregation, nothing skipped."""
+"""default: ours; paper: the paper's plan, training (20,000 steps) and joining, nothing skipped."""
 Teachers = Literal["early", "late"]
-"""early: an edge renders the views of a device when it has arrived; late: of all when the last has. The result is the same."""
+"""early: views of a device are rendered when it has arrived; late: after the last. Same result."""
 ExecutorName = Literal["local", "ray"]
 """local: processes of this machine; ray: tasks of a Ray cluster of one owner's machines."""
 SIZES = ("long_side_px", "num_steps", "max_num_splats")
@@ -55,7 +54,7 @@ RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Option:
-    """How a field appears on the command line, where that does not follow from its name and type."""
+    """How a field appears on the command line, where its name and type do not say so."""
 
     name: str | None = None
     """None: the field's name, as `--field-name`."""
@@ -95,7 +94,7 @@ class SfmOptions:
     distance: Annotated[str | None, Option(metavar="PHOTO,PHOTO,METRES")] = None
     """How far apart two photographs were taken: makes lengths metres. Goes before GPS."""
     height_m: Annotated[float | None, Option(name="--height")] = None
-    """Metres of the cameras over the ground that they see, median: makes lengths metres. Goes before GPS."""
+    """Metres of the cameras over the ground, median: makes lengths metres. Goes before GPS."""
 
     @property
     def placed_by_hand(self) -> bool:
@@ -123,7 +122,7 @@ class PlanOptions:
     file: Annotated[Path | None, Option(name="--plan")] = None
     """Plan made by `radiant plan` before capture; else what was captured is planned."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
-    """The cloud plans from counts in cells of so many metres; 0: from positions. Runs by gps, known: 5."""
+    """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
 
     def __post_init__(self) -> None:
         if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:
@@ -181,17 +180,17 @@ class AggregateOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions:
-    """What the scene is scored with beside PSNR, SSIM and FLIP; it can change when a run is resumed."""
+    """What the scene is scored with beside PSNR, SSIM and FLIP; may change on resuming."""
 
     lpips_weights: Path | None = None
-    """Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or one safetensors."""
+    """Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or one file."""
     lpips_network: Annotated[LpipsNetwork, Option(name="--lpips-net")] = "vgg"
     """Network of LPIPS: VGG16 or AlexNet."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExecutionOptions:
-    """Where and in which order the nodes of a run work: nothing that decides a result, so all of it can change when a run is resumed."""
+    """Where and in which order nodes work: decides no result, so it may change on resuming."""
 
     max_workers: Annotated[int, Option(name="--workers", min=0)] = 0
     """Processes at a time; 0: one per core."""
@@ -251,7 +250,7 @@ class RunConfig:
 
     @property
     def emulated(self) -> bool:
-        """Whether devices and edges run at the speeds and behind the uplinks of their system, in wall time."""
+        """Whether devices and edges run at their system's speeds and uplinks, in wall time."""
         return self.emulate is not None
 
     @property
@@ -261,8 +260,7 @@ class RunConfig:
 
     @property
     def early_teachers(self) -> bool:
-        """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own
-        speed, and one that leaves joining to the cloud needs other views."""
+        """Whether teachers are nodes of their own; not of edges that are emulated or only pool."""
         pools = self.frames != "gps" and self.aggregate.config.edges_pool
         return self.execution.teachers == "early" and not (self.emulated or pools)
 

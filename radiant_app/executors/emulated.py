@@ -1,5 +1,4 @@
-"""The emulating executor: devices and edges at the speeds and uplinks of the system file, in wall
-time on this machine.
+"""The emulating executor: devices and edges at their system's speeds and uplinks, in wall time.
 
 Every node of a device or edge runs inside `emulated_node`: one thread at `speed` of a core, and the
 node only ends when its model's last byte would have passed its uplink, so that its parent starts no
@@ -42,16 +41,16 @@ class EmulatedExecutor:
             inner = self.local.command(task)
             return _node_command(machines[task.stage], task, inner) if task.stage in machines else inner
 
-        def listen_labelled(event: Event) -> None:
+        def label_and_listen(event: Event) -> None:
             label = isinstance(event, StageStarted | StageDone | StageSkipped) and event.stage in machines
             listen(replace(event, emulated=True) if label else event)
 
         executor = replace(self.local, num_workers=sum(1 for _ in tree), command=command)
-        return executor.fold(tree, prepare, listen_labelled)
+        return executor.fold(tree, prepare, label_and_listen)
 
 
 def require_emulable(system: System) -> None:
-    """Raise BadInput unless every machine has a speed and this machine's cores suffice for all that may run at once."""
+    """Raise BadInput unless every machine has a speed and this machine's cores suffice for all."""
     for machine in _machines(system).values():
         if machine.speed is None:
             kind = "device" if isinstance(machine, Device) else "edge"
@@ -66,12 +65,8 @@ def require_emulable(system: System) -> None:
 
 
 def emulated_figures(tree: Tree, emulated: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """The figures of an emulated run for metrics.json, from stage → (started_s, ended_s): seconds
-    per stage and the makespan.
-
-    The makespan combines the nodes' own times as the planner does, without the time this machine
-    took to copy files. None with a reason if a node's time is unknown.
-    """
+    """An emulated run's figures from stage → (started_s, ended_s): seconds per stage and makespan,
+    which is of the nodes' own times, without copying; None with a reason if one is unknown."""
 
     def arrival_s(node: Tree, arrivals_s: Sequence[float]) -> float:
         # A resumed run skips a node whose transfer was interrupted, so that its time is unknown.

@@ -1,14 +1,13 @@
-"""One emulated machine: runs a command at a share of one core, then holds its product back as a
-slow link would.
+"""One emulated machine: a command at a share of one core, its product held back as by a slow link.
 
 Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPEED BYTES_PER_S STAGE
 FOLDER COMMAND…`. Linux only.
 
-    share   with c the command's CPU seconds and t the wall seconds since BEGUN (the machine's monotonic clock, so that the start of
-            this process costs the emulated machine nothing), it is stopped (SIGSTOP) while c −
-            speed · t is large and runs while it is small: the share is of its own CPU time, so that
-            other work on this machine delays it but is caught up with
-    link    a token bucket without burst: byte k of the product arrives at k / bytes_per_s; this process ends with the last one
+    share   with c the command's CPU seconds and t the wall seconds since BEGUN (on the machine's
+            monotonic clock: the start of this process costs nothing), it is stopped (SIGSTOP) while
+            c − speed · t is large and runs while it is small: the share is of its own CPU time, so
+            that other work on this machine delays it but is caught up with
+    link    a token bucket without burst: byte k of the product arrives at k / bytes_per_s
 
 A stopped process cannot react. The kernel therefore kills the command when this process ends for
 any reason (PR_SET_PDEATHSIG), and this process ends when its standard input closes, that is, with
@@ -30,9 +29,9 @@ from pathlib import Path
 from radiant_app.events import UPLINK, Event, StageDone, StageProgress, StageStarted, Warned, encode
 
 PERIOD_S = 0.1
-"""One period of running and pausing. Shorter ones cost more wake-ups, longer ones distort short nodes."""
+"""One period of running and pausing: shorter costs wake-ups, longer distorts short nodes."""
 BUSY_SHARE = 0.85
-"""A node that got less than this part of its share is reported: its time depends on the load of this machine."""
+"""A node that got less of its share is reported: its time depends on this machine's load."""
 PRODUCTS = ("upload.safetensors", "model.safetensors")
 """The file that a node sends: the first of these in its folder."""
 PROGRESS_S = 0.5
@@ -64,18 +63,18 @@ def main(arguments: list[str]) -> int:
 def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int, float]:
     """Exit code (negative: signal) and CPU seconds of the command."""
     # This process has one thread, so that code between fork and exec is safe.
-    process = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, preexec_fn=_kill_with(os.getpid()))  # noqa: PLW1509
+    kill = _kill_with(os.getpid())
+    env = {**os.environ, "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(command, env=env, preexec_fn=kill)  # noqa: PLW1509
     ended = os.pidfd_open(process.pid)
     half_s, running, wait_s = speed * PERIOD_S / 2, True, 0.0
     while not _wait(wait_s, ended):
         ahead_s = _cpu_s(process.pid) - speed * (time.monotonic() - begun_s)
         if running != (ahead_s < (half_s if running else -half_s)):
             running = not running
-            # Not Popen.send_signal, which collects a process that has just ended, and its CPU time
-            # with it.
+            # Not Popen.send_signal, which collects a process that has just ended.
             signal.pidfd_send_signal(ended, signal.SIGCONT if running else signal.SIGSTOP)
-        # One thread gains less than a second in a second; while it stands still, time passes at
-        # `speed`.
+        # One thread gains less than a second in a second; stopped, it falls behind by `speed`.
         wait_s = min(max(half_s - ahead_s, SHORTEST_S), PERIOD_S) if running else (ahead_s + half_s) / speed
     os.close(ended)
     _, status, usage = os.wait4(process.pid, 0)
@@ -97,9 +96,8 @@ def _deliver(stage: str, num_bytes: int, bytes_per_s: float) -> None:
 
 
 def _wait(seconds: float, *descriptors: int) -> bool:
-    """Wait for `seconds` or until a descriptor is readable; True in the latter case. Ends this process with the executor."""
-    # The executor holds a pipe open as our standard input and never writes; run by hand there is
-    # none.
+    """Wait for `seconds` or until a descriptor is readable (True); ends with the executor."""
+    # The executor holds a pipe open as our standard input and never writes; by hand there is none.
     pipe = [0] if stat.S_ISFIFO(os.fstat(0).st_mode) else []
     ready, _, _ = select.select([*pipe, *descriptors], [], [], max(0.0, seconds))
     if 0 in ready:
@@ -108,7 +106,7 @@ def _wait(seconds: float, *descriptors: int) -> bool:
 
 
 def _cpu_s(pid: int) -> float:
-    """CPU seconds of all threads of a process, to the nanosecond: Linux's clock of another process, clock_getcpuclockid(3)."""
+    """CPU seconds of all threads of a process, by its clock, see clock_getcpuclockid(3)."""
     return time.clock_gettime((~pid << 3) | 2)
 
 

@@ -1,14 +1,12 @@
-"""The fold of a tree, the same under every executor: which node may start, what is skipped, tried
-again, given up, or ends the run.
+"""The fold of a tree under every executor: which node may start, is skipped, tried again, given up.
 
 A `Runner` starts the process of a node. Of the nodes that can run, devices come first, since edges
 and the cloud wait for them; teachers take the remaining workers. Runs once per run.
 
     crashed      the process ended without reporting an error, or sent no heartbeat for `SILENT_S`:
                  started again from its checkpoint, at most `max_attempts` times in all
-    overdue      by `Deadlines`, from the plan's times: given up if the run can do without the node,
-                 else a warning
-    failed       reported its error: a warning if the run can do without the node, else the run ends
+    overdue      by `Deadlines`: given up if the run can do without the node, else a warning
+    failed       reported its error: a warning if the run can do without the node, else its end
 
 Time counts against a node only while the fold itself runs and can receive messages, so that a run
 that is suspended (SIGSTOP, a frozen container) loses no node. Messages that have arrived are
@@ -29,15 +27,15 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import disk_is_full, is_sealed
 
 URGENCY = {"device": 0, "edge": 1, "cloud": 2, "teacher": 3}
-"""Order in which nodes that can run are started: the longest path to the scene first. A teacher only shortens its edge."""
+"""Order in which nodes are started: the longest path first. A teacher only shortens its edge."""
 SILENT_S = 300.0
-"""A worker sends heartbeats from a separate thread; without one for this long it counts as dead and is stopped."""
+"""Heartbeats come from a worker's own thread; without one for this long it is stopped as dead."""
 CHECK_INTERVAL_S = 1.0
 """Longest time between two checks for overdue or silent nodes."""
 MAX_INTERVALS = 5
-"""At most this many intervals count against a node between two checks: if more time passed, the fold did not run."""
+"""Most intervals that count against a node between two checks: after more, the fold stood still."""
 PAUSE_S = 30.0
-"""A wait that exceeds its timeout by this much is a pause of the whole process; a busy machine explains less."""
+"""A wait longer than its timeout by this much is a pause of the process, not a busy machine."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,16 +67,12 @@ class Runner(Protocol):
         ...
 
     def start(self, node: Tree, task: NodeTask) -> bool:
-        """Start the process of a node that is not running; True if it runs now, False if a `NodeStarted` follows."""
+        """Start a node's process; True if it runs now, False if a `NodeStarted` follows."""
         ...
 
     def wait(self, timeout_s: float) -> tuple[str, Event | NodeStarted | NodeEnded | None] | None:
-        """The next message of a running node, by node id: an event, its end, or None for a
-        heartbeat. None after the timeout.
-
-        Raises:
-            StageFailed: the runner itself is lost.
-        """
+        """The next message of a running node: an event, its end, or None for a heartbeat; None
+        after the timeout. StageFailed: the runner itself is lost."""
         ...
 
     def stop(self, node_id: str) -> None:
@@ -102,7 +96,7 @@ class Deadlines(Protocol):
         ...
 
     def exclude_pause(self, node_ids: Collection[str], seconds: float) -> None:
-        """The run was suspended for `seconds` while these nodes ran: their durations predict nothing for others."""
+        """The run stood still for `seconds` while these nodes ran: their times predict nothing."""
         ...
 
 
@@ -116,7 +110,7 @@ class RetryPolicy:
     deadlines: Deadlines | None = None
     """None: no node has a deadline."""
     on_given_up: Callable[[Tree, Collection[str]], None] = lambda node, begun: None
-    """Called with a node that the run goes on without, and the ids of all nodes that run or are done by then."""
+    """Called with a node that is done without, and the ids of nodes that run or are done."""
 
 
 @dataclass(kw_only=True)
@@ -175,7 +169,7 @@ class Fold:
         return self.times
 
     def _handle_messages(self) -> bool:
-        """Handle arrived messages for `CHECK_INTERVAL_S` at most; False if some are left: one may end a node that seems overdue."""
+        """Handle messages for `CHECK_INTERVAL_S`; False if some are left, which may end a node."""
         begun_s = time.monotonic()
         message = self.runner.wait(CHECK_INTERVAL_S)
         waited_s = time.monotonic() - begun_s
@@ -198,7 +192,7 @@ class Fold:
             self.retry_policy.deadlines.exclude_pause([running.node.id for running in started], seconds)
 
     def _stop_unneeded_teachers(self, edges: list[Tree]) -> None:
-        """An edge that has received all its devices uses what its teachers have rendered and renders the rest itself."""
+        """An edge that has all its devices renders what its teachers have not."""
         for edge in edges:
             if all(device.id in self.times for teacher in edge.children for device in teacher.children):
                 self.unneeded.update(child.id for child in edge.children if child.tier == "teacher")
@@ -206,7 +200,6 @@ class Fold:
             self._give_up(self.running[node_id], NodeEnded())
 
     def _next(self, waiting: list[Tree]) -> Tree | None:
-        """The most urgent node that can start now, if there is room."""
         if not self.runner.has_room():
             return None
         ready = [node for node in waiting if all(child.id in self.times for child in node.children)]

@@ -1,5 +1,4 @@
-"""The local executor: one operating-system process per node, at most `num_workers` at a time, with
-equal numbers of threads.
+"""The local executor: a process per node, `num_workers` at a time, with equal numbers of threads.
 
 Each process gets max(1, cores // workers) threads: 4 × 2 threads on 4 cores did 52 units of work
 where 4 × 1 did 79.
@@ -128,7 +127,7 @@ class _Processes:
 
 
 def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
-    """How a node ended whose process reported `failure` and exited with `code` (negative: killed by that signal)."""
+    """How a node ended whose process reported `failure` and exited with `code` (−signal)."""
     if failure is not None and failure.cannot_write:
         return NodeEnded(error=CannotWrite(f"{task.stage}: {failure.message}"))
     if failure is not None:
@@ -146,13 +145,11 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
 
 
 def _width(tree: Tree) -> int:
-    """The most nodes of the tree that can run at once: its leaves."""
     return max(1, sum(1 for node in tree if not node.children))
 
 
 def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Popen[str]:
-    # Without the last, OpenMP's threads spin after their part and take a core from the
-    # rasterizer's.
+    # Without the last, OpenMP's threads spin after their part and take a core of the rasterizer's.
     environment = {**os.environ, "OMP_NUM_THREADS": str(num_threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
     # A session of its own: Ctrl-C reaches only this process, which stops the workers in order.
     with log_path(folder).open("w") as log:
@@ -163,7 +160,7 @@ def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Pop
 
 @contextmanager
 def defer_interrupts() -> Iterator[None]:
-    """Defer Ctrl-C and termination while a worker is started or stopped, which would otherwise outlive the run."""
+    """Defer Ctrl-C and termination while a worker starts or stops: it would outlive the run."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

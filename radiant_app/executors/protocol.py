@@ -1,4 +1,4 @@
-"""The interface of executors: fold a tree, one process and one folder per node, children before parents."""
+"""The interface of executors: fold a tree, one process and folder per node, children first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from radiant_core.aggregate.tree import Tree
 
 @dataclass(frozen=True, kw_only=True)
 class NodeTask:
-    """A node ready to run: its folder holds everything it may read; `key` identifies its inputs and settings."""
+    """A node ready to run: its folder holds all it may read; `key` is of inputs and settings."""
 
     kind: str
     """Which worker runs it: sfm, device, teacher, edge, cloud or evaluate."""
@@ -27,14 +27,14 @@ class NodeTask:
 
 @dataclass(frozen=True, kw_only=True)
 class NodeTime:
-    """When a node ran, seconds of the executor's clock since the fold began; both equal where it was skipped."""
+    """When a node ran, seconds of the executor's clock since the fold began; equal if skipped."""
 
     started_s: float
     ended_s: float
 
 
 Prepare = Callable[[Tree], NodeTask | None]
-"""Called when all children of a node are done: copies the inputs into its folder. None: the node has no work."""
+"""Called when all children of a node are done: fills its folder. None: the node has no work."""
 
 
 class Executor(Protocol):
@@ -43,9 +43,7 @@ class Executor(Protocol):
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """Run every node once its children are done and return the times by node id.
 
-        A teacher runs only while its edge still waits for a device and is stopped then: the edge
-        renders what is missing itself.
-
+        A teacher runs only while its edge still waits for a device, and the edge renders the rest.
         A node whose folder is sealed with the task's key is skipped. Raises StageFailed (or
         BadInput, as the worker said) with the node's reason after the other running nodes were
         stopped; what is sealed stays and is skipped the next time.

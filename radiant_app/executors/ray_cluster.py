@@ -1,18 +1,17 @@
-"""The Ray executor: the same tree folded on a cluster of one owner's machines, one Ray task per
-node of the tree.
+"""The Ray executor: the same tree folded on a cluster of one owner's machines, a Ray task per node.
 
 This process never imports Ray: it talks to `ray_driver`, a process of its own, in lines of JSON
 over pipes. When the head of the cluster dies, Ray ends the process that is connected to it; then
 that is the driver, and the run can say what to do.
 
-    place     a machine started with `--resources '{"device:north-1": 1}'` runs that device, `edge:north` that edge and its teachers,
-              `cloud` the cloud; a node whose name no living machine has runs wherever there is room
-    files     the run's folder lies on a file system that all machines see under the same path. A node's process reads its photographs there
-              itself; through Ray go only its command, its events, and in the end the hash of its
-              seal, which is compared with the file's
-    faults    Ray retries nothing (max_retries 0): what a lost machine leaves unfinished is started again by `Fold`, elsewhere if need be,
-              and goes on from its last checkpoint. A lock in the node's folder keeps a lost process
-              that still lives from writing beside it
+    place     a machine started with `--resources '{"device:north-1": 1}'` runs that device,
+              `edge:north` that edge and its teachers, `cloud` the cloud; others run anywhere
+    files     the run's folder lies on a file system that all machines see under the same path. A
+              node reads its photographs there itself; through Ray go only its command, its events,
+              and in the end the hash of its seal, which is compared with the file's
+    faults    Ray retries nothing (max_retries 0): what a lost machine leaves unfinished is started
+              again by `Fold`, elsewhere if need be, from its last checkpoint. A lock in the node's
+              folder keeps a lost process that still lives from writing beside it
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from radiant_core.io.messages import task_setting
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
 SEEN_S = 20.0
-"""How long a file that another machine wrote may take to be seen here: network file systems keep directories for some seconds."""
+"""How long another machine's file may take to appear: network file systems cache directories."""
 STOP_S = 15.0
 CONNECT_S = 10.0
 SECRET_BYTES = 32
@@ -54,7 +53,7 @@ DRIVER = "import sys; from radiant_app.executors.ray_driver import main; sys.exi
 
 @dataclass(kw_only=True)
 class RayExecutor:
-    """Nodes as tasks of the Ray cluster at `address`, host:port, or "local" for one on this machine that lives as long as the fold."""
+    """Nodes as tasks of the Ray cluster at `address`; "local": one here, for this fold."""
 
     address: str
     log: Path
@@ -64,7 +63,7 @@ class RayExecutor:
     retry_policy: RetryPolicy = field(default_factory=RetryPolicy)
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
-        """See `Executor.fold`. BadInput where Ray is not installed or no cluster answers at the address."""
+        """See `Executor.fold`; BadInput where Ray is not installed or no cluster answers."""
         require_cluster(self.address)
         runner = _Cluster(address=self.address, log=self.log, command=self.command, tree=tree)
         fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
@@ -73,7 +72,7 @@ class RayExecutor:
 
 
 def require_cluster(address: str) -> None:
-    """Raise BadInput if Ray is not installed, `address` is malformed, or no cluster answers; cheap, called before a run starts."""
+    """Raise BadInput if Ray is not installed or no cluster answers; cheap, before a run starts."""
     if find_spec("ray") is None:
         raise BadInput("Ray is not installed: pip install 'radiant-splats[cluster]', or leave out --executor ray.")
     if address == "local":
@@ -88,7 +87,7 @@ def require_cluster(address: str) -> None:
 
 
 def resource_of(node: Tree) -> str:
-    """The custom resource of the machine of a node: an edge renders its teachers, a device scores too."""
+    """The resource of a node's machine: an edge renders its teachers, a device scores too."""
     parts = node.id.split("/")
     if len(parts) < 2:
         return node.id
@@ -221,19 +220,17 @@ class _Cluster:
 
 
 def _environment(address: str) -> dict[str, str]:
-    """The environment of the driver's process. A cluster of this machine alone listens on the
-    loopback address and requires a secret, which Ray takes from here before it looks for one, or
-    creates one, in ~/.ray."""
+    """The environment of the driver; a local cluster requires a secret and listens on loopback."""
     if address != "local":
         return dict(os.environ)
-    # Given 127.0.0.1 as its address, Ray uses that of the network; without support for several
-    # machines it uses 127.0.0.1.
+    # Else Ray takes the address of the network, even if given 127.0.0.1. Its secret comes from here
+    # before it looks for one, or makes one, in ~/.ray.
     secret = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(SECRET_BYTES)}
     return {**os.environ, "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", **secret}
 
 
 def _wait_for_seal(folder: Path, sha256: str | None) -> None:
-    """Wait until done.json has the bytes that its writer saw, at most `SEEN_S`; `is_sealed` checks its content."""
+    """Wait until done.json has the bytes that its writer saw, at most `SEEN_S`."""
     deadline_s = time.monotonic() + SEEN_S
     seal = folder / SEAL_NAME
     while sha256 is not None and time.monotonic() < deadline_s:

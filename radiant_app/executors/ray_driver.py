@@ -1,12 +1,11 @@
-"""The process that is connected to a Ray cluster: submits tasks and forwards their output. Started
-by `RayExecutor`; see there.
+"""The process connected to a Ray cluster, started by `RayExecutor`: submits tasks, forwards output.
 
-    in    {"leaves": [place…]} once, {"start": node, command, folder…}, {"stop": node}; the end of the input ends the process
-    out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code" and "seal_sha256"}
+    in    {"leaves": [place…]} once, {"start": node, command, folder…}, {"stop": node}; ends with it
+    out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code"}
 
 A task is a generator: its first item says where it runs, then come the lines of the node's worker
-process, of which one comes every few seconds at least. It reserves `num_cpus` of its machine and
-gives its process as many threads.
+process, of which one comes every few seconds at least, and its code with the hash of its seal. It
+reserves `num_cpus` of its machine and gives its process as many threads.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ from typing import Any
 
 # Before Ray is imported: it sends usage statistics by default.
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-# A task without a GPU must not change the environment of its process; without this Ray warns at
-# every start.
+# A task without a GPU must not change its process's environment; else Ray warns at every start.
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 
 import ray
@@ -43,9 +41,9 @@ from radiant_core.io.run_store import SEAL_NAME, file_sha256
 CHECK_INTERVAL_S = 2.0
 """Interval at which waiting tasks are checked: one pinned to a lost machine would wait forever."""
 GONE_S = 20.0
-"""A waiting task counts as lost if no living machine can run it for this long: a restarted machine rejoins within seconds."""
+"""A waiting task is lost if no machine can run it for this long: a restarted one rejoins sooner."""
 LOCK_S = 120.0
-"""How long a task waits for an earlier process in its folder. A machine that loses the head node stops within a minute."""
+"""How long a task waits for an earlier process: a machine without a head stops in a minute."""
 SEEN_S = 20.0
 LOCAL_STORE_BYTES = 100 * 2**20
 """Ray's least object store is 75 MB; no model ever lies in it."""
@@ -66,8 +64,6 @@ class _Task:
 
 @dataclass
 class _Driver:
-    """Runs all tasks of one fold."""
-
     commands: queue.Queue[dict[str, Any] | None] = field(default_factory=queue.Queue)
     tasks: dict[str, _Task] = field(default_factory=dict)
     leaves: Sequence[str] = ()
@@ -149,7 +145,7 @@ class _Driver:
 
 @ray.remote(max_retries=0, num_returns="streaming")
 def _run_node(command: list[str], folder: str, stage: str, task_sha256: str | None, threads: int) -> Iterator[dict[str, Any]]:
-    """On the node's machine: start its worker process, yield its lines, and in the end its exit code and the hash of its seal."""
+    """On the node's machine: run its worker process, yield its lines, then its code and seal."""
     yield {"began": socket.gethostname()}
     place = Path(folder)
     try:
@@ -197,7 +193,7 @@ def _require_same_files(folder: Path, task_sha256: str | None) -> None:
 
 
 def _lock_folder(folder: Path) -> int:
-    """A file descriptor that holds the lock of a node's folder; StageFailed when an earlier process keeps it for too long."""
+    """A file descriptor that holds the lock of a folder; StageFailed if that stays taken."""
     descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o644)
     deadline_s = time.monotonic() + LOCK_S
     while True:
@@ -218,7 +214,7 @@ def _machines() -> list[dict[str, Any]]:
 
 
 def _find_machines(place: str, gpu: bool) -> list[dict[str, Any]]:
-    """Living machines that can run a node: those that are named as its place, or all where none is."""
+    """Living machines that can run a node: those named as its place, or all where none is."""
     able = [machine for machine in _machines() if _offers(machine, {"CPU": 1, "GPU": int(gpu)})]
     return [machine for machine in able if _offers(machine, {place: PLACE_SHARE})] or able
 
@@ -228,7 +224,7 @@ def _offers(machine: dict[str, Any], wanted: dict[str, float]) -> bool:
 
 
 def _num_threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
-    """Threads of a node on any of these machines: its CPUs over the leaves of the tree that may run there at once, never fewer than one."""
+    """Threads of a node on any of these machines: its CPUs over the leaves that may run there."""
     machines = _machines()
     named = {name for machine in machines for name in machine["Resources"]}
     anywhere = sum(leaf not in named for leaf in leaves) / max(1, len(machines))
@@ -240,7 +236,7 @@ def _num_threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
 
 
 def _connect(address: str, temporary: Path) -> str | None:
-    """Connect to the cluster; why that is not possible, or None. One of this machine alone keeps its sockets and logs in `temporary`."""
+    """Connect to the cluster, a local one with its files in `temporary`; why not, or None."""
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address == "local":
         sizes: dict[str, Any] = {"include_dashboard": False, "object_store_memory": LOCAL_STORE_BYTES}

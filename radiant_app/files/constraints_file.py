@@ -1,8 +1,7 @@
-"""The constraints file of `radiant plan --constraints`: what is decided before the planner, in
-TOML.
+"""The constraints file of `radiant plan --constraints`: what is decided before the planner.
 
-plan = "before.json"                 # the plan to start from, beside this file; needed for locked regions
-locked = ["north"]                   # these edges keep their photographs or waypoints and get no others
+plan = "before.json"                 # the plan to start from, beside this file; for locked regions
+locked = ["north"]                   # edges that keep their photographs and get no others
 
 [fixed_weights_m2]                   # on the scale of the plan to start from, or of the exact plan
 south = 120.0
@@ -44,7 +43,7 @@ class _File(Strict):
 
 
 def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
-    """The constraints in a TOML file for cameras with these names; BadInput names the file, what came and what is expected."""
+    """The constraints in a TOML file for cameras with these names; BadInput names the place."""
     tables = load_toml(path, "constraints file")
     index_of = {name: index for index, name in enumerate(names)}
     try:
@@ -71,18 +70,18 @@ def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
 
 
 def dump_constraints(constraints: PlanConstraints, names: Sequence[str], plan: str) -> str:
-    """Constraints on cameras with these names as TOML text that `load_constraints` reads back; `plan`: the file they refer to, beside."""
-    lines = [f"plan = {_quoted(plan)}", f"locked = [{', '.join(map(_quoted, constraints.locked))}]"]
+    """TOML text that `load_constraints` reads back; `plan`: the file beside that it refers to."""
+    lines = [f"plan = {_quote(plan)}", f"locked = [{', '.join(map(_quote, constraints.locked))}]"]
     if constraints.fixed_weights_m2:
         lines += ["", "[fixed_weights_m2]"]
-        lines += [f"{_quoted(edge)} = {float(weight)!r}" for edge, weight in constraints.fixed_weights_m2.items()]
+        lines += [f"{_quote(edge)} = {float(weight)!r}" for edge, weight in constraints.fixed_weights_m2.items()]
     if constraints.pinned:
         pinned: dict[str, list[str]] = {}
         for camera, edge in constraints.pinned.items():
             pinned.setdefault(edge, []).append(names[camera])
-        lines += ["", "[pinned]", *(f"{_quoted(edge)} = [{', '.join(map(_quoted, cameras))}]" for edge, cameras in pinned.items())]
+        lines += ["", "[pinned]", *(f"{_quote(edge)} = [{', '.join(map(_quote, cameras))}]" for edge, cameras in pinned.items())]
     return "\n".join(lines) + "\n"
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)

@@ -1,5 +1,4 @@
-"""The event stream of a run as events.jsonl in its folder, for other processes that show its
-progress.
+"""The event stream of a run as events.jsonl in its folder, for processes that show its progress.
 
 One event per line, as `events.encode` writes it. Of progress, at most two lines a second and stage,
 and the first of every phase, which restarts the count: else a long phase would show the end of the
@@ -41,11 +40,11 @@ if TYPE_CHECKING:
 EVENTS_NAME = "events.jsonl"
 SECONDS_BETWEEN = 0.5
 MIN_PHASE_S = 0.05
-"""A phase that starts sooner after a line is not written at once: totals that change with every event are no phases."""
+"""A phase that starts sooner after a line is not written: its total may change with each event."""
 
 
 class EventFile:
-    """A listener that writes and forwards events, used as a context manager. A full disk ends the file, never the run."""
+    """A listener that writes and forwards events while entered; a full disk ends only the file."""
 
     def __init__(self, run: Path, listen: Listener, clock: Callable[[], float] = time.monotonic) -> None:
         self._path, self._listen, self._clock = run / EVENTS_NAME, listen, clock
@@ -85,7 +84,7 @@ class EventFile:
 
 
 def read_progress(run: Path) -> RunProgress:
-    """Read the progress of a run from its events and manifest; BadInput for a file that is no stream of events."""
+    """Read the progress of a run from events and manifest; BadInput for a file of anything else."""
     from radiant_viewer.runs.run_feeds import RunProgress
 
     path = run / EVENTS_NAME
@@ -167,7 +166,7 @@ def _status(run: Path) -> str:
 
 
 def _is_locked(run: Path) -> bool:
-    """Whether a process holds the run's lock; the kernel frees it when that process ends for any reason."""
+    """Whether a process holds the run's lock, which the kernel frees when that process ends."""
     try:
         with (run / LOCK_NAME).open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -1,5 +1,4 @@
-"""Files that `radiant run` starts from, written by a user in TOML and checked as a whole before
-anything starts.
+"""TOML files that `radiant run` starts from, checked as a whole before anything starts.
 
 A run file has the sections of `RunConfig`:
 
@@ -72,29 +71,26 @@ def is_job_file(path: Path) -> bool:
 
 
 def load_run_file(path: Path) -> dict[str, Any]:
-    """The values of a run file by the paths of `config_fields`, files and folders absolute; BadInput names file and place."""
+    """Path of `config_fields` → value in a run file, paths absolute; BadInput names the place."""
     try:
-        return _absolute(values_of(load_toml(path, "run file"), "run file"), path.resolve().parent)
+        return _make_absolute(values_of(load_toml(path, "run file"), "run file"), path.resolve().parent)
     except BadInput as error:
         raise BadInput(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from error
 
 
 def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
-    """The jobs of a file for the batch in `folder`, in order.
-
-    Raises BadInput naming file and place for an unknown key, a value of the wrong kind, options
-    that contradict, a name twice, a source or file that is not there, or an `out` that is
-    another's, lies in or around it, or is the batch's own.
-    """
+    """The jobs of a file for the batch in `folder`, in order; BadInput names file and place of an
+    unknown key, a wrong value, contradicting options, a name twice, a missing source or file, and
+    an `out` in or around another's or the batch's own."""
     tables = load_toml(path, "job file")
     try:
         content = _file_model().model_validate(tables)
     except ValidationError as error:
         raise BadInput(f"{path}: {problem_sentence(error, 'job file')}") from error
     base, folder = path.resolve().parent, folder.resolve()
-    defaults = _given(content.defaults)
+    defaults = _dump_given(content.defaults)
     try:
-        jobs = tuple(_job({**defaults, **_given(each)}, base, folder) for each in content.job)
+        jobs = tuple(_job({**defaults, **_dump_given(each)}, base, folder) for each in content.job)
         _check(jobs, folder)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
@@ -107,7 +103,9 @@ def _job(given: dict[str, Any], base: Path, folder: Path) -> Job:
     known = {**_job_options(), "source": config_fields()["source"]}
     try:
         settings = given.pop("set", ())
-        values = _absolute(with_settings({known[key].path: known[key].of_option(value) for key, value in given.items()}, settings), base)
+        values = _make_absolute(
+            with_settings({known[key].path: known[key].of_option(value) for key, value in given.items()}, settings), base
+        )
         config = config_of({**values, "out": out})
     except BadInput as error:
         raise BadInput(f"job {name!r}: {error}") from error
@@ -135,11 +133,11 @@ def _check(jobs: Sequence[Job], folder: Path) -> None:
                 raise BadInput(f"jobs {other.name!r} and {job.name!r} share the out {out}: give each a folder of its own.")
 
 
-def _absolute(values: dict[str, Any], base: Path) -> dict[str, Any]:
+def _make_absolute(values: dict[str, Any], base: Path) -> dict[str, Any]:
     return {path: (base / value).resolve() if isinstance(value, Path) else value for path, value in values.items()}
 
 
-def _given(model: Any) -> dict[str, Any]:
+def _dump_given(model: Any) -> dict[str, Any]:
     return model.model_dump(by_alias=True, exclude_unset=True)
 
 
@@ -152,7 +150,6 @@ def _job_options() -> dict[str, ConfigField]:
 
 @cache
 def _file_model() -> Any:
-    """The pydantic model of a job file."""
     fields: dict[str, Any] = {
         f"option_{index}": (field.typed_kind, Field(default=None, alias=key)) for index, (key, field) in enumerate(_job_options().items())
     }

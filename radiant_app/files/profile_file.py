@@ -1,5 +1,4 @@
-"""Curve files: the profile of one machine, as TOML or JSON, written by `radiant profile` and named
-by system files.
+"""Curve files: the profile of a machine, written by `radiant profile`, named by system files.
 
     kind = "measured"                    # or "estimate", which every plan says
     machine = "workstation, 8 threads"
@@ -12,17 +11,17 @@ by system files.
     long_side_px = 576
     max_num_splats = 200000              # left out: not known
 
-    [init_s]                             # G; also [train_s], [model_bytes] and, for edges, [aggregate_s], [aggregate_alone_s]
+    [init_s]                             # G; also [train_s], [model_bytes]; of edges [aggregate_s],
+                                         # [aggregate_alone_s]
     constant = 4.0
     linear = 0.1
-    range = [7, 53]                      # the camera counts it was fitted on: beyond twice the largest it is extrapolated
-    rmse = 0.0                           # root mean square and largest relative error at the samples
+    range = [7, 53]                      # counts it was fitted on: extrapolated beyond twice 53
+    rmse = 0.0                           # root mean square and largest relative error
     worst_error = 0.0
     samples = [[7, 4.7], [53, 9.3]]      # camera count, measured value
 
-A curve is constant + linear · c + power_coefficient · c ** exponent, as in a system file. What is
-read is checked: samples that rise, and errors that are those of the samples. The library's files
-lie in `profiles/` beside this module.
+A curve is constant + linear · c + power_coefficient · c ** exponent. What is read is checked:
+samples that rise, and errors that are those of the samples. The library lies in `profiles/`.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ class _Fitted(Strict):
     worst_error: _NonNegative | None = None
     samples: list[Annotated[list[_NonNegative], Field(min_length=2, max_length=2)]] = Field(default=[])
 
-    def built(self) -> FittedCurve:
+    def build(self) -> FittedCurve:
         if any(count != int(count) for count, _ in self.samples):
             raise BadInput("a sample's camera count is no whole number: the first of each pair is a count.")
         return FittedCurve(
@@ -96,12 +95,12 @@ class _File(Strict):
     aggregate_s: _Fitted | None = None
     aggregate_alone_s: _Fitted | None = None
 
-    def built(self, name: str) -> Profile:
+    def build(self, name: str) -> Profile:
         given: dict[str, _Fitted | None] = {curve: getattr(self, curve) for curve in _CURVES}
         curves: dict[str, Any] = {}
         for curve, fitted in given.items():
             try:
-                curves[curve] = None if fitted is None else fitted.built()
+                curves[curve] = None if fitted is None else fitted.build()
             except BadInput as error:
                 raise BadInput(f"{curve}: {error}") from error
         return Profile(
@@ -117,10 +116,10 @@ class _File(Strict):
 
 
 def load_profile(path: Path, name: str | None = None) -> Profile:
-    """The profile in a TOML or JSON file; BadInput names the file, the key, what came and what is expected."""
+    """The profile in a TOML or JSON file; BadInput names the file, the key and what is expected."""
     tables = _load_json(path) if path.suffix == ".json" else load_toml(path, KIND)
     try:
-        return _File.model_validate(tables).built(name or path.name)
+        return _File.model_validate(tables).build(name or path.name)
     except ValidationError as error:
         raise BadInput(f"{path}: {problem_sentence(error, KIND)}") from error
     except BadInput as error:
@@ -128,7 +127,7 @@ def load_profile(path: Path, name: str | None = None) -> Profile:
 
 
 def save_profile(path: Path, profile: Profile) -> None:
-    """Write the profile as TOML or JSON by the name's ending, atomically; BadInput for another ending."""
+    """Write the profile as TOML or JSON by its ending, atomically; BadInput for another ending."""
     if path.suffix not in SUFFIXES:
         raise BadInput(f"{path} is no name for a {KIND}: choose one that ends in {' or '.join(SUFFIXES)}.")
     record = _record(profile)
@@ -142,7 +141,7 @@ def library_profiles() -> dict[str, Path]:
 
 
 def find_profile(name: str, beside: Path) -> Profile:
-    """The profile that a system file in the folder `beside` names: one of the library, or a curve file relative to it."""
+    """The profile that a system file in the folder `beside` names: the library's, or a file."""
     if name.endswith(SUFFIXES):
         return load_profile(beside / name, name)
     known = library_profiles()
@@ -174,10 +173,10 @@ def _record(profile: Profile) -> dict[str, Any]:
         "source": profile.source,
         "memory_gb": None if profile.memory_bytes is None else profile.memory_bytes / _BYTES_PER_GB,
         "measured_steps": profile.measured_steps,
-        "key": _present(vars(key)),
+        "key": _drop_none(vars(key)),
         **tables,
     }
-    return _present(record)
+    return _drop_none(record)
 
 
 def _fitted_record(fitted: FittedCurve) -> dict[str, Any]:
@@ -188,15 +187,15 @@ def _fitted_record(fitted: FittedCurve) -> dict[str, Any]:
         "worst_error": fitted.worst_error,
         "samples": [[count, value] for count, value in fitted.samples] or None,
     }
-    return _present(record)
+    return _drop_none(record)
 
 
-def _present(record: dict[str, Any]) -> dict[str, Any]:
+def _drop_none(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if value is not None}
 
 
 def _toml(record: dict[str, Any]) -> str:
-    """Tables of text, numbers and lists, which JSON writes as TOML does; TOML allows 1e-05 but no bare control characters."""
+    """Tables of text, numbers and lists, which JSON writes as TOML does: 1e-05 is valid in both."""
     lines = ["# Cost curves of one machine, for `profile` in a system file; written by `radiant profile`."]
     lines += [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in record.items() if not isinstance(value, dict)]
     for name, table in record.items():

@@ -1,5 +1,4 @@
-"""The folder of one run and its manifest.json: configuration, times of stages, decisions and
-warnings.
+"""The folder of a run and its manifest.json: configuration, times, decisions and warnings.
 
     manifest.json plan.json scene.ply metrics.json report.html pictures/
     sfm/ devices/<id>/ edges/<id>/ cloud/ evaluation/        one folder per process
@@ -38,11 +37,9 @@ EARLIER = (
 SFM_TASK = "task.json"
 """What `radiant sfm` was asked for, beside its work."""
 OPTIONS = {"source": "source", "preset": "--train-preset", "time_s": "--time", "memory_bytes": "--memory", "overrides.settings": "--set"}
-"""Setting of `radiant train` and `radiant sfm` → what the command line calls it, where `config_fields` does not say."""
+"""Setting of `radiant train` and `sfm` → its option, where `config_fields` does not say."""
 UNRECORDED = ("out", "execution", "evaluate")
-"""What may differ when a run is resumed: where it lies, how it is worked on, and what its scene is scored with in the end."""
-RECORDED = ("out", "execution", "evaluate")
-"""What may differ when a run is resumed: where it lies, how it is worked on, and what its scene is scored with in the end."""
+"""What may differ when a run is resumed: its place, its execution, and the scoring in the end."""
 FORMER_PATHS = {
     **{name: f"sfm.{name}" for name in ("matching", "poses", "masks", "up", "distance", "height_m")},
     "plan_method": "plan.method",
@@ -63,9 +60,9 @@ class Manifest:
     config: dict[str, Any]
     status: str = "running"
     stages: dict[str, dict[str, float]] = field(default_factory=dict)
-    """Stage → started_s and ended_s since the run began; a skipped stage keeps the times of the run that finished it."""
+    """Stage → started_s and ended_s since the run began; of a skipped stage, those of before."""
     emulated: dict[str, dict[str, float]] = field(default_factory=dict)
-    """As `stages`, of devices, edges and their uplinks in an emulated run: never among measured times."""
+    """As `stages`, of devices, edges and uplinks in an emulated run: never among measured times."""
     machines: dict[str, str] = field(default_factory=dict)
     """Stage → the machine of a cluster that ran it last."""
     peak_bytes: dict[str, int] = field(default_factory=dict)
@@ -115,7 +112,7 @@ class Manifest:
 
     @property
     def ended_s(self) -> float:
-        """Time at which the last stage ended, 0 at first; the clock of a resumed run continues from it."""
+        """Time at which the last stage ended, 0 at first; a resumed run's clock continues there."""
         return max((times["ended_s"] for times in (*self.stages.values(), *self.emulated.values())), default=0.0)
 
     def save(self) -> None:
@@ -127,19 +124,16 @@ class Manifest:
 
 @contextmanager
 def open_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
-    """Create or reopen the run's folder and hold its lock.
-
-    Raises BadInput when the folder exists and is not empty (without `resume`), was made by other
-    settings, or cannot be made. When the input turns out to be unusable, a folder made here goes
-    away again: nothing half-written stays behind.
-    """
+    """Create or reopen the run's folder and hold its lock; BadInput when it is not empty (without
+    `resume`), was made by other settings, or cannot be made. After unusable input a folder made
+    here goes away again."""
     with open_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
         yield manifest
 
 
 @contextmanager
 def open_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
-    """As `open_run`, for any work with these settings; after bad input the folder stays if a file matches a pattern of `keep`."""
+    """As `open_run`, for any settings; bad input removes nothing if a file fits one of `keep`."""
     if resume and out.is_dir() and _has_content(out):
         with RunLock(out), _record_outcome(_reopen(out, settings)) as manifest:
             yield manifest
@@ -155,7 +149,6 @@ def open_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequenc
 
 @contextmanager
 def _record_outcome(manifest: Manifest) -> Iterator[Manifest]:
-    """Save the record before and after the work, with its outcome."""
     manifest.status = "running"
     manifest.save()
     try:
@@ -172,12 +165,10 @@ def _record_outcome(manifest: Manifest) -> Iterator[Manifest]:
 
 @contextmanager
 def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[None]:
-    """The folder of `radiant sfm` for a `task`, which it keeps in task.json: new, or with `resume`
-    what an interrupted one left, whose features and matches are used. Held by one process at a
-    time.
+    """The folder of `radiant sfm` for a `task`, which it keeps in task.json; held by one process.
 
-    Raises BadInput as `create_folder`, and with `resume` where the folder is of something else, of
-    another task, or finished.
+    With `resume`, what an interrupted one left, whose features and matches are used. BadInput as
+    `create_folder`, and with `resume` where the folder is of another task, or finished.
     """
     if resume and out.is_dir() and _has_content(out):
         with RunLock(out):
@@ -205,19 +196,15 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
 
 @contextmanager
 def create_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
-    """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot
-    be made.
-
-    After a BadInput within, everything that was made here goes again; where it is `resumable`, not
-    after a full disk.
-    """
+    """A folder for results, with its parents; BadInput when it is a file, not empty, or impossible.
+    After a BadInput within, what was made here goes again; if `resumable`, not for a full disk."""
     made = _create_folders(out, resumable=resumable)
     with _remove_after_bad_input(out, made, resumable=resumable):
         yield
 
 
 def _create_folders(out: Path, *, resumable: bool = True) -> list[Path]:
-    """`out`, which afterwards is an empty folder, and its parents, as far as they had to be made; innermost first."""
+    """Make `out` an empty folder; the folders that had to be made for it, innermost first."""
     if out.is_symlink() and not out.exists():
         raise BadInput(f"{out} is a link to {out.readlink()}, which does not exist: make that folder or choose another name.")
     if out.exists() and not out.is_dir():
@@ -243,7 +230,7 @@ def _has_content(out: Path) -> bool:
 
 @contextmanager
 def _remove_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
-    """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
+    """After a BadInput within, empty `out` and remove the folders `made`, unless `keep` fits."""
     try:
         yield
     except BadInput as error:
@@ -265,7 +252,7 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
 
 
 def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> str:
-    """The options that differ from those of before, as the command line names them; empty if none."""
+    """The options that differ from those before, as the command line names them; empty if none."""
     return ", ".join(sorted(set(_differing_options(asked, before))))
 
 
@@ -279,7 +266,6 @@ def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any], pref
 
 
 def _option_name(path: str, name: str) -> str:
-    """The option of a run's field by its path, or of another command's setting by its name."""
     fields = config_fields()
     if path in OPTIONS or path in fields:
         return OPTIONS.get(path) or fields[path].option_name
@@ -321,13 +307,12 @@ def read_manifest(run: Path) -> Manifest:
 
 
 def require_current(run: Path) -> None:
-    """Raise BadInput where a run's tasks and settings were written by an earlier version, in another form."""
+    """Raise BadInput where an earlier version wrote a run's tasks and settings in another form."""
     if (run / "manifest.json").is_file() and _record(run / "manifest.json").version != MANIFEST_VERSION:
         raise BadInput(f"{run} {EARLIER}.")
 
 
 def _digest(record: dict[str, Any]) -> str:
-    """SHA-256 of a record as JSON writes it, whatever the order of its keys."""
     return hashlib.sha256(json.dumps(record, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 

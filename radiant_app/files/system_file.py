@@ -1,12 +1,11 @@
-"""The system file: edges, their devices and their costs, written by a user in TOML and checked
-here.
+"""The system file: edges, their devices and their costs, written by a user in TOML.
 
     [[edge]]
     id = "north"
-    position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54], or neither: placed among the cameras
+    position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54]; else among the cameras
     uplink_mbit_per_s = 100.0
     aggregate_s = { constant = 5.0, linear = 0.5 }
-    memory_gb = 4.0                      # what joining may hold; beyond it models are cut at their borders, with a warning
+    memory_gb = 4.0                      # what joining may hold; beyond it models are only cut
 
     [[edge.device]]
     id = "north-1"
@@ -15,15 +14,15 @@ here.
     model_mb = { linear = 0.5 }
     uplink_mbit_per_s = 50.0
     max_cameras = 400                    # left out: no limit
-    memory_gb = 8.0                      # what its training may hold: limits its Gaussians and, without max_cameras, its cameras
+    memory_gb = 8.0                      # of training: limits Gaussians and, else, cameras
     relative_speed = 2.0                 # divides init_s and train_s
-    speed = 0.5                          # of an edge too: share of one core under `radiant run --emulate`
+    speed = 0.5                          # of an edge too: share of a core under --emulate
 
 The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
 both has relative_speed and speed 0.5.
 
-    [cloud]                              # limits of joining at the cloud; beyond them models are cut at their borders, with a warning
-    memory_gb = 16.0                     # left out: four fifths of what is free on the machine that joins
+    [cloud]                              # limits of joining there; beyond them models are only cut
+    memory_gb = 16.0                     # left out: four fifths of what is free
     time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000
 
@@ -31,8 +30,8 @@ In place of costs, a device or edge may have profile = "rtx-3090" of the library
 --list`) or profile = "mine.toml", a curve file of `radiant profile` relative to this one: its costs
 and, where the file says none, its memory come from there. An edge may also have aggregate_alone_s:
 what it costs where one device has all its cameras, so that nothing is retrained. Where a run or
-plan writes its system, the costs stand there as numbers and costs_from says which profile they are
-of: "measured mine.toml", "estimate rtx-3090".
+plan writes its system, the costs stand there as numbers, and costs_from names their profile:
+"measured mine.toml", "estimate rtx-3090".
 
 For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model
 sent) and `max_cameras` in place of devices, uplink and aggregate_s: the cloud plans its region, and
@@ -100,7 +99,7 @@ class _Device(Strict):
     relative_speed: _Speed = 1.0
     speed: _Share | None = None
 
-    def built(self, folder: Path) -> Device:
+    def build(self, folder: Path) -> Device:
         profile = _profile_of(self, f"device {self.id!r}", ("init_s", "train_s", "model_mb"), folder)
         memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
         if profile is None:
@@ -137,7 +136,7 @@ class _Edge(Strict):
     time_s: _Curve | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
 
-    def built(self, folder: Path) -> Edge:
+    def build(self, folder: Path) -> Edge:
         if self.position_m is not None and self.lat_lon_deg is not None:
             raise BadInput(f"edge {self.id!r} has both position_m and lat_lon_deg: give one of them or neither.")
         if self.lat_lon_deg is not None and (abs(self.lat_lon_deg[0]) > 90 or abs(self.lat_lon_deg[1]) > 180):
@@ -161,7 +160,7 @@ class _Edge(Strict):
             lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
             aggregate_s=joined,
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
-            devices=tuple(device.built(folder) for device in self.device),
+            devices=tuple(device.build(folder) for device in self.device),
             speed=self.speed,
             aggregate_alone_s=alone,
             profile=profile,
@@ -173,7 +172,6 @@ class _Edge(Strict):
 
 
 def _profile_of(table: _Device | _Edge, owner: str, costs: tuple[str, ...], folder: Path) -> Profile | None:
-    """The profile that a device or edge names; BadInput where a cost stands beside it."""
     if table.profile is None:
         return None
     beside = [name for name in (*costs, "costs_from") if name in table.model_fields_set]
@@ -190,7 +188,7 @@ class _Cloud(Strict):
     time_s: _NonNegative | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
 
-    def built(self) -> Cloud:
+    def build(self) -> Cloud:
         memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
         return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras)
 
@@ -202,14 +200,11 @@ class _File(Strict):
 
 def load_system(path: Path, *, curves: bool = False) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
-
-    Edges described by their curve alone are refused unless `curves`: they have no device to train
-    on.
-    """
+    Edges described by their curve alone, without a device, are refused unless `curves`."""
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
-        system = System(edges=tuple(edge.built(path.parent) for edge in file.edge), cloud=file.cloud.built())
+        system = System(edges=tuple(edge.build(path.parent) for edge in file.edge), cloud=file.cloud.build())
         unknown = [edge.id for edge in system.edges if not edge.devices]
         if unknown and not curves:
             raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
@@ -221,17 +216,17 @@ def load_system(path: Path, *, curves: bool = False) -> System:
 
 
 def dump_system(system: System) -> str:
-    """The system as TOML text that `load_system` reads back, curves written out, of the profiles they came from kind and name alone."""
+    """The system as TOML text that `load_system` reads back, with curves in place of profiles."""
     return "\n".join([*(line for edge in system.edges for line in _edge_lines(edge)), *_cloud_lines(system.cloud)]) + "\n"
 
 
 def even_system(num_edges: int, devices_per_edge: int) -> System:
-    """Equal edges with equal devices at the file's defaults, placed among the cameras later; BadInput below one of either."""
+    """Equal edges with equal devices at the file's defaults, to be placed; BadInput below one."""
     if num_edges < 1 or devices_per_edge < 1:
         raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
     names = [f"edge-{index + 1}" for index in range(num_edges)]
     edges = [_Edge(id=name, device=[_Device(id=f"{name}-{n + 1}") for n in range(devices_per_edge)]) for name in names]
-    return System(edges=tuple(edge.built(Path()) for edge in edges))
+    return System(edges=tuple(edge.build(Path()) for edge in edges))
 
 
 def _edge_lines(edge: Edge) -> list[str]:

@@ -1,4 +1,4 @@
-"""report.html: one self-contained page of a finished run, pictures embedded. Also writes the pictures into `pictures/`. Once per run."""
+"""report.html: one self-contained page of a finished run with its pictures. Once per run."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ GIVEN = {
         "owner": "what devices sent for the plan",
     },
 }
-"""What the nodes of a tier were given, by whether one owner ran structure from motion (frames "shared")."""
+"""What the nodes of a tier were given, by whether one owner pooled the photographs."""
 
 GANTT_TEXT = {
     False: "Predicted for machines that all work at once; measured here, where processes wait for a free core. Nothing was sent.",
@@ -64,7 +64,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         pooled=metrics.get("pooled", True),
         planned_by_raster=(run / STAGE / "task.json").is_file(),
         access_tiers=access_by_tier(manifest.access_log, shared="leakage" not in metrics),
-        pictures={name: _embedded(path) for name, path in pictures.items()},
+        pictures={name: _embed(path) for name, path in pictures.items()},
         comparisons=[_comparison(run, row) for row in select_images(metrics["images"]) if _has_pictures(run, row)],
         nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
         plan=cloud_plan,
@@ -75,7 +75,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
 
 
 def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> list[dict[str, Any]]:
-    """One row per tier in the order devices, edges, cloud, owner: what its nodes received together, in bytes and in words."""
+    """A row per tier, devices to owner: what its nodes received together, in bytes and in words."""
     rows = []
     for tier in TIERS:
         own = [row for row in access_log if row["tier"] == tier]
@@ -118,7 +118,7 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
 
 
 def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
-    """One row per process in the order they started; what it sends in the end is a span of its own."""
+    """One row per process in the order they started; sending in the end is a span of its own."""
     from radiant_viewer.charts.charts import TimelineRow, TimelineSpan
 
     kinds = {
@@ -161,7 +161,6 @@ def _comparison(run: Path, row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _node_rows(run: Path, manifest: Manifest, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> list[dict[str, Any]]:
-    """One row per device and edge: photographs, Gaussians, planned and measured time."""
     rows = []
     for index, plan in enumerate(edge_plans):
         for device, planned_s in zip(plan.device_ids, plan.device_time_s, strict=True):
@@ -208,7 +207,7 @@ def _frame_facts(run: Path) -> dict[str, Any]:
     }
 
 
-def _embedded(path: Path) -> str:
+def _embed(path: Path) -> str:
     return _data_uri("image/png", path.read_bytes())
 
 

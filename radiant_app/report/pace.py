@@ -3,8 +3,8 @@
     left_s = (total − done) · (now − begun) / (done − done at the beginning)
 
 A stage of several steps (structure from motion) is timed step by step, since an earlier step
-predicts nothing about a later one. Without events the estimate grows, so that it never reaches 0 s
-before the work is done; before the first measurement there is none.
+predicts nothing about a later one. Without events the estimate grows and never reaches 0 s; before
+the first measurement there is none.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from radiant_app.events import StageProgress
 
 LEAST_S, SURE_S = 1.0, 10.0
 LEAST_SHARE = 0.01
-"""No estimate in the first second, nor in the first 10 s while less than this share of a step is done."""
+"""No estimate in the first second, nor in the first 10 s below this share of a step."""
 
 
 @dataclass(kw_only=True)
@@ -35,7 +35,7 @@ class Pace:
         self._begun_s = self.clock()
 
     def update(self, event: StageProgress) -> None:
-        """Update the progress of the stage; a new phase or a lower `done` restarts the measurement."""
+        """Update the stage's progress; a new phase or a lower `done` restarts the measurement."""
         last = self._last
         if last is None or event.phase != last.phase or event.done < last.done:
             self._first, self._step_s = event, self.clock()
@@ -48,7 +48,7 @@ class Pace:
 
     @property
     def left_s(self) -> float | None:
-        """Remaining seconds of the stage, or of its step if it has several; None without an estimate."""
+        """Remaining seconds of the stage or of its current step; None without an estimate."""
         if self._first is None or self._last is None:
             return None
         done, left = self._last.done - self._first.done, self._last.total - self._last.done
@@ -61,7 +61,7 @@ class Pace:
 
     @property
     def text(self) -> str:
-        """As "elapsed 0:03, left about 0:40"; of a stage of several steps what is left of the one that runs."""
+        """As "elapsed 0:03, left about 0:40"; of several steps, what is left of the current one."""
         left_s = self.left_s
         if left_s is None:
             return f"elapsed {clock_text(self.elapsed_s)}"

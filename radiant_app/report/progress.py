@@ -1,5 +1,4 @@
-"""Shows the event stream on a terminal: a bar with times per running stage, a line for what was
-decided or warned.
+"""Shows the event stream on a terminal: a bar per running stage, a line per decision or warning.
 
     sfm: matching, step 3 of 6   ━━━━━━╺━━━   45 %  elapsed 0:31, left in step about 0:40
 
@@ -28,29 +27,24 @@ SECONDS_BETWEEN_LINES = 10.0
 MAX_BAR_WIDTH = 30
 
 
-def tracked(items: Sequence[_Item], what: str) -> Iterator[_Item]:
-    """The items one after the other with a bar on a terminal's standard error, for a loop whose items take about as long as each other."""
+def track_items(items: Sequence[_Item], what: str) -> Iterator[_Item]:
+    """The items with a bar on a terminal, for a loop of items that take about as long."""
     console = Console(stderr=True)
     return iter(track(items, description=what, console=console, disable=not console.is_terminal))
 
 
 class _Times(ProgressColumn):
-    """Elapsed and left, with their words before them."""
-
     def render(self, task: Task) -> Text:
         return Text(task.fields["pace"].text)
 
 
 class _Share(ProgressColumn):
-    """Per cent, if the total is known."""
-
     def render(self, task: Task) -> Text:
         return Text("" if not task.total else f"{task.percentage:>3.0f} %")
 
 
 class ProgressDisplay:
-    """A listener that draws; used as a context manager. Without a terminal it prints a line every
-    `SECONDS_BETWEEN_LINES` and one per finished stage."""
+    """A listener that draws while entered; without a terminal it prints lines at intervals."""
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console = console

@@ -49,7 +49,7 @@ class Captured:
     origin: FloatArray | None
     """(3,) latitude, longitude, altitude; None for given poses."""
     cell_middles: dict[str, FloatArray] | None = None
-    """If devices send rasters alone: device → the centres (K,2) m of the cells of its training photographs; positions are NaN."""
+    """Device → centres (K,2) m of its photographs' cells, if devices send rasters alone."""
 
     @property
     def placed(self) -> Any:
@@ -68,7 +68,7 @@ class Captured:
 
 
 def device_folders(source: Path, system: System) -> dict[str, Path] | None:
-    """The subfolders of `source` that are named by devices; None where it holds photographs or something else itself."""
+    """The subfolders of `source` that are named by devices; None where it holds photographs."""
     if not source.is_dir():
         raise BadInput(f"{source} is no folder: give a folder of photographs, or one with a subfolder per device.")
     inner = {path.name: path for path in sorted(source.iterdir()) if path.is_dir() and not path.name.startswith(".")}
@@ -104,7 +104,7 @@ def locate_photographs(config: RunConfig, poses: GivenPoses | None, folders: dic
 
 
 def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
-    """Let every device count its training photographs in a raster; no name or position of one leaves the device."""
+    """Let every device count its training photographs in a raster; no name or position leaves."""
     owned = [
         (device, path.name)
         for device, folder in folders.items()
@@ -143,7 +143,7 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
 
 
 def _origin_of(known: FloatArray) -> FloatArray:
-    """The median of positions (P,3), rounded to about ten metres: it is sent to all devices, and a median is one's position."""
+    """The median of positions (P,3), rounded to about ten metres: all devices receive it."""
     if not len(known):
         raise BadInput(
             "no photograph has a GPS position with an altitude, which --frames gps needs: give poses with --frames known, or pool them "
@@ -154,7 +154,7 @@ def _origin_of(known: FloatArray) -> FloatArray:
 
 
 def _locate_by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progress) -> Captured:
-    """Positions from EXIF: one process per device folder reads the heads of its photographs, or one for the folder of all."""
+    """Positions from EXIF: one process per device folder, or one for the folder of all."""
     places = {None: photo_folder(config.source)} if folders is None else dict(folders)
     names: list[str] = []
     owners: list[str | None] = []
@@ -180,13 +180,12 @@ def _locate_by_gps(config: RunConfig, folders: dict[str, Path] | None, progress:
 
 
 def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | None = None, held_out: Sequence[str] = ()) -> dict[str, Any]:
-    """Run `run_positions` on the photographs in `place`, in a process of its own, and return its record."""
+    """The record of `run_positions` on the photographs in `place`, in a process of its own."""
     folder = progress.manifest.folder / stage
     folder.mkdir(parents=True, exist_ok=True)
     task = PositionsTask(source=str(place.resolve()), cell_m=cell_m, held_out=tuple(held_out), owned=stage != "positions")
     save_task(folder, task)
-    # No other process may open them. Reading their heads again is cheap, and equal heads change no
-    # plan.
+    # No other process may open them. Heads are cheap to read again; equal ones change no plan.
     photographs = [path for path in sorted(place.iterdir()) if path.suffix.lower() in SUFFIXES and path.is_file()]
     key = content_key(__version__, task_key(task), [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in photographs])
     run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
@@ -199,7 +198,7 @@ def _reason(error: BadInput | StageFailed | OSError) -> str:
 
 
 def _middle(lat_lon_alt: FloatArray) -> FloatArray:
-    """The median (3,) of positions (P,3); longitudes are counted from the first, since a site may lie on the 180th meridian."""
+    """The median (3,) of positions (P,3); longitudes count from the first: the 180th meridian."""
     turned = lat_lon_alt.copy()
     turned[:, 1] = (lat_lon_alt[:, 1] - lat_lon_alt[0, 1] + 180) % 360 - 180
     middle = np.median(turned, axis=0)
@@ -208,7 +207,7 @@ def _middle(lat_lon_alt: FloatArray) -> FloatArray:
 
 
 def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress: Progress) -> None:
-    """Set positions (P,3) m far from the origin, the median of all, to NaN in place: one run makes one scene."""
+    """Set positions (P,3) m far from the origin to NaN in place: one run makes one scene."""
     away_m = np.linalg.norm(positions[:, :2], axis=1)
     far = np.flatnonzero(away_m > MAX_REACH_M)
     if len(far):
@@ -224,7 +223,7 @@ def photo_folder(source: Path) -> Path:
 
 
 def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path, progress: Progress) -> Captured:
-    """Positions from the given poses; with device folders each pose belongs to the device that has a file of its name."""
+    """Positions from the given poses; in device folders each is of the device with the file."""
     names = poses.cameras.names
     if folders is None:
         copies = file_copies({name: poses.photos / name for name in names})
@@ -252,7 +251,6 @@ def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source:
 
 
 def _warn_of_unplaced(captured: Captured, progress: Progress) -> None:
-    """Warn about photographs without a position: by name in one folder of all, by number in devices' own folders."""
     lost = np.flatnonzero(~captured.placed)
     named = [captured.names[index] for index in lost if captured.owners[index] is None]
     if named:

@@ -1,4 +1,4 @@
-"""Planning at the cloud from a count raster and one curve per edge (`workers/regions.py`). Once per run."""
+"""Planning at the cloud from a count raster and a curve per edge, see `workers/regions.py`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STAGE = "planning"
 
 
 def place_edges_by_raster(system: System, positions: FloatArray, origin: FloatArray | None, cell_m: float | None, seed: int) -> System:
-    """Place edges among the cameras (C,2) m, or among the cells of their raster if `cell_m` is given."""
+    """Place edges among the cameras (C,2) m, or among the cells of their raster with `cell_m`."""
     places = positions if cell_m is None else count_raster(positions, cell_m).places
     return place_edges(system, places, origin, seed)
 

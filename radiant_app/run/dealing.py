@@ -54,7 +54,7 @@ class Dealer:
         self.photographs.use_recipe(self.recipe)
 
     def prepare(self, node: Tree) -> NodeTask | None:
-        """Fill the node's folder and return its task; None if no model arrived that could be joined."""
+        """Fill the node's folder and return its task; None if nothing arrived to be joined."""
         folder = self.run / node.id
         folder.mkdir(parents=True, exist_ok=True)
         fills = {"device": self._fill_device, "teacher": self._fill_teacher, "edge": self._fill_edge, "cloud": self._fill_cloud}
@@ -153,7 +153,7 @@ class Dealer:
             shutil.rmtree(folder / place, ignore_errors=True)
 
     def _deliver(self, sender: str, receiver: Path, place: Path) -> None:
-        """Copy the upload of a device or edge to `place`, and its signed record into the receiver's folder."""
+        """Copy a node's upload to `place`, and its signed record to the receiver's folder."""
         place.mkdir(parents=True, exist_ok=True)
         for name, path in sent_files(self.run / sender).items():
             shutil.copyfile(path, place / name)
@@ -165,7 +165,7 @@ class Dealer:
         return [device.name for device in leaves if self.has_model(device.id)]
 
     def has_model(self, node_id: str) -> bool:
-        """Whether the node with this id is done in this run and has a model; it has none if it refused all it received."""
+        """Whether a node is done in this run and has a model: not if it refused all it received."""
         frame = self.run / node_id / FRAME_NAME
         return self.is_done(node_id) and (not frame.is_file() or read_json(frame, ("status",))["status"] == "placed")
 
@@ -174,7 +174,7 @@ class Dealer:
         return node_id in self.keys and is_sealed(self.run / node_id, self.keys[node_id])
 
     def load_moves(self) -> dict[str, list[Sim3]]:
-        """Device whose model is in the scene → the similarities from its frame to the scene's, in order."""
+        """Device with a model in the scene → similarities from its frame to that, in order."""
         found = {}
         for edge, to_cloud in load_corrections(self.run / "cloud").items():
             if to_cloud is not None:
@@ -223,7 +223,7 @@ def deal_files(source: Path, names: Sequence[str], target: Path) -> None:
 
 
 def deal_masks(run: Path, names: Sequence[str], folder: Path) -> list[Path]:
-    """Copy the masks of the named photographs from the run's scene to masks/ in `folder`; [that folder], or [] without masks."""
+    """Copy the photographs' masks to masks/ in `folder`; returns [that folder], [] without any."""
     masks, place = masks_folder_of(run), folder / MASKS
     shutil.rmtree(place, ignore_errors=True)
     masked = [] if masks is None else [mask_name(name) for name in names if (masks / mask_name(name)).is_file()]

@@ -16,6 +16,7 @@ from radiant_app.run.dealing import Dealer
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.joining import moved_cameras, numbered
+from radiant_core.io.messages import CAMERAS_NAME
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, save_plan, save_scene
 from radiant_core.numerics import FloatArray
@@ -28,11 +29,11 @@ MAX_SHOWN_POINTS = 20_000
 def save_delivered(run: Path, dealer: Dealer, origin: FloatArray | None) -> None:
     """Write delivered/scene.safetensors and plan.json: the poses that edges received, in the
     scene's frame, and their devices."""
-    moves = dealer.load_moves()
     parts, owners = [], []
-    for device, path in _device_cameras(dealer).items():
-        cameras = numbered(load_cameras(path), device)
-        for move in moves[device]:
+    for device, moves in sorted(dealer.load_moves().items()):
+        inbox = run / "edges" / dealer.recipe.plan_of(device).edge_id / "inbox"
+        cameras = numbered(load_cameras(inbox / device / CAMERAS_NAME), device)
+        for move in moves:
             cameras = moved_cameras(cameras, move)
         parts.append(cameras)
         owners += [device] * len(cameras)
@@ -61,9 +62,3 @@ def _plan_of(owners: Sequence[str], dealer: Dealer) -> Any:
         edge_of_camera[own] = dealer.recipe.cloud_plan.edge_ids.index(plan.edge_id)
         edges.append(replace(plan, camera_indices=own, device_of_camera=devices))
     return replace(dealer.recipe.cloud_plan, edge_of_camera=edge_of_camera), tuple(edges)
-
-
-def _device_cameras(dealer: Dealer) -> dict[str, Path]:
-    """Device → the poses it sent to its edge, for devices whose model is in the scene."""
-    edge_of = {device: dealer.recipe.plan_of(device).edge_id for device in sorted(dealer.load_moves())}
-    return {device: dealer.run / "edges" / edge / "inbox" / device / "cameras.safetensors" for device, edge in edge_of.items()}

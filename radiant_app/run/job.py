@@ -1,4 +1,4 @@
-"""The process of one job of a batch: `python -m radiant_app.run.job run FOLDER STAGE KEY`, a worker that runs the pipeline."""
+"""The process of one job of a batch: `python -m radiant_app.run.job run FOLDER STAGE KEY`."""
 
 from __future__ import annotations
 

@@ -211,7 +211,6 @@ class DevicePhotographs:
         run, recipe = self.config.out, dealer.recipe
         machines = [
             ScoringMachine(
-                id=f"devices/{device}",
                 stage=f"devices/{device}/score",
                 inputs=tuple(run / "devices" / device / name for name in (HELD_OUT_NAME, MODEL_NAME)),
                 moves=tuple(moves),

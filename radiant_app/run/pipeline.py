@@ -1,10 +1,8 @@
-"""The main job, from photographs to one Gaussian model: connects the stages and computes nothing
-itself.
+"""The main job, from photographs to one Gaussian model: connects the stages, computes nothing.
 
     photographs ─ plan ─ Tree(cloud(edge(device …))) ─ score ─ report
 
-`--frames` decides where structure from motion happens (`source.py`); plan, tree and joining are the
-same.
+`--frames` decides where structure from motion happens (`source.py`), and nothing else.
 """
 
 from __future__ import annotations
@@ -44,7 +42,7 @@ from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
 from radiant_app.workers.sources import detect_source
 from radiant_core.aggregate.tree import Tree, tree_of_plan
-from radiant_core.errors import StageFailed
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
@@ -82,24 +80,15 @@ class RunResult:
 def run(
     config: RunConfig, listen: Listener = lambda event: None, *, resume: bool = False, clock: Callable[[], float] = time.monotonic
 ) -> RunResult:
-    """Run everything in `config.out`; finished stages are skipped with `resume`.
+    """Run everything in `config.out`; returns the folder and the metrics.
 
-    Args:
-        config: what is asked for.
-        listen: hears every event of the run, as it happens.
-        resume: go on with the run that is in the folder, by the same settings.
-        clock: seconds; the times of stages are its differences.
-
-    Returns:
-        The folder and the metrics; `load_splats` reads the scene.
-
-    Raises:
-        BadInput: unusable input, with one sentence; nothing stays behind.
-        StageFailed: a stage ends without its result; what is finished stays and can be resumed.
+    `listen` receives every event as it happens; `resume` goes on with the run in the folder, by the
+    same settings; stage times are differences of `clock`, in seconds. BadInput for unusable input,
+    where nothing stays behind; StageFailed for a stage without its result: the finished ones stay.
     """
     from radiant_app.report.html import write_report
 
-    system = _checked_system(config)
+    system = _check_system(config)
     lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
     with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
         if lpips is not None:
@@ -108,9 +97,9 @@ def run(
         progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
-        photographs = _photographs(config, system, progress)
+        photographs = _locate_photographs(config, system, progress)
         plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
-        dealer, tree = _joined(config, photographs, plan, progress)
+        dealer, tree = _join(config, photographs, plan, progress)
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
         emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **emulation}
@@ -120,7 +109,7 @@ def run(
     return RunResult(folder=config.out, metrics=metrics)
 
 
-def _checked_system(config: RunConfig) -> System:
+def _check_system(config: RunConfig) -> System:
     """Load the system and check the settings against it, before any stage runs."""
     if config.frames == "shared":
         detect_source(config.source)
@@ -128,26 +117,23 @@ def _checked_system(config: RunConfig) -> System:
     if config.emulated:
         require_emulable(system)
     if config.plan.file is not None:
+        if not config.plan.file.is_file():
+            raise BadInput(f"--plan {config.plan.file} is no file: give the plan.json that `radiant plan` wrote, or leave --plan out.")
         require_plan(config.plan.file, system)
     if config.execution.address is not None:
         require_cluster(config.execution.address)
     return system
 
 
-def _photographs(config: RunConfig, system: System, progress: Progress) -> Source:
-    """Return the source of the photographs, located."""
+def _locate_photographs(config: RunConfig, system: System, progress: Progress) -> Source:
     if config.frames != "shared":
         return DevicePhotographs.locate(config, system, progress)
     progress.listen(Outlined(stages=("sfm", *list_nodes(system), "evaluation")))
     return PooledPhotographs.reconstruct(config, progress)
 
 
-def _joined(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
-    """Fold the tree of a plan over devices, edges and the cloud, and score the scene.
-
-    Raises:
-        StageFailed: no device delivered a model that could be used.
-    """
+def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
+    """Fold the tree of a plan and score the scene; StageFailed where no model is usable."""
     first_key = plan_key(plan.cloud, plan.edges)
     if photographs.positions is not None:
         plan = load_replan(config.out, plan)

@@ -128,7 +128,7 @@ class PooledPhotographs:
         deal_files(self.images, held_out.names, folder / "photos")
         write_json(folder / OWN_NAME, {"images": str(folder / "photos")})
         given = [folder / "photos", *deal_masks(config.out, held_out.names, folder), folder / HELD_OUT_NAME, folder / INITIAL_NAME]
-        machine = ScoringMachine(id="evaluation", stage="evaluation", inputs=tuple(given))
+        machine = ScoringMachine(stage="evaluation", inputs=tuple(given))
         scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine])
         # Where the owner is, whatever runs the tree.
         write_json(folder / "result.json", scoring.run(LocalExecutor(num_workers=1, clock=progress.clock), progress))
@@ -156,7 +156,7 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
 
 
 def require_size(scene: SfmScene, long_side_px: int, lpips: LpipsNetwork | None = None) -> None:
-    """Raise BadInput where a photograph would become too small to be scored, with LPIPS if named."""
+    """Raise BadInput where a photograph would be too small to be scored, with LPIPS if named."""
     width, height = min(scene.cameras.scaled(long_side_px).sizes_wh.tolist(), key=min)
     least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (MIN_SIDE_PX[lpips] if lpips else 0, "LPIPS"))
     if min(width, height) < least_px:

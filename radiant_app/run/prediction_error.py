@@ -1,5 +1,4 @@
-"""Predicted against measured times of a finished run: rows for metrics.json and the report, bars
-for the Gantt chart.
+"""Predicted against measured times of a finished run, for metrics.json, report and Gantt chart.
 
 Measured: a device's `train_s` of its summary, and what its process needed beside it as initialising
 (start, reading, first Gaussians, writing; with `--frames gps` and `known` its own structure from
@@ -43,7 +42,7 @@ def save_system(run: Path, system: System) -> None:
 
 
 def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan]) -> dict[str, Any]:
-    """The predictions for metrics.json: predicted and measured stages, the makespan, the error with corrections on the way."""
+    """The predictions for metrics.json: stages, the makespan, the error with corrections."""
     system = load_system(run / SYSTEM_NAME)
     planned = planned_stages(system, edge_plans)
     measured = measured_seconds(run, manifest)
@@ -55,7 +54,7 @@ def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan])
         "stages": [_row(error) for error in errors],
         "makespan": None if whole is None else _row(whole),
         "median_error_percent": _median_error(errors),
-        "online": _online(system, edge_plans, manifest, measured),
+        "online": _online_errors(system, edge_plans, manifest, measured),
     }
 
 
@@ -95,7 +94,7 @@ def curves_note(system: System) -> str:
     for origin, names in groups.items():
         if not names:
             continue
-        whose = "all machines" if len(names) == len(system.devices) + len(system.edges) else _listed(names)
+        whose = "all machines" if len(names) == len(system.devices) + len(system.edges) else _list_names(names)
         kind, _, name = origin.partition(" ")
         known = {
             "default": "are a system file's defaults: guesses, not measured on this machine (`radiant profile` measures it)",
@@ -107,12 +106,12 @@ def curves_note(system: System) -> str:
     return " ".join(sentences)
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= MAX_NAMES else f"{', '.join(names[:MAX_NAMES])} and {len(names) - MAX_NAMES} more"
 
 
 def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None = None, manifest: Manifest | None = None) -> list[Any]:
-    """Rows of `gantt_picture`: edges above their devices; measured bars where a run is given, from when its first device began."""
+    """Rows of `gantt_picture`, edges above devices; with a run, measured bars from its start."""
     from radiant_viewer.charts.charts import TimelineSpan
     from radiant_viewer.charts.gantt_chart import GanttRow
 
@@ -154,10 +153,10 @@ def _measured_bars(run: Path, manifest: Manifest) -> dict[str, tuple[Any, ...]]:
     return bars
 
 
-def _online(
+def _online_errors(
     system: System, edge_plans: Sequence[EdgePlan], manifest: Manifest, measured: Mapping[tuple[str, str], float]
 ) -> list[dict[str, Any]]:
-    """After each machine but the last, in the order they finished: the error of what remained, as planned and as corrected by then."""
+    """The error of what remained after each machine, as planned and as corrected by then."""
     planned = planned_stages(system, edge_plans)
     times = manifest.emulated or manifest.stages
     order = sorted({row.node for row in planned if any(node == row.node for node, _ in measured)}, key=lambda node: times[node]["ended_s"])

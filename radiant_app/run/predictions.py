@@ -1,5 +1,4 @@
-"""Inputs and warnings of the plan's predictions: the training of the curves, and how many
-photographs a device's memory holds.
+"""Inputs and warnings of a plan's predictions: the curves' training, and the limits by memory.
 
 Once per plan. The limits come from the trainer's own model of memory (`train.memory`), which `plan`
 must not import.
@@ -23,7 +22,7 @@ from radiant_core.train.needs import Overrides, fit_to_backend
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
-    """The training of devices on a machine like this one; the training itself reports its decisions."""
+    """The training of devices on a machine like this one; it reports its decisions itself."""
     from radiant_core.render.rasterize import resolve_backend
 
     return fit_to_backend(train_preset(preset), resolve_backend("auto"), overrides)[0]
@@ -41,7 +40,7 @@ def training_key_of(train: TrainConfig, preset: Preset, aggregate: AggregatePres
 
 
 def depends_on_training(system: System) -> bool:
-    """Whether a plan of this system depends on the training: it names profiles, or memory without a count of cameras."""
+    """Whether a plan depends on the training: by profiles, or memory without a count of cameras."""
     machines: Sequence[Device | Edge] = (*system.devices, *system.edges)
     return any(machine.profile is not None for machine in machines) or any(map(_is_limited_by_memory, system.devices))
 
@@ -53,8 +52,7 @@ def with_camera_limits(
 
     A device holds as many photographs as fit with the Gaussians that its curve H has for them;
     `model_factor`: what H was multiplied by for uploads. Where all together hold too few of the
-    `num_cameras`, devices will train with fewer Gaussians, and only the photographs themselves are
-    a limit.
+    `num_cameras`, devices will train with fewer Gaussians, and only photographs are a limit.
     """
     limited = [device for device in system.devices if _is_limited_by_memory(device)]
     if not limited:
@@ -64,21 +62,21 @@ def with_camera_limits(
     def limits(share: float) -> dict[str, int]:
         from radiant_core.train.memory import most_cameras
 
-        def held(device: Device) -> int:
+        def capacity_of(device: Device) -> int:
             def splats_of(count: int) -> float:
                 return share * float(device.model_bytes(count)) / splat_bytes
 
             assert device.memory_bytes is not None
             return most_cameras(train, device.memory_bytes, splats_of, num_cameras)
 
-        return {device.id: held(device) for device in limited}
+        return {device.id: capacity_of(device) for device in limited}
 
-    def limited_to(found: dict[str, int]) -> System:
+    def limit_to(found: dict[str, int]) -> System:
         edges = (replace(e, devices=tuple(replace(d, max_cameras=found.get(d.id, d.max_cameras)) for d in e.devices)) for e in system.edges)
         return replace(system, edges=tuple(edges))
 
     found, warnings = limits(1.0), ()
-    capacity = system_capacity(limited_to(found), num_cameras)
+    capacity = system_capacity(limit_to(found), num_cameras)
     if capacity < num_cameras:
         warnings = (
             f"memory holds {capacity} of {num_cameras} photographs with all the Gaussians they call for: devices will train with fewer; "
@@ -95,7 +93,7 @@ def with_camera_limits(
         unit=f"GB at {least.id}",
         reason="photographs, Gaussians, one step and the libraries must fit; max_cameras in the system file says it by count",
     )
-    return limited_to(found), decision, warnings
+    return limit_to(found), decision, warnings
 
 
 def prediction_warnings(system: System, edge_plans: Sequence[EdgePlan], training: ProfileKey) -> tuple[str, ...]:

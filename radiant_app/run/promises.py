@@ -1,5 +1,4 @@
-"""The privacy promises that a run keeps, by source of photographs and executor. Once per run, for
-the report and metrics.json.
+"""The privacy promises that a run keeps, by source of photographs and executor. Once per run.
 
 A process of this machine reads only below its node's folder (traced in tests/app/test_field.py),
 but all run under one user. In a Ray cluster any task may run on any machine, list all of them and
@@ -24,7 +23,7 @@ class Promise:
 
 
 def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
-    """The promises of a run with these settings, as metrics.json keeps them; `pooled`: the photographs lay with one owner before."""
+    """The promises of a run with these settings; `pooled`: the photographs lay with one owner."""
     in_cluster = config.execution.executor == "ray"
     together = f"the photographs were pooled with one owner ({'--frames shared' if config.frames == 'shared' else 'one folder for all'})"
     cluster = "a Ray cluster is one owner's trust: every task there can list its machines and read their files"

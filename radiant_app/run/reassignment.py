@@ -1,11 +1,9 @@
-"""Reassigns the photographs of a lost device, where one owner has all, to devices that have not
-started.
+"""Reassigns the photographs of a lost device, where one owner has all, to devices not yet started.
 
 A device that has started keeps exactly its photographs, so that nothing is trained twice; `replan`
 deals the rest. The new plan replaces plan.json and lies in replanned/ with the key of the plan it
 was made from: a resumed run makes that plan again and continues with the new one. If no device can
-take the photographs, the edge goes on without them and the report says so. Runs once per lost
-device.
+take the photographs, the edge goes on without them, as reported. Runs once per lost device.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ class Reassignment:
     listen: Listener
 
     def __call__(self, lost: Tree, begun: Collection[str]) -> None:
-        """Reassign the photographs of the node `lost` while the nodes with ids in `begun` run or are done."""
+        """Reassign the photographs of `lost` while the nodes in `begun` run or are done."""
         if lost.tier != "device":
             return
         dealer, positions = self.dealer, self.positions
@@ -80,7 +78,7 @@ def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
 
 
 def load_replan(run: Path, plan: Plan) -> Plan:
-    """Return the plan that an interrupted run reassigned from this one, or this one if there is none."""
+    """The plan that an interrupted run reassigned from this one, or this one if there is none."""
     record = run / FOLDER / RECORD
     if not record.is_file() or read_json(record, ("first_plan",))["first_plan"] != plan_key(plan.cloud, plan.edges):
         return plan

@@ -1,8 +1,8 @@
-"""Scores a finished scene where its held-out photographs are, and combines the figures. Once per
-run.
+"""Scores a finished scene where its held-out photographs are. Once per run.
 
-Each machine scores the photographs that it has, in score/ of its folder: a device those it held
-out, or the owner of pooled photographs all of them. Figures travel, photographs do not.
+Each machine scores the photographs that it has: a device those it held out, in score/ of its
+folder, or the owner of pooled photographs all of them, in evaluation/. Figures travel, photographs
+do not.
 """
 
 from __future__ import annotations
@@ -36,13 +36,12 @@ from radiant_core.io.run_store import content_key, read_json
 
 @dataclass(frozen=True, kw_only=True)
 class ScoringMachine:
-    """A machine with held-out photographs, whose folder holds their cameras."""
+    """A machine with held-out photographs."""
 
-    id: str
-    """Its folder in the run."""
     stage: str
+    """The folder in the run where it scores."""
     inputs: tuple[Path, ...]
-    """The files of its folder that decide the figures."""
+    """Of its files those that decide the figures."""
     moves: tuple[Sim3, ...] = ()
     """From the frame of its cameras to the scene's, in order."""
     edge: str | None = None
@@ -68,7 +67,7 @@ class Scoring:
         nodes = tuple(Tree(id=machine.stage, tier="device") for machine in self.machines)
         executor.fold(Tree(id="scoring", tier="cloud", children=nodes), self._prepare, progress.listen)
         run = self.config.out
-        folders = [run / machine.id / "score" for machine in self.machines]
+        folders = [run / machine.stage for machine in self.machines]
         scores = {folder.parent.name: folder / SCORES_NAME for folder in folders if (folder / SCORES_NAME).is_file()}
         # Pictures of photographs leave a machine only where all are one owner's.
         for kind in PICTURE_KINDS if self.config.frames == "shared" or self.config.single_owner else ():
@@ -83,11 +82,11 @@ class Scoring:
         if machine is None:
             return None
         run, lpips = self.config.out, lpips_network_of(self.config)
-        folder = run / machine.id / "score"
-        inbox = folder / "inbox"
+        folder, inbox = run / node.id, run / node.id / "inbox"
         shutil.rmtree(inbox, ignore_errors=True)
         deal_files(run / "cloud", ["scene.ply"], inbox)
-        _deal_borders(run, inbox)
+        # The regions alone: a device receives no cameras, strips or devices of others.
+        save_plan(inbox / "plan.json", replace(load_plan(run / "plan.json")[0], edge_of_camera=np.zeros(0, np.int64)), ())
         if lpips:
             deal_files(run / "evaluation", [LPIPS_NAME], inbox)
         task = ScoreTask(
@@ -99,25 +98,17 @@ class Scoring:
         )
         save_task(folder, task)
         if machine.edge is not None:
-            identify_scoring(run, node.id, machine.id, machine.edge)
+            device = node.id.removesuffix("/score")
+            identify_scoring(run, node.id, device, machine.edge)
             given = [f"inbox/{path.name}" for path in sorted(inbox.iterdir())]
-            sign_task(run, machine.edge, machine.id, "score_task", folder, [TASK_NAME, *given])
+            sign_task(run, machine.edge, device, "score_task", folder, [TASK_NAME, *given])
         self.access_log.append({"node": node.id, "tier": "device", **count_received([inbox])})
         return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task_key(task), inbox, *machine.inputs))
 
 
-def _deal_borders(run: Path, inbox: Path) -> None:
-    """Write the regions alone: a device receives no cameras, strips or devices of others."""
-    cloud, _ = load_plan(run / "plan.json")
-    save_plan(inbox / "plan.json", replace(cloud, edge_of_camera=np.zeros(0, np.int64)), ())
-
-
 def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
-    """Combine the figures that machines wrote, by machine, into those of the scene for metrics.json.
-
-    Raises:
-        StageFailed: no machine has a held-out photograph.
-    """
+    """Combine the files of scores, by machine, into the figures of metrics.json; StageFailed where
+    no machine has a held-out photograph."""
     found = {name: read_json(path, ("images", "leakage", "seam_sums")) for name, path in scores.items()}
     images = [row for each in found.values() for row in each["images"]]
     if not images:

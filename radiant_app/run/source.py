@@ -46,5 +46,5 @@ class Source(Photographs, Protocol):
         ...
 
     def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
-        """Score the finished scene on the held-out photographs, in evaluation/, and complete the access log."""
+        """Score the finished scene on the held-out photographs; completes the access log."""
         ...

@@ -1,5 +1,4 @@
-"""The key of structure from motion: the used files of its source, by content. Once per run and
-resumed run.
+"""The key of structure from motion: the used files of its source, by content. Once per (re)start.
 
     sfm/source.json     file by name: size in bytes, time of change in ns, SHA-256
 
@@ -42,9 +41,9 @@ Files = dict[str, list[Any]]
 
 
 def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
-    """Return the key of structure from motion by a task in `folder`; warns if the finished result there is outdated."""
-    known = _recorded(folder)
-    files = _described(used_files(config.source, config.sfm.masks), known or {})
+    """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
+    known = _read_record(folder)
+    files = _describe_files(used_files(config.source, config.sfm.masks), known or {})
     settings = [message_record(task.sfm), message_record(task.placement)]
     key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, config.sfm.masks is None)
     if (folder / SEAL_NAME).is_file():
@@ -57,7 +56,7 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
 
 
 def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
-    """Name → file that structure from motion uses; of a COLMAP project its model and the images in it."""
+    """Name → file that structure from motion uses; of a COLMAP project its model and images."""
     kind, images, model = detect_source(source)
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
@@ -78,8 +77,7 @@ def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
     return {os.fsencode(name).decode(errors="backslashreplace"): path for name, path in found.items() if path.is_file()}
 
 
-def _recorded(folder: Path) -> Files | None:
-    """Read source.json; None if it is missing or damaged."""
+def _read_record(folder: Path) -> Files | None:
     try:
         record = read_json(folder / RECORD_NAME)
     except StoreDamaged:
@@ -88,10 +86,10 @@ def _recorded(folder: Path) -> Files | None:
     return record if whole else None
 
 
-def _described(paths: Mapping[str, Path], known: Files) -> Files:
+def _describe_files(paths: Mapping[str, Path], known: Files) -> Files:
     """Size, time and hash of each file; a known hash is kept if size and time are unchanged."""
 
-    def described(name: str) -> list[Any]:
+    def describe(name: str) -> list[Any]:
         status = paths[name].stat()
         size_and_time = [status.st_size, status.st_mtime_ns]
         if name in known and known[name][:2] == size_and_time:
@@ -102,19 +100,18 @@ def _described(paths: Mapping[str, Path], known: Files) -> Files:
             return [*size_and_time, UNREADABLE]
 
     with ThreadPoolExecutor(NUM_READERS) as pool:
-        return dict(zip(paths, pool.map(described, paths), strict=True))
+        return dict(zip(paths, pool.map(describe, paths), strict=True))
 
 
 def _change(known: Files, files: Files) -> str | None:
-    """Describe which photographs changed; None if none did."""
     changes = {
         "new": [name for name in files if name not in known],
         "gone": [name for name in known if name not in files],
         "with other content": [name for name, row in files.items() if name in known and known[name][2] != row[2]],
     }
-    changed = [f"{len(names)} {how} ({_named(names)})" for how, names in changes.items() if names]
+    changed = [f"{len(names)} {how} ({_list_names(names)})" for how, names in changes.items() if names]
     return f"photographs changed: {', '.join(changed)}" if changed else None
 
 
-def _named(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(names[:MAX_NAMED]) + (" …" if len(names) > MAX_NAMED else "")

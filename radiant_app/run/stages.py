@@ -1,4 +1,4 @@
-"""What all sources of photographs share: progress, the plan, the settings of training, the executor."""
+"""What all sources of photographs share: the plan, the settings of training, the executor."""
 
 from __future__ import annotations
 
@@ -38,25 +38,28 @@ from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import fit_to_backend
 
 ATTEMPTS = 3
-"""Starts of a node whose process was killed or whose machine was lost; more failures are no chance."""
+"""Starts of a node whose process or machine was lost; more failures are no chance."""
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of a retraining on the plain PyTorch backend."""
 
 
 def list_nodes(system: System) -> tuple[str, ...]:
-    """Ids of the nodes of a run before the plan: all devices and edges of the system, and the cloud."""
+    """Ids of the nodes of a run before the plan: all of the system's, and the cloud."""
     return (*(f"devices/{device.id}" for device in system.devices), *(f"edges/{edge.id}" for edge in system.edges), "cloud")
 
 
 def list_stages(tree: Tree) -> tuple[str, ...]:
-    """Ids of the nodes that are stages of the run: all but teachers, which are parts of their edges."""
+    """Ids of the nodes that are stages of the run: all but teachers, which are parts of edges."""
     return tuple(node.id for node in tree if node.tier != "teacher")
 
 
 def plan_stage(
     config: RunConfig, system: System, positions: FloatArray, origin: FloatArray | None, progress: Progress
 ) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
-    """Plan positions (C,2) m about `origin` (3,) lat lon alt (None: no GPS); writes plan.json. BadInput when no plan fits."""
+    """Plan positions (C,2) m about `origin` (3,) lat lon alt (None: no GPS); writes plan.json.
+
+    Raises BadInput when no plan fits.
+    """
     system = place_edges_by_raster(system, positions, origin, config.cell_m, config.seed)
     if config.plan.file is not None:
         # Captured photographs stay on their devices, whatever memory those have.
@@ -115,7 +118,7 @@ def load_plan_in_frame(path: Path, origin: FloatArray | None) -> tuple[CloudPlan
 
 
 def require_plan(path: Path, system: System) -> None:
-    """Raise BadInput for a plan without waypoints or for another system; called before any stage runs."""
+    """Raise BadInput for a plan without waypoints or for another system, before any stage runs."""
     _, edge_plans, _ = load_plan_before_capture(path)
     require_same_system(edge_plans, system)
 
@@ -151,7 +154,7 @@ def make_executor(config: RunConfig, system: System, progress: Progress, retry_p
 
 
 def make_time_left_listener(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> TimeLeftListener:
-    """Return a listener that forwards to `progress` and emits the remaining time after each device and edge."""
+    """Return a listener that forwards events and adds the time left after devices and edges."""
     return TimeLeftListener(
         listen=progress.listen,
         system=system,
@@ -181,7 +184,7 @@ def scale_for_uploads(system: System, upload: UploadFormat, progress: Progress) 
 
 
 def resolve_training(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, Renderer]:
-    """Return how devices train, how edges and the cloud join, and the backend of this machine; emits the decisions."""
+    """Return how devices train and tiers join, and this machine's backend; emits the decisions."""
     backend = resolve_backend("auto")
     preset = replace(train_preset(config.train.preset), seed=config.seed)
     train, decisions = fit_to_backend(preset, backend, config.train.overrides)

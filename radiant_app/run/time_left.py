@@ -1,4 +1,4 @@
-"""Remaining time of devices and edges, from the plan's curves corrected by the finished nodes. Runs once per finished node."""
+"""Remaining time of devices and edges, from the plan's corrected curves. Once per finished node."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from radiant_core.plan.system import System
 from radiant_core.plan.timeline.prediction import PlannedStage, correct_system, planned_stages, time_left_s
 
 OVERDUE_FACTOR = 4.0
-"""A node is overdue after this many times its predicted time: equal photographs differ by less than 2 (docs/experiments/emulation.md)."""
+"""A node is overdue at this many times its prediction: equal photographs differ by less than 2."""
 LEAST_S = 60.0
 """No node is overdue before: plans of small scenes leave out starting and loading."""
 
@@ -79,8 +79,7 @@ class TimeLeftListener:
 
     def _reason_over(self, node_id: str, ran_s: float, factor: float) -> str | None:
         expected_s = self._expected_s.get(node_id)
-        # A system file may be wrong by any factor: without a measured node of this tier none is
-        # overdue.
+        # A system file may be wrong by any factor: one node of the tier must be measured first.
         known = any(node.split("/")[0] == node_id.split("/", maxsplit=1)[0] for node, _ in self._measured)
         if expected_s is None or not known or ran_s < max(LEAST_S, factor * expected_s):
             return None

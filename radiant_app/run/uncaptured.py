@@ -1,8 +1,7 @@
-"""Deals planned positions that were not captured, since their device has no photograph, to the
-other devices.
+"""Deals planned positions whose device captured nothing to the other devices. Once per run.
 
 Only where devices keep their own photographs and the plan was made before capture. The run goes on
-without these positions, warns of them and writes a new plan for another flight. Once per run.
+without these positions, warns of them and writes a new plan for another flight.
 """
 
 from __future__ import annotations
@@ -29,11 +28,8 @@ UNCAPTURED = "uncaptured"
 def deal_uncaptured(
     run: Path, plan: tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints], system: System, delivered: Collection[str]
 ) -> str | None:
-    """Deal the positions of devices that are not in `delivered` to those that are, in uncaptured/;
-    returns a warning about them.
-
-    None if every device with waypoints has photographs. BadInput if the system is not the plan's.
-    """
+    """Deal positions of devices not in `delivered` to those that are, in uncaptured/; a warning, or
+    None if every device with waypoints has photographs. BadInput for another plan's system."""
     cloud, edges, waypoints = plan
     require_same_system(edges, system)
     ids = [device.id for device in system.devices]

@@ -1,10 +1,9 @@
-"""Identities and keys of nodes: what a node sends is signed, what it receives is verified in its
-own process.
+"""Identities and keys of nodes: what a node sends is signed, what it receives is verified.
 
-    <run>/run.json                    the run's number, drawn once: a delivery is valid in this run only
-    <node>/identity/                  post.json: run, node, receiver (its parent); the node's own key pair
+    <run>/run.json                    the run's number: a delivery is valid in this run only
+    <node>/identity/                  post.json: run, node, receiver (its parent); own key pair
         above.pub                     public key of its parent, whose tasks it accepts
-        taken.json                    the newest task it accepted, so that no older one is accepted again
+        taken.json                    the newest task it accepted: no older one is accepted again
         given/<node>/<kind>.json      number and hash of the newest task it signed for a child
     <node>/senders/<sender>.pub       public keys of its children, registered before they start
     <node>/deliveries/<sender>/       record and signature of what lies in inbox/<sender>/
@@ -12,8 +11,7 @@ own process.
 
 Models go up (`deliver`, `find_refusals`), tasks come down (`sign_task`, `accept_task`). The dealer
 of a run creates and exchanges keys (`exchange_keys`) and signs tasks with the key in their sender's
-folder; by hand: copy signing_key.pub to the parent's senders/ and to the children's above.pub. Once
-per node.
+folder; by hand: copy signing_key.pub to the parent's senders/ and to the children's above.pub.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.messages import sent_files as model_files
 from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
 from radiant_core.io.transport.acceptance import Acceptance, LastTask, Offer
@@ -57,15 +55,14 @@ def run_number(run: Path) -> str:
 
 
 def exchange_keys(run: Path, node: str, above: str | None, below: Iterable[str] = ()) -> None:
-    """Write a node's identity, create its key and exchange keys with its parent `above`, which has
-    one already; a new key is registered again by the nodes `below`.
+    """Write a node's identity and key, and exchange keys with its parent `above`, which has one.
 
-    A registered key stays, so that a node whose key was replaced is refused.
+    A new key is registered again by the nodes `below`; a registered one stays, so that a node whose
+    key was replaced is refused.
     """
     identity = _write_identity(run, node, node, above)
     if make_signing_key(identity):
-        # Signatures of the older key are invalid now: the seal no longer holds, and the node runs
-        # again.
+        # Signatures of the older key are invalid now: the seal fails, and the node runs again.
         (run / node / SIGNATURE_NAME).unlink(missing_ok=True)
         registrations = [run / child / IDENTITY / ABOVE_NAME for child in below]
         for stale in [*registrations, *([] if above is None else [_sender_key(run, node, above)])]:
@@ -108,8 +105,8 @@ def _register_key(key: Path, place: Path) -> None:
 
 
 def sign_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, names: Iterable[str]) -> None:
-    """Sign the files `names` in the folder `place` as a task of the node `sender` for `receiver`;
-    changed files make a new attempt. Record and signature are written to given/ beside them."""
+    """Sign the files `names` in `place` as a task of `sender` for `receiver`, into given/ there;
+    changed files make a new attempt."""
     files = describe_files({name: place / name for name in names})
     delivery = Delivery(run=run_number(run), sender=sender, receiver=receiver, kind=kind, attempt=1, files=files)
     counted = run / sender / IDENTITY / GIVEN / receiver / f"{kind}.json"
@@ -124,16 +121,16 @@ def sign_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, na
 
 
 def accept_task(folder: Path, kind: Kind) -> None:
-    """Raise BadInput unless `folder` holds the newest task that the parent signed for this node in this run; record it."""
+    """Raise BadInput unless `folder` holds the parent's newest task for this node; record it."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
-    delivery = load_delivery(folder / GIVEN, load_public_key(folder / IDENTITY / ABOVE_NAME))
+    delivery = _load_signed(folder / GIVEN, folder / IDENTITY / ABOVE_NAME, str(folder))
     if delivery.kind != kind:
         raise BadInput(f"{folder / GIVEN} has a {delivery.kind}, expected a {kind}: send the task again.")
     check_files(delivery, folder)
     require_nothing_else(delivery, folder)
     last, verdict = _last_task(folder, post).offer(_offer(delivery.receiver, delivery))
     if verdict.status == "rejected":
-        raise BadInput(f"the task in {folder} is refused: {verdict.reason}")
+        raise BadInput(f"the task in {folder} is refused: {verdict.reason}{_way_on(delivery, post['run'], str(folder))}")
     write_json(folder / IDENTITY / TAKEN_NAME, {"key": _key_of_above(folder), "attempt": last.attempt, "digest": last.digest})
 
 
@@ -152,7 +149,7 @@ def _key_of_above(folder: Path) -> str:
 
 
 def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
-    """Sign the files that a node sends, `paths`: name in the receiver's inbox → file; returns the names of record and signature."""
+    """Sign the files by their names in the receiver's inbox; the names of record and signature."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
     delivery = Delivery(
         run=post["run"],
@@ -171,14 +168,13 @@ def belongs_to_run(folder: Path) -> bool:
 
 
 def sign_upload(folder: Path) -> list[str]:
-    """Sign the model that a node of a run sends; returns the names written, none in a folder made by hand."""
+    """Sign the model that a node of a run sends; the names written, none in other folders."""
     return deliver(folder, model_files(folder)) if belongs_to_run(folder) else []
 
 
 def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:
-    """Sender → why the node in `folder` refuses its upload: not signed by its registered key, other
-    bytes than signed, of another run, addressed to another node, or a second one. `places`: sender
-    → folder with its files."""
+    """Sender → why the node in `folder` refuses its upload in `places`: not signed by its
+    registered key, other bytes than signed, of another run, for another node, or a second one."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node"), MAX_RECORD_BYTES)
     tier = "edges" if post["node"] == "cloud" else "devices"
     expected = {sender: f"{tier}/{sender}" for sender in senders}
@@ -186,7 +182,7 @@ def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Pat
     found = {}
     for sender in senders:
         try:
-            delivery = load_delivery(folder / DELIVERIES / sender, load_public_key(folder / SENDERS / f"{sender}.pub"))
+            delivery = _load_signed(folder / DELIVERIES / sender, folder / SENDERS / f"{sender}.pub", expected[sender])
             if delivery.kind != _KINDS[tier]:
                 raise BadInput(f"it sent a {delivery.kind}, expected a {_KINDS[tier]}.")
             check_files(delivery, places[sender])
@@ -195,8 +191,24 @@ def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Pat
             continue
         acceptance, verdict = acceptance.offer(_offer(sender, delivery))
         if verdict.status == "rejected":
-            found[sender] = verdict.reason
+            found[sender] = verdict.reason + _way_on(delivery, post["run"], expected[sender])
     return found
+
+
+def _load_signed(place: Path, key: Path, node: str) -> Delivery:
+    """As `load_delivery`; a wrong signature says what to do with the folder of `node`."""
+    try:
+        return load_delivery(place, load_public_key(key))
+    except StoreDamaged:
+        raise
+    except BadInput as error:
+        raise BadInput(f"{error}{_way_on(None, '', node)}") from error
+
+
+def _way_on(delivery: Delivery | None, run: str, node: str) -> str:
+    if delivery is not None and delivery.run == run:
+        return ""
+    return f" If the folder {node} was put here from another run, remove it and go on with --resume."
 
 
 def _offer(region: str, delivery: Delivery) -> Offer:
@@ -211,7 +223,6 @@ def _offer(region: str, delivery: Delivery) -> Offer:
 
 
 def _last_attempt(folder: Path) -> int:
-    """The attempt in the node's last record, 0 without a readable one."""
     try:
         attempt = read_json(folder / RECORD_NAME, ("attempt",), MAX_RECORD_BYTES)["attempt"]
     except BadInput:

@@ -35,7 +35,7 @@ from radiant_core.evaluate.image_error import (
     ssim,
 )
 from radiant_core.evaluate.image_pair import Used
-from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
+from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.seam_error import seam_masks, seam_sums
 from radiant_core.hierarchy.joining import moved_cameras
 from radiant_core.io.messages import MODEL_NAME
@@ -71,9 +71,9 @@ class HeldOutViews:
 
 
 def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
-    """Score the scene in inbox/ on the held-out photographs of this machine, whose folder is above;
-    writes scores.json and three pictures per photograph."""
-    own, inbox = folder.parent, folder / "inbox"
+    """Score the scene in inbox/ on the held-out photographs of this machine; writes scores.json and
+    three pictures per photograph."""
+    own, inbox = folder.parent if task.owned else folder, folder / "inbox"
     images = Path(read_json(own / OWN_NAME, ("images",))["images"])
     cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
     sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
@@ -83,7 +83,8 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
         cameras = replace(cameras, names=tuple(f"{own.name}/held-out-{index:04d}" for index in range(len(cameras))))
     views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME))
     scene, (plan, _) = load_ply(inbox / "scene.ply"), load_plan(inbox / "plan.json")
-    figures, rendered = score_views(scene, plan, views, task, load_dealt_lpips(inbox, task.lpips), reporter)
+    lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
+    figures, rendered = score_views(scene, plan, views, task, lpips, reporter)
     pictures = [
         name
         for view, photograph, pixels in zip(rendered, photographs, used, strict=True)
@@ -102,7 +103,12 @@ def score_views(
     cameras = views.cameras
     for move in task.corrections:
         cameras = moved_cameras(cameras, move.sim3)
-    report = _report_views(3 * len(cameras), reporter)
+    seen = count(1)
+
+    def report(view: RenderedView) -> RenderedView:
+        reporter.progress(next(seen), 3 * len(cameras), view.name)
+        return view
+
     rendered = [report(view) for view in render_views(scene, cameras, task.backend)]
     untrained = [report(view) for view in render_views(views.initial, views.cameras, task.backend)]
     rows = []
@@ -125,11 +131,6 @@ def _measure_leakage(own: Path, images: Path, task: ScoreTask, reporter: EventRe
         reporter.progress(done, len(cameras), "synthetic views against photographs")
     mean = np.mean(figures, axis=0)
     return {"psnr_db": float(mean[0]), "ssim": float(mean[1]), "num_images": len(figures)}
-
-
-def load_dealt_lpips(folder: Path, network: LpipsNetwork | None) -> Lpips | None:
-    """Load the LPIPS network that a task names from `folder`; None if it names none."""
-    return load_lpips(folder / LPIPS_NAME, network) if network else None
 
 
 def score_render(
@@ -209,14 +210,3 @@ def region_width(plan_sites: NDArray[np.float64]) -> float:
     """Half the width of the band beside a border: 1/20 of the least distance between two edges."""
     gaps = np.linalg.norm(plan_sites[:, None] - plan_sites, axis=2)
     return float(gaps[gaps > 0].min()) / 20 if (gaps > 0).any() else 1.0
-
-
-def _report_views(total: int, reporter: EventReporter) -> Callable[[RenderedView], RenderedView]:
-    """Return a function that reports progress for each view and returns it."""
-    seen = count(1)
-
-    def report(view: RenderedView) -> RenderedView:
-        reporter.progress(next(seen), total, view.name)
-        return view
-
-    return report

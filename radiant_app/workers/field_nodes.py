@@ -108,7 +108,7 @@ def run_field(folder: Path, task: FieldTask, reporter: EventReporter) -> Sequenc
 
 
 def _reuse_model(folder: Path, made_from: dict[str, str], reporter: EventReporter) -> Sequence[str] | None:
-    """The files of a device that is done with photographs of this content; None if it must train."""
+    """The files of a device that is done with these photographs; None if it must train."""
     if not (folder / MADE_FROM).is_file() or not (folder / SEAL_NAME).is_file():
         return None
     before, sealed = read_json(folder / MADE_FROM, ("key", "photographs")), read_json(folder / SEAL_NAME, ("key", "files"))

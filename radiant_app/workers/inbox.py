@@ -1,7 +1,6 @@
 """Reads the models that arrived at an edge or the cloud. Once per join.
 
-Signatures, lengths and hashes are checked here, before a model is read; its content is checked by
-`radiant_core.hierarchy.joining`.
+Signatures, lengths and hashes are checked here, before a model is read.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.view_file import load_view
 
 REFUSED_NAME, CORRECTIONS_NAME = "refused.json", "corrections.json"
-"""Files of a node: refused sender → reason, and sender → how its model was moved. Neither is sent."""
+"""Files of a node, never sent: refused sender → reason; sender → how its model was moved."""
 
 
 def receive_device_models(folder: Path, task: EdgeTask) -> dict[str, DeviceModel | str]:
-    """Device → its model, with the views that teachers rendered, or the reason why the edge refuses it."""
+    """Device → its model, with its teacher's views, or the reason why the edge refuses it."""
     found: dict[str, DeviceModel | str] = {}
     rejected = _find_unsigned(folder, task.devices)
     for name in task.devices:
@@ -52,7 +51,7 @@ def teacher_view_name(index: int) -> str:
 
 
 def load_teacher_views(teacher: Path, cameras: Cameras) -> Rendered:
-    """The views that a teacher has written for `cameras`, all or the first ones; raises as `load_view`."""
+    """The views that a teacher has written for `cameras`, maybe not all; raises as `load_view`."""
     sizes = {index: (int(width), int(height)) for index, (width, height) in enumerate(cameras.sizes_wh)}
     written = {index: size for index, size in sizes.items() if (teacher / teacher_view_name(index)).exists()}
     return {index: load_view(teacher / teacher_view_name(index), *size) for index, size in written.items()}
@@ -61,11 +60,8 @@ def load_teacher_views(teacher: Path, cameras: Cameras) -> Rendered:
 def save_joining(
     folder: Path, corrections: Mapping[str, Sim3 | None], refused: Mapping[str, str], frame: FrameUncertainty | None
 ) -> list[str]:
-    """Write the move of each sender, the refused ones and the uncertainty of the joined frame;
-    returns the names of the files.
-
-    Only the last is sent to the next tier: it names no sender.
-    """
+    """Write moves, refusals and the joined frame's uncertainty; the names of the files, of which
+    only the last is sent to the next tier: it names no sender."""
     write_json(folder / CORRECTIONS_NAME, {name: None if move is None else sim3_record(move) for name, move in corrections.items()})
     write_json(folder / REFUSED_NAME, dict(refused))
     missing = None if any(move is not None for move in corrections.values()) else ""

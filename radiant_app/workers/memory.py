@@ -15,7 +15,7 @@ OUT_OF_MEMORY = "not enough memory: lower --max-splats or --long-side-px, free s
 
 
 def reset_peak_bytes() -> int:
-    """Reset the peak, since imports alone may have peaked higher (Linux); returns the resident bytes."""
+    """Reset the peak, since imports may have peaked higher (Linux); returns the resident bytes."""
     Path("/proc/self/clear_refs").write_text("5")
     return _status_bytes("VmRSS")
 
@@ -26,12 +26,8 @@ def resident_bytes() -> int:
 
 
 def base_bytes_in(folder: Path, now_bytes: int) -> int:
-    """Bytes that the first process to train in `folder` held before: `now_bytes` at the first call,
-    then from memory.json.
-
-    They limit the number of Gaussians, which is part of the checkpoints' key: a process that
-    resumes after a kill holds other bytes and would otherwise start again.
-    """
+    """Bytes that the first process to train in `folder` held before, as memory.json keeps them:
+    they limit the Gaussians; with the bytes of a later process its checkpoints would not fit."""
     path = folder / BASE_NAME
     try:
         base_bytes = read_json(path, ("base_bytes",))["base_bytes"] if path.is_file() else None
@@ -54,7 +50,7 @@ def peak_bytes() -> int:
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error reports exhausted memory: torch raises a RuntimeError, numpy and Python a MemoryError."""
+    """Whether memory is exhausted: torch raises a RuntimeError, numpy and Python a MemoryError."""
     return isinstance(error, MemoryError) or "can't allocate memory" in str(error)
 
 
@@ -64,7 +60,7 @@ def _status_bytes(name: str) -> int:
 
 
 def available_bytes(proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> int:
-    """Bytes that this process can still allocate: those the machine has free, page cache included, or fewer within a container's limit."""
+    """Bytes that this process can still allocate: those free, or fewer in a limited container."""
     return max(0, min([_machine_bytes(proc), *_container_bytes(proc, groups)]))
 
 
@@ -78,7 +74,7 @@ def _machine_bytes(proc: Path) -> int:
 
 
 def _container_bytes(proc: Path, groups: Path) -> Iterator[int]:
-    """Bytes that the control groups (v2, v1) of this process leave of their limits; cached files count as free."""
+    """Bytes that this process's control groups (v2, v1) leave; cached files count as free."""
     try:
         lines = [line.split(":", 2) for line in (proc / "self" / "cgroup").read_text().splitlines()]
     except OSError:

@@ -13,8 +13,8 @@ Each reads task.json, and beside it, below its folder:
              → as device, virtual_{cameras,views}.safetensors
     cloud    inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors
              → scene.ply, summary.json
-    score    inbox/{scene.ply,plan.json}; in the folder above, that of its machine, the held-out
-             photographs, their cameras and masks, initial.safetensors
+    score    inbox/{scene.ply,plan.json}, {held_out,initial}.safetensors, own.json, photos/, masks/,
+             of a device all but the inbox in the folder above
              → scores.json, renders/, photographs/, differences/
 
 `field_nodes.py` has those of devices that place their own photographs.
@@ -44,7 +44,7 @@ CUT_NAME = "cut_for_memory"
 """Empty file in the cloud's folder: models were cut because its machine had too little memory."""
 
 Work = Callable[[Path, Any, EventReporter], Sequence[str]]
-"""The work of a kind of node in its folder with its task; returns the relative names of its files."""
+"""The work of a kind of node in its folder with its task; returns the names of its files."""
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit, work: Work | None = None) -> Sequence[str]:

@@ -76,7 +76,7 @@ class Redactor:
 
 
 def make_redactor(kind: str, folder: Path) -> Redactor:
-    """Return the redactor of a node; it redacts nothing unless the kind of node opens a device's own photographs."""
+    """The redactor of a node, for kinds of node that open a device's own photographs."""
     place = folder.parent if kind == "score" else folder
     notes = place / NOTES_NAME
     if kind not in ("positions", "field", "score"):
@@ -84,7 +84,7 @@ def make_redactor(kind: str, folder: Path) -> Redactor:
     try:
         task = read_json(place / "task.json")
     except RadiantError:
-        # Without a task no photograph is opened: the node only reports on the task.
+        # Without a task no device's own photograph is opened.
         return Redactor(notes=notes)
     # Not parsed as a message: the error about an invalid task is redacted too.
     task = task.get("placing", task) if isinstance(task, dict) else {}

@@ -23,7 +23,7 @@ from radiant_core.plan.system import Edge, System
 
 
 def regions_task(raster: CountRaster, system: System, method: PlanMethod) -> RegionsTask:
-    """Return all that the cloud receives: the raster and the position, curve and capacity of each edge."""
+    """All that the cloud receives: the raster and the position, curve and capacity of each edge."""
     known = system_without_devices(system, int(raster.counts.sum()))
     edges = [
         PlannedEdge(
@@ -50,7 +50,7 @@ def plan_regions_of_task(task: RegionsTask) -> CloudPlan:
 
 
 def plan_from_raster(system: System, positions: FloatArray, cell_m: float, method: PlanMethod) -> CloudPlan:
-    """Plan from the raster of cameras (C,2) m in this process, for placed edges; raises as `plan_regions_of_task`."""
+    """Plan from the raster of cameras (C,2) m, for placed edges; raises as the function above."""
     regions = plan_regions_of_task(regions_task(count_raster(positions, cell_m), system, method))
     return assign_to_regions(regions, positions, system)
 

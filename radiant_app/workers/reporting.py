@@ -1,4 +1,4 @@
-"""`EventReporter` turns reports of a node into events of the run; the notes of a finished node keep them."""
+"""`EventReporter` turns reports of a node into events of the run; a node's notes keep them."""
 
 from __future__ import annotations
 

@@ -18,11 +18,8 @@ SourceKind = Literal["photographs", "colmap", "mill19"]
 
 
 def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
-    """Kind, folder of photographs, and the COLMAP model's folder if there is one.
-
-    A folder with `images/` beside `sparse/` is a COLMAP project, one with `train/metadata` is Mill
-    19, any other holds photographs. Raises BadInput when it is no folder.
-    """
+    """Kind, folder of photographs, and the COLMAP model's folder if there is one: `images/` beside
+    `sparse/` is a COLMAP project, `train/metadata` is Mill 19. BadInput when it is no folder."""
     if not source.is_dir():
         raise BadInput(f"{source} is no folder: give a folder of photographs, a COLMAP project or a Mill 19 folder.")
     if (source / "train" / "metadata").is_dir():
@@ -36,7 +33,7 @@ def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
 
 
 def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
-    """Name, size and modification time of every file of the source, without the run `own` inside it."""
+    """Name, size and modification time of the source's files, without the run `own` inside it."""
     own = own.resolve()
     files = [path for path in source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(own)]
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
@@ -65,13 +62,13 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
 
 
 def sfm_record(result: SfmResult, folder: Path) -> dict[str, Any]:
-    """Return the content of result.json: where photographs and masks are, and which photographs have no pose."""
+    """The content of result.json: the photographs' and masks' places, photographs without pose."""
     masks = {} if result.masks_folder is None else {"masks": portable_path(result.masks_folder, folder)}
     return {"images": portable_path(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks}
 
 
 def portable_path(images: Path, folder: Path) -> str:
-    """The path of `images`, relative if it lies in `folder`, so that a run can be moved; absolute otherwise."""
+    """The path of `images`, relative if it lies in `folder`, so that a run can be moved."""
     images, folder = images.resolve(), folder.resolve()
     return str(images.relative_to(folder) if images.is_relative_to(folder) else images)
 
@@ -95,12 +92,8 @@ def load_scene_of(folder: Path) -> SfmScene:
 
 
 def load_scored_scene(folder: Path) -> tuple[SfmScene, tuple[str, ...], Path]:
-    """Load a scene without photographs that repeat others; returns also warnings about those, and
-    the folder of photographs.
-
-    Scenes made elsewhere or by an earlier version may hold copies, and a held-out photograph must
-    not be trained on under another name.
-    """
+    """A scene without photographs that repeat others, warnings about those, and its photographs:
+    a held-out one must not be trained on under another name."""
     from radiant_core.sfm.copies import without_repeats
 
     scene, images = load_scene_of(folder), images_folder_of(folder)
@@ -116,7 +109,7 @@ def images_folder_of(folder: Path) -> Path:
 
 
 def masks_folder_of(folder: Path) -> Path | None:
-    """The folder of a scene's masks, as large as the photographs of `images_folder_of`; None where it has none."""
+    """The folder of masks as large as the photographs of `images_folder_of`; None where none is."""
     owner = _owner_of_scene(folder)
     masks = read_json(owner / "result.json").get("masks") if (owner / "result.json").is_file() else None
     return None if masks is None else owner / masks

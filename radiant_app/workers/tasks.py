@@ -5,13 +5,10 @@ A node of a run accepts its task only if its parent signed it (`delivering.accep
 parses strictly as the class of its kind: no unknown key, no number as text, nothing infinite, no
 path that leaves a folder. Folders without an identity, made by hand, hold unsigned tasks.
 
-| worker         | task          | from      | signed                                                 |
-|----------------|---------------|-----------|--------------------------------------------------------|
-| device, field  | what to train | its edge  | yes                                                    |
-| score          | the scene     | its edge  | yes                                                    |
-| edge           | what to join  | the cloud | yes                                                    |
-| teacher, cloud | what to do    | itself    | no: parts of an edge, and the root                     |
-| score of all   | the scene     | the owner | no: the owner of pooled photographs gives it to itself |
+    device, field   what to train   signed by its edge
+    score           the scene       signed by its device's edge; not where the owner scores all
+    edge            what to join    signed by the cloud
+    teacher, cloud  what to do      not signed: a teacher is a part of its edge, the cloud the root
 """
 
 from __future__ import annotations
@@ -166,8 +163,8 @@ class ScoreTask:
     backend: Renderer
     lpips: LpipsNetwork | None
     owned: bool
-    """Whether they are a device's own: figures then come under numbers and with the leakage of its
-    synthetic views."""
+    """Whether they are a device's own, whose folder is that above: figures then come under numbers
+    and with the leakage of its synthetic views."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,7 +40,7 @@ def save_signed_model(folder: Path, task: DeviceTask, model: DeviceModel, report
 
 
 def make_machine(folder: Path, checkpoint_every_s: float, reporter: EventReporter, *, limited: bool = False) -> Machine:
-    """Return the resources of this machine for a node; with `limited` memory the bytes that the process already holds count."""
+    """This machine's resources for a node; if `limited`, with the bytes that the process holds."""
     from radiant_core.hierarchy.reporter import Machine
     from radiant_core.train.checkpoint import CheckpointFolder
 

@@ -1,5 +1,4 @@
-"""A worker process: runs one node in its folder. Started by an executor as `python -m
-radiant_app.workers.worker KIND FOLDER STAGE KEY`.
+"""A worker process: `python -m radiant_app.workers.worker KIND FOLDER STAGE KEY` runs one node.
 
 Standard output carries events, one per line; everything else goes to the node's log.txt. Standard
 input is a pipe that the executor holds open: when it closes, the executor is gone and so is the
@@ -34,12 +33,11 @@ DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
 
 
 def main(arguments: list[str], work: Work | None = None) -> int:
-    """Run one node and seal its folder; the exit code says whether it is done. `work` as in `nodes.run_node`."""
+    """Run one node and seal its folder; returns an exit code. `work` as in `nodes.run_node`."""
     kind, folder, stage, key = arguments
     if stat.S_ISFIFO(os.fstat(0).st_mode):
         threading.Thread(target=_exit_with_executor, daemon=True).start()
-    # Libraries print to file descriptor 1 too (C++ logs): events keep the real one, other output
-    # goes to the log.
+    # Libraries print to file descriptor 1 too: events keep the real one, the rest goes to the log.
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 

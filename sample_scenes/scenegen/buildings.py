@@ -28,7 +28,8 @@ METAL, BRICK, WHITE = linear(0.70, 0.71, 0.72), linear(0.55, 0.33, 0.27), linear
 
 
 def add_house(builder: MeshBuilder, place: Placement, size_m: tuple[float, float], rng: np.random.Generator) -> None:
-    """Add a house of size_m (along the ridge, across) with a gabled roof, a chimney and perhaps a dormer and an annexe."""
+    """Add a house of size_m (along the ridge, across) with a gabled roof, a chimney and perhaps a
+    dormer and an annexe."""
     length, width = size_m
     number = int(rng.integers(1, 2**30))
     wall = Look(material=Material.WALL, tint=PLASTERS[rng.integers(len(PLASTERS))], number=number)
@@ -83,7 +84,8 @@ def _add_walls(builder: MeshBuilder, place: Placement, size_m: tuple[float, floa
 def _add_gabled_roof(
     builder: MeshBuilder, place: Placement, size_m: tuple[float, float], z: tuple[float, float], looks: tuple[Look, Look]
 ) -> None:
-    """Two gable triangles and two slopes that hang over by the eaves; z are the heights of eaves and ridge."""
+    """Two gable triangles and two slopes that hang over by the eaves; z are the heights of eaves
+    and ridge."""
     (length, width), (eaves_z, ridge_z), (wall, tiles) = size_m, z, looks
     fall = (ridge_z - eaves_z) / (width / 2.0)
     half_l, half_w, low_z = length / 2.0 + EAVES_M, width / 2.0 + EAVES_M, eaves_z - EAVES_M * fall

@@ -24,7 +24,8 @@ def option(default: Any, help_text: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneConfig:
-    """The switches of one generated scene; lengths in metres of the scene's own east-north-up frame."""
+    """The switches of one generated scene; lengths in metres of the scene's own east-north-up
+    frame."""
 
     num_cameras: int = option(60, "Photographs to take, nadir and oblique together.")
     extent_m: tuple[float, float] = option((120.0, 80.0), "Width (east) and height (north) of the area flown over.")
@@ -69,7 +70,8 @@ class SceneConfig:
         return self.width_px * 24.0 / 36.0
 
     def _check_lens_unfolds(self) -> None:
-        """r (1 + k1 r²) turns back at r = √(-1/(3 k1)), where it is 2/3 of that r: the corner must stay inside."""
+        """r (1 + k1 r²) turns back at r = √(-1/(3 k1)), where it is 2/3 of that r: the corner must
+        stay inside."""
         if self.distortion_k1 >= 0.0:
             return
         corner = math.hypot(self.width_px, self.height_px) / 2.0 / self.focal_px

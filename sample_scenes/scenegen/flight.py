@@ -23,7 +23,8 @@ GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """One photograph's name, cam_from_world (4,4), GPS position (3,) m east-north-up, time s and exposure in stops."""
+    """One photograph's name, cam_from_world (4,4), GPS position (3,) m east-north-up, time s and
+    exposure in stops."""
 
     name: str
     cam_from_world: NDArray[np.float64]
@@ -57,7 +58,8 @@ def plan_flight(config: SceneConfig) -> list[Shot]:
 
 
 def look_pose(center: NDArray, forward: NDArray, up: NDArray) -> NDArray[np.float64]:
-    """cam_from_world (4,4), OpenCV axes, of a camera at center (3,) looking along forward with its top towards up."""
+    """cam_from_world (4,4), OpenCV axes, of a camera at center (3,) looking along forward with its
+    top towards up."""
     z = forward / np.linalg.norm(forward)
     x = np.cross(z, up)
     x /= np.linalg.norm(x)
@@ -68,7 +70,8 @@ def look_pose(center: NDArray, forward: NDArray, up: NDArray) -> NDArray[np.floa
 
 
 def _nadir_poses(config: SceneConfig, count: int, rng: np.random.Generator) -> list[NDArray[np.float64]]:
-    """Rows along x, flown to and fro; the image's top points along the flight, tilted by a few degrees."""
+    """Rows along x, flown to and fro; the image's top points along the flight, tilted by a few
+    degrees."""
     width, height = config.extent_m
     num_rows = min(count, max(1, round(np.sqrt(count * 0.75 * height / width))))
     poses = []

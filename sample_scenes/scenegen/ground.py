@@ -47,7 +47,8 @@ CROPS = np.stack([linear(0.46, 0.51, 0.30), linear(0.68, 0.63, 0.44), linear(0.5
 
 @dataclass(frozen=True, kw_only=True)
 class GroundSamples:
-    """Hit points on the ground (N,): block numbers i j, block coordinates a b, and noise in [-1/2, 1/2) of four sizes."""
+    """Hit points on the ground (N,): block numbers i j, block coordinates a b, and noise in [-1/2,
+    1/2) of four sizes."""
 
     i: NDArray[np.int32]
     j: NDArray[np.int32]
@@ -123,7 +124,8 @@ def _stony(color: Floats, s: GroundSamples, contrast: float) -> Floats:
 
 
 def _gardens(layout: Layout, s: GroundSamples) -> Floats:
-    """Lots with lawns of their own tint, a drive to the street, a terrace behind the house, a bed, a pool or a trampoline."""
+    """Lots with lawns of their own tint, a drive to the street, a terrace behind the house, a bed,
+    a pool or a trampoline."""
     width, depth = (BLOCK_U_M - 2 * PAVEMENT_HALF_M) / LOTS_U, (BLOCK_V_M - 2 * PAVEMENT_HALF_M) / LOTS_V
     column = np.clip(np.floor(s.a / width + LOTS_U / 2), 0, LOTS_U - 1).astype(np.int32)
     row = (s.b > 0).astype(np.int32)

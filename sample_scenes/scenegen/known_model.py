@@ -43,7 +43,8 @@ def write_known_model(folder: Path, photographer: Photographer, shots: list[Shot
 
 
 def _surface_points(photographer: Photographer, shots: list[Shot]) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Points (P,3) within reach of the flight that random pixels of all photographs see, with their colours (P,3)."""
+    """Points (P,3) within reach of the flight that random pixels of all photographs see, with their
+    colours (P,3)."""
     config = photographer.config
     rng = np.random.default_rng([config.seed, 2])
     # An eighth more than asked for: points beyond the area and points seen once fall away.

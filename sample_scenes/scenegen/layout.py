@@ -1,8 +1,8 @@
 """Where things lie: streets, blocks and the height of the ground, as functions of the position
 alone.
 
-    (u, v) = warp(R (x, y))          town coordinates; streets are the lines u = k·52 m and v = l·40 m
-    z = height_m(x, y)               rolling ground + mounds in parks + one terraced quarry + hills at the horizon
+    (u, v) = warp(R (x, y))          town coordinates, streets the lines u = k·52 m and v = l·40 m
+    z = height_m(x, y)               rolling ground + mounds in parks + a terraced quarry + hills
 
 The same functions place the buildings (once per scene) and paint the ground (once per ray), so both
 always agree.
@@ -123,7 +123,8 @@ class Layout:
 
 
 def street_distance_m(a: NDArray, b: NDArray) -> NDArray:
-    """Distance to the nearest street's middle line from block coordinates a, b (N,), measured from the block's middle."""
+    """Distance to the nearest street's middle line from block coordinates a, b (N,), measured from
+    the block's middle."""
     return np.minimum(BLOCK_U_M / 2.0 - np.abs(a), BLOCK_V_M / 2.0 - np.abs(b))
 
 

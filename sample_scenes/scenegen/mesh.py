@@ -31,7 +31,8 @@ class Material(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """How a piece is painted: its material, its base colour (3,) linear RGB, and its object's number."""
+    """How a piece is painted: its material, its base colour (3,) linear RGB, and its object's
+    number."""
 
     material: Material
     tint: Floats
@@ -40,7 +41,8 @@ class Look:
 
 @dataclass(frozen=True, kw_only=True)
 class Mesh:
-    """Vertices (P,3) m with normals (P,3) and texture coordinates (P,2); triangles (T,3) with the parts of their look (T,…)."""
+    """Vertices (P,3) m with normals (P,3) and texture coordinates (P,2); triangles (T,3) with the
+    parts of their look (T,…)."""
 
     vertices: Floats
     normals: Floats
@@ -59,7 +61,8 @@ class MeshBuilder:
     num_vertices: int = 0
 
     def add(self, vertices: NDArray, triangles: NDArray, normals: NDArray, uvs: NDArray, look: Look) -> None:
-        """Add an indexed piece: vertices (P,3), triangles (T,3), normals (P,3), uvs (P,2), one look."""
+        """Add an indexed piece: vertices (P,3), triangles (T,3), normals (P,3), uvs (P,2), one
+        look."""
         self.pieces.append(
             Mesh(
                 vertices=vertices.astype(np.float32),
@@ -103,7 +106,8 @@ class Placement:
 
 
 def add_prism(builder: MeshBuilder, place: Placement, outline: tuple[NDArray, NDArray], z: tuple[float, float], look: Look) -> None:
-    """Add the sides between a bottom and a top outline (K,2) at two heights; uvs are metres along and up."""
+    """Add the sides between a bottom and a top outline (K,2) at two heights; uvs are metres along
+    and up."""
     bottom, top = (np.column_stack([line, np.full(len(line), height)]) for line, height in zip(outline, z, strict=True))
     for k in range(len(bottom)):
         n = (k + 1) % len(bottom)

@@ -1,7 +1,7 @@
 """Texture from hashed integer lattice points: the same numbers on every machine, for any
 coordinate, without a table.
 
-    value(x, y) = Σ_corners w_corner · hash(⌊x/cell⌋ + cx, ⌊y/cell⌋ + cy, salt),   w = smoothstep weights
+    value(x, y) = Σ_corners w_corner · hash(⌊x/cell⌋ + cx, ⌊y/cell⌋ + cy, salt),  w smoothstep
 
 Runs a dozen times per ray, so everything is one pass over uint32 or float32 arrays. Callers hand
 over strips of some 10⁴ samples: in-cache numpy needs about 20 ns per value.
@@ -20,7 +20,8 @@ _UNIT = np.float32(2.0**-24)
 
 
 def mix_bits(bits: Hashes) -> Hashes:
-    """Scramble uint32 values in place so that every input bit reaches every output bit; returns its argument."""
+    """Scramble uint32 values in place so that every input bit reaches every output bit; returns its
+    argument."""
     bits ^= bits >> np.uint32(16)
     bits *= np.uint32(0x7FEB352D)
     bits ^= bits >> np.uint32(15)
@@ -35,7 +36,8 @@ def hash_unit(i: NDArray[np.integer], j: NDArray[np.integer], salt: int) -> Floa
 
 
 def value_noise(x: Floats, y: Floats, cell_m: float, salt: int) -> Floats:
-    """Smooth noise in [0, 1) with features of cell_m metres at x, y (N,), on a lattice turned by an angle of its own."""
+    """Smooth noise in [0, 1) with features of cell_m metres at x, y (N,), on a lattice turned by an
+    angle of its own."""
     turn = 0.7 + 2.3 * salt
     c, s = np.float32(np.cos(turn) / cell_m), np.float32(np.sin(turn) / cell_m)
     across, along = c * x - s * y, s * x + c * y
@@ -50,13 +52,15 @@ def value_noise(x: Floats, y: Floats, cell_m: float, salt: int) -> Floats:
 
 
 def detail_noise(x: Floats, y: Floats, cell_m: float, salt: int, footprint_m: Floats) -> Floats:
-    """value_noise - 1/2, faded out where a pixel covers a whole cell, so that far surfaces do not sparkle."""
+    """value_noise - 1/2, faded out where a pixel covers a whole cell, so that far surfaces do not
+    sparkle."""
     fade = np.clip(cell_m / (2.0 * footprint_m) - np.float32(0.5), 0.0, 1.0)
     return (value_noise(x, y, cell_m, salt) - np.float32(0.5)) * fade
 
 
 def gaussian_noise(count: int, salt: int) -> Floats:
-    """count independent standard normal numbers, by Box and Muller from two hashes of the position."""
+    """count independent standard normal numbers, by Box and Muller from two hashes of the
+    position."""
     index = np.arange(count, dtype=np.int64)
     first = hash_unit(index, np.zeros_like(index), salt)
     second = hash_unit(index, np.ones_like(index), salt)

@@ -1,6 +1,6 @@
 """JPEG files as a drone writes them: focal length, time and GPS position in EXIF.
 
-    ECEF = ECEF(origin) + R_ecef_from_enu · (east, north, up),   then WGS 84 latitude by Bowring's iteration
+    ECEF = ECEF(origin) + R_ecef_from_enu · (east, north, up), then latitude by Bowring's iteration
 
 Once per photograph. Seconds of arc are kept to 1e-5 (0.3 mm), heights to 1 mm.
 """
@@ -33,7 +33,8 @@ def jpeg_bytes(config: SceneConfig, pixels: NDArray[np.uint8], shot: Shot) -> by
 
 
 def geodetic_from_enu(position_m: NDArray[np.float64]) -> tuple[float, float, float]:
-    """WGS 84 latitude and longitude in degrees and height in metres of an east-north-up position (3,) at the scene's origin."""
+    """WGS 84 latitude and longitude in degrees and height in metres of an east-north-up position
+    (3,) at the scene's origin."""
     lat, lon = np.deg2rad(ORIGIN_LAT_DEG), np.deg2rad(ORIGIN_LON_DEG)
     east = np.array([-np.sin(lon), np.cos(lon), 0.0])
     north = np.array([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)])

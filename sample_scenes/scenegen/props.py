@@ -99,7 +99,8 @@ def _leafy(tint: Floats, rng: np.random.Generator) -> Look:
 
 
 def _add_blob(builder: MeshBuilder, center: NDArray, radii: NDArray, look: Look) -> None:
-    """Add an ellipsoid with radii (3,) whose surface is displaced by ± 30 % in lumps of a third of its size."""
+    """Add an ellipsoid with radii (3,) whose surface is displaced by ± 30 % in lumps of a third of
+    its size."""
     num_rings, num_sides = (14, 22) if float(radii.max()) > 1.5 else (8, 12)
     polar, around = np.meshgrid(np.linspace(0.0, np.pi, num_rings), 2.0 * np.pi * np.arange(num_sides) / num_sides, indexing="ij")
     unit = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1).reshape(-1, 3)

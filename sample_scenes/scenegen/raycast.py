@@ -1,6 +1,6 @@
 """Photographs and depth maps of the town by casting rays (Embree, through Open3D).
 
-    colour = albedo · (ambient + sun · max(0, n·l) · visible),   blended with haze 1 - exp(-t / 2.6 km)
+    colour = albedo · (ambient + sun · max(0, n·l) · visible), then haze 1 - exp(-t / 2.6 km)
 
 Per photograph: samples² rays per pixel and one shadow ray per hit, in strips of some 30,000 rays so
 that every array stays in the cache. A ray's direction has z = 1 in the camera, so the distance
@@ -57,7 +57,8 @@ class Photographer:
         return self._develop(np.concatenate(strips), shot.exposure_ev, number)
 
     def depth(self, shot: Shot) -> Floats:
-        """Depth along the viewing axis (H,W) in metres at every pixel's centre; infinite in the sky."""
+        """Depth along the viewing axis (H,W) in metres at every pixel's centre; infinite in the
+        sky."""
         x, y = np.meshgrid(np.arange(self.config.width_px) + 0.5, np.arange(self.config.height_px) + 0.5)
         return self.depth_at(shot, np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
 
@@ -122,7 +123,8 @@ class Photographer:
 
 
 def project(config: SceneConfig, shot: Shot, points_m: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pixels (N,2) and depths (N,) of world points (N,3); pixels are NaN behind the camera or where the lens folds."""
+    """Pixels (N,2) and depths (N,) of world points (N,3); pixels are NaN behind the camera or where
+    the lens folds."""
     in_camera = points_m @ shot.cam_from_world[:3, :3].T + shot.cam_from_world[:3, 3]
     depth = in_camera[:, 2]
     plane = in_camera[:, :2] / np.where(depth > 0.0, depth, np.nan)[:, None]
@@ -141,7 +143,8 @@ def world_rays(config: SceneConfig, shot: Shot, pixels: NDArray) -> tuple[Floats
 
 
 def undistort(bent: NDArray, k1: float) -> NDArray[np.float64]:
-    """The plane coordinates x (N,2) with x (1 + k1 |x|²) = bent, by Newton's method on the radius; exact to rounding."""
+    """The plane coordinates x (N,2) with x (1 + k1 |x|²) = bent, by Newton's method on the radius;
+    exact to rounding."""
     if k1 == 0.0:
         return bent
     target = np.linalg.norm(bent, axis=1)
@@ -156,7 +159,8 @@ def _rays(origins: NDArray, directions: NDArray) -> o3d.core.Tensor:
 
 
 def _encode(radiance: Floats) -> NDArray[np.uint8]:
-    """8-bit sRGB (…,3) of linear radiance, with a soft shoulder above 0.8 as a camera's tone curve has."""
+    """8-bit sRGB (…,3) of linear radiance, with a soft shoulder above 0.8 as a camera's tone curve
+    has."""
     bright = np.maximum(radiance - np.float32(0.8), 0.0)
     toned = np.minimum(radiance, np.float32(0.8)) + np.float32(0.2) * (np.float32(1.0) - np.exp(-bright / np.float32(0.2)))
     curve = np.where(toned <= 0.0031308, 12.92 * toned, 1.055 * np.power(np.maximum(toned, 1e-6), 1.0 / 2.4) - 0.055)

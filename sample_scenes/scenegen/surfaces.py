@@ -27,7 +27,8 @@ ZENITH, HORIZON, CLOUD = linear(0.36, 0.56, 0.84), linear(0.80, 0.87, 0.94), lin
 
 @dataclass(frozen=True, kw_only=True)
 class Hits:
-    """Where rays met surfaces (N,…): position, unit normal, uv, the triangle's look, and the width of a pixel there."""
+    """Where rays met surfaces (N,…): position, unit normal, uv, the triangle's look, and the width
+    of a pixel there."""
 
     points: Floats
     normals: Floats
@@ -57,7 +58,8 @@ def paint(layout: Layout, hits: Hits) -> Floats:
 
 
 def ruffle_leaves(layout: Layout, hits: Hits) -> Floats:
-    """Normals (N,3) with those of leaves turned at random per handful of leaves, so that crowns catch light in spots."""
+    """Normals (N,3) with those of leaves turned at random per handful of leaves, so that crowns
+    catch light in spots."""
     normals = hits.normals.copy()
     leaves = hits.materials == Material.FOLIAGE
     if leaves.any():
@@ -127,7 +129,8 @@ def _tiles(layout: Layout, hits: Hits) -> Floats:
 
 
 def _roof_fittings(color: Floats, place: Floats, style: Floats) -> Floats:
-    """Solar panels on slopes with style below 0.25, two roof windows on those below 0.6; place is (along, up) in metres."""
+    """Solar panels on slopes with style below 0.25, two roof windows on those below 0.6; place is
+    (along, up) in metres."""
     along, up = place
     solar = (style < 0.25) & (np.abs(along) < 3.0) & (np.abs(up - 2.6) < 1.6)
     panel_a, panel_b = along - np.floor(along), (up - 1.0) / 1.6 - np.floor((up - 1.0) / 1.6)

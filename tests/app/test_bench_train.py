@@ -14,7 +14,7 @@ import pytest
 
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.runner import run_bench
-from radiant_app.bench.train import TrainBench, TrainedRow, _by_seed_and_image, _load, _split, _trained, bench_of, bench_train, curves_of
+from radiant_app.bench.train import TrainBench, TrainedRow, _by_seed_and_image, _load, _split, _train_row, bench_of, bench_train, curves_of
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from radiant_core.train.config import train_preset
@@ -114,8 +114,8 @@ def test_masked_pixels_are_neither_trained_on_nor_scored(tmp_path: Path) -> None
     assert source.masks is None
     masks = _masks_of_the_left_half(tmp_path / "masks", project / "images")
     config = replace(train_preset("default"), long_side_px=96)
-    whole = _trained(_split(source, 0), "default", config, 0.3, 0)
-    masked = _trained(_split(replace(source, masks=masks), 0), "default", config, 0.3, 0)
+    whole = _train_row(_split(source, 0), "default", config, 0.3, 0)
+    masked = _train_row(_split(replace(source, masks=masks), 0), "default", config, 0.3, 0)
     assert np.isfinite(masked.psnr_db).all() and masked.psnr_db != whole.psnr_db
 
 

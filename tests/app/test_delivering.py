@@ -89,6 +89,7 @@ def test_introduced_again_keys_stay_and_a_changed_registration_is_not_healed(run
     shutil.copyfile(run / EDGE / "senders/b.pub", run / EDGE / "senders/a.pub")
     made_run(run)
     assert list(refused(run)) == ["a"] and "not signed by the key that is registered" in refused(run)["a"]
+    assert refused(run)["a"].endswith("If the folder devices/a was put here from another run, remove it and go on with --resume.")
     # Where the registration is gone it is made again.
     (run / EDGE / "senders/a.pub").unlink()
     assert list(refused(run)) == ["a"]
@@ -154,6 +155,7 @@ def without_signature(run: Path) -> None:
     ("wrong", "reason"),
     [
         (signed_as(run="f" * 32), f"belongs to run '{'f' * 32}'"),
+        (signed_as(run="f" * 32), "If the folder devices/a was put here from another run, remove it and go on with --resume."),
         (signed_as(receiver="edges/south"), "is addressed to 'edges/south', this is 'edges/north'"),
         (signed_as(node="devices/b"), "'devices/b' sends region 'a', which 'devices/a' is to deliver"),
         (signed_as(node="edges/a"), "it sent a edge_model, expected a device_model"),

@@ -14,6 +14,7 @@ import radiant_app.cli.run
 from radiant_app.cli.app import app
 from radiant_app.config.fields import config_of, tables_of, train_options, values_of, with_settings
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
+from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
 from radiant_core.train.config import train_preset
 from radiant_core.train.densify.policies import Mcmc
@@ -153,14 +154,21 @@ def test_what_is_set_is_a_forced_decision() -> None:
         (["train.means_lr=nan"], "finite number"),
         (["aggregate.agreement_db=inf"], "finite number"),
         (["train.seed=5"], r"use seed\.|expected PATH=VALUE"),
-        (["train.sky=true", "train.sky=false"], "given twice"),
-        (["train.num_steps=5"], "given twice"),
+        (["train.sky=true", "train.sky=false"], "--set train.sky is given twice: keep one"),
+        (["train.num_steps=5"], "--set train.num_steps is given twice, once as --steps: keep one"),
     ],
 )
 def test_what_cannot_be_set_is_refused(given: list[str], said: str) -> None:
     with pytest.raises(BadInput, match=said) as refused:
         with_settings({"train.num_steps": 7}, given)
     assert str(refused.value).startswith("--set ")
+
+
+def test_a_plan_that_is_not_there_is_refused_before_the_run_begins(tmp_path: Path) -> None:
+    config = RunConfig(source=tmp_path, out=tmp_path / "run", plan=PlanOptions(file=tmp_path / "plan.json"))
+    with pytest.raises(BadInput, match=r"--plan .*plan.json is no file: give the plan.json that `radiant plan` wrote"):
+        run(config)
+    assert not config.out.exists()
 
 
 def test_a_training_takes_no_setting_of_a_run(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 from collections.abc import Iterator
 from functools import cache
@@ -13,6 +14,7 @@ PACKAGES = ("core/radiant_core", "viewer/radiant_viewer", "radiant_app", "sample
 SOURCES = sorted(path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 MAX_FUNCTION_LINES = 70
 MAX_FILE_LINES = 500
+MAX_PROSE_COLUMNS = 100
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -58,6 +60,25 @@ def test_functions_and_files_stay_short() -> None:
     ]
     assert long == []
     assert [str(source) for source in SOURCES if len((ROOT / source).read_text().splitlines()) > MAX_FILE_LINES] == []
+
+
+def prose_lines(source: Path) -> Iterator[tuple[int, str]]:
+    """Numbers and texts of the lines of docstrings and of those that have a comment."""
+    lines = (ROOT / source).read_text().splitlines()
+    numbers: set[int] = set()
+    if source.suffix == ".py":
+        for node in ast.walk(parsed(source)):
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+                numbers.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    comment = re.compile(r"(^|\s)#\s" if source.suffix == ".py" else r"(^|\s)//")
+    return ((number, line) for number, line in enumerate(lines, 1) if number in numbers or comment.search(line))
+
+
+def test_prose_is_100_columns_wide() -> None:
+    native = sorted(path.relative_to(ROOT) for path in (ROOT / "core/radiant_core/native").rglob("*") if path.suffix in (".cpp", ".h"))
+    assert native
+    wide = [f"{source}:{number}" for source in [*SOURCES, *native] for number, line in prose_lines(source) if len(line) > MAX_PROSE_COLUMNS]
+    assert wide == []
 
 
 def test_there_is_no_drawer_for_odds_and_ends() -> None:

@@ -1,4 +1,4 @@
-"""Small made-up scenes for tests of training and aggregation: a bumpy coloured ground seen by a few cameras from above."""
+"""Small made-up scenes for training and aggregation: bumpy coloured ground, a few cameras above."""
 
 from __future__ import annotations
 

@@ -47,7 +47,8 @@ def test_scaled_cameras_see_every_point_at_the_same_place_of_the_image(long_side
     for index in range(len(cameras)):
         place = (directions @ cameras.Ks[index].T)[:, :2] / cameras.sizes_wh[index]
         scaled_place = (directions @ scaled.Ks[index].T)[:, :2] / scaled.sizes_wh[index]
-        np.testing.assert_allclose(scaled_place, place, atol=1e-12)  # fractions of the image near 1, float64
+        # Fractions of the image near 1, float64.
+        np.testing.assert_allclose(scaled_place, place, atol=1e-12)
 
 
 @pytest.mark.parametrize("long_side_px", [1, 7, 100, 640, 10**6])

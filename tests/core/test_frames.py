@@ -103,7 +103,8 @@ def test_one_hundredth_of_a_degree_north_at_45_degrees_is_1111_m() -> None:
 def test_the_origin_is_zero_and_up_is_altitude() -> None:
     origin = np.array([12.0, 77.0, 900.0])
     above = enu_from_geodetic([origin, origin + np.array([0.0, 0.0, 25.0])], origin)
-    np.testing.assert_allclose(above, [[0, 0, 0], [0, 0, 25]], atol=1e-8)  # 1e-9 m rounding of geocentric coordinates
+    # 1e-9 m rounding of geocentric coordinates.
+    np.testing.assert_allclose(above, [[0, 0, 0], [0, 0, 25]], atol=1e-8)
 
 
 @pytest.mark.parametrize("position", [[91, 0, 0], [0, 181, 0], [np.nan, 0, 0], [500000, 5700000, 0]])
@@ -135,7 +136,7 @@ def test_metres_to_degrees_and_back_are_the_same_metres(origin: tuple[float, flo
 
 
 def enu_in_fifty_digits(position: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """East, north, up written out anew in mpmath: geocentric differences projected on the three directions."""
+    """East, north, up anew in mpmath: geocentric differences projected on the three directions."""
     with mpmath.workdps(50):
         a, f = mpmath.mpf(6378137), 1 / mpmath.mpf("298.257223563")
 

@@ -1,4 +1,5 @@
-"""UTM is the one map that keeps angles, is straight on its middle meridian and true to scale there: each law is checked on its own."""
+"""UTM is the one map that keeps angles, is straight on its middle meridian and true to scale there:
+each law is checked on its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The native module: cells of a power diagram against a plain numpy twin, what importing it leaves alone, and building it."""
+"""The native module: power cells against a numpy twin, effects of importing it, and its build."""
 
 from __future__ import annotations
 

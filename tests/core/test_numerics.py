@@ -63,7 +63,8 @@ def test_rotations_compose_as_their_quaternions() -> None:
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(2, 100, 4))
     both = rotmats_from_quats(quaternion_product(a, b))
-    np.testing.assert_allclose(both, rotmats_from_quats(a) @ rotmats_from_quats(b), atol=1e-14)  # float64, sums of three
+    # float64, sums of three.
+    np.testing.assert_allclose(both, rotmats_from_quats(a) @ rotmats_from_quats(b), atol=1e-14)
 
 
 def test_a_quarter_turn_about_z_takes_x_to_y() -> None:

@@ -1,4 +1,4 @@
-"""Scenes from structure from motion: observations point inside, and seeing distributes over cameras."""
+"""Scenes from structure from motion: observations are valid, seeing distributes over cameras."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def drag(window: InspectorWindow) -> None:
 
 
 def cpu_s() -> dict[str, float]:
-    """Seconds that each kind of thread of this process has run, by name and, of the rasterizer's, number."""
+    """Seconds that each kind of thread of this process ran, by name; the rasterizer's by number."""
     spent: dict[str, float] = defaultdict(float)
     for task in Path("/proc/self/task").iterdir():
         name = "window" if task.name == str(os.getpid()) else (task / "comm").read_text().strip()

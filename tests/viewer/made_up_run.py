@@ -1,4 +1,4 @@
-"""A small made-up town for tests of the viewer: 24 cameras, three regions of two devices, coloured ground, and the run folder."""
+"""A made-up town for tests: 24 cameras, three regions of two devices, ground, and run folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Of a border only what was photographed counts: a made-up town with a rim that nobody flew over, and a false step there."""
+"""Of a border only what was photographed counts: a made-up town with a rim that no camera saw."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The picture of quality against cost: every variant has its colour, labels do not run into each other, poison is refused."""
+"""Quality against cost: each variant has its colour, labels do not overlap, poison is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is left out of a large cloud: spread evenly while a view moves, nothing that could be seen once it rests."""
+"""Thinned clouds: spread evenly while a view moves, complete in what can be seen at rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run whose photographs stayed with their devices: the figures that went up are shown, and of pictures it is said where they are."""
+"""A run whose photographs stayed with their devices: figures, and where the pictures are."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def renamed(cameras: Cameras, names: list[str]) -> Cameras:
 
 
 def save_field_run(folder: Path, *, with_pictures: bool = False) -> None:
-    """The town as `--frames gps` leaves it; the folder of one device lies in the run's, those of the others do not."""
+    """The town as `--frames gps` leaves it; the folder of one device alone lies in the run's."""
     town = made_up_town()
     owners = np.empty(len(town.scene.cameras), object)
     for plan in town.edge_plans:

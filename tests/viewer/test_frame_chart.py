@@ -1,4 +1,4 @@
-"""The picture of a device's frame: GPS and cameras are there, lines join them, far ones stand out."""
+"""The picture of a device's frame: GPS and cameras are drawn and joined, far ones stand out."""
 
 from __future__ import annotations
 

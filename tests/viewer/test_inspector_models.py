@@ -1,4 +1,4 @@
-"""What the window shows, without a window: lengths, seam stops, who may see a photograph, themes, figures, a PLY from elsewhere."""
+"""What the window shows, without it: lengths, seam stops, photographs, themes, figures, a PLY."""
 
 from __future__ import annotations
 

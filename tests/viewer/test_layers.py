@@ -1,4 +1,4 @@
-"""Layers are right before anything is drawn: shapes refused, colours per role, seams where regions meet, figures in legends."""
+"""Layers before they are drawn: shapes refused, colours per role, seams, figures in legends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Labels of a map stand above the marks they name, at any zoom and in any script, and go when they are taken away."""
+"""Labels of a map stand above their marks at any zoom, in any script, and can be removed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Films are read back by another reader frame by frame; what fails leaves nothing, and the old film stays."""
+"""Films are read back frame by frame; what fails leaves nothing, and the old film stays."""
 
 from __future__ import annotations
 

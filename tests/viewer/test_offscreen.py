@@ -1,4 +1,4 @@
-"""Pictures without a window obey the geometry they show: areas, places, colours, and no dependence on where the origin lies."""
+"""Pictures without a window obey the geometry: areas, places, colours, whatever the origin."""
 
 from __future__ import annotations
 

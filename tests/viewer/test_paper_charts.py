@@ -1,4 +1,4 @@
-"""Pictures of `radiant bench paper`: no two curves look alike, bars are as long as their seconds, differences are what differs."""
+"""Pictures of `radiant bench paper`: distinct curves, true lengths of bars, and differences."""
 
 from __future__ import annotations
 

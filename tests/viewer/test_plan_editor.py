@@ -1,4 +1,4 @@
-"""The editing model, without a window: laws of edits, undo, constraints, and edits kept in a file."""
+"""The editing model, without a window: laws of edits, undo, constraints, edits in a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Layers and figures of an edited plan: against slow twins, empty and poisoned inputs, UTM coordinates."""
+"""Layers and figures of an edited plan: against slow twins, empty, poisoned and UTM inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The real window changes a plan: a border dragged with the mouse, undone by keys, cameras pinned, and closed while a plan is solved."""
+"""The real window changes a plan: borders dragged, undone by keys, cameras pinned, closed early."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def until(condition, what):
         QTest.qWait(20)
 
 def press(window, keys):
-    # Through the shortcut itself: without a window manager no window is active, and Qt hands no keys on.
+    # Through the shortcut itself: without a window manager Qt sends no keys to a window.
     next(short for short in window.findChildren(QShortcut) if short.key() == QKeySequence(keys)).activated.emit()
 
 def steps(window):
@@ -125,7 +125,10 @@ sys.exit(code)
 """
 
 
-def test_the_window_drags_pins_undoes_saves_and_loses_nothing(tmp_path: Path, display: str) -> None:  # noqa: F811 (the fixture)
+def test_the_window_drags_pins_undoes_saves_and_loses_nothing(
+    tmp_path: Path,
+    display: str,  # noqa: F811
+) -> None:
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     from radiant_app.commands.inspect import run_setting
 
@@ -158,7 +161,8 @@ def test_a_press_finds_edges_then_borders_and_never_a_locked_rim() -> None:
     middle = border.ends.mean(axis=0)
 
     def grip(place: np.ndarray, **constraints: object) -> EdgeGrip | BorderGrip | None:
-        return grip_at(place, cloud, PlanConstraints(**constraints), borders, 0.5)  # type: ignore[arg-type]
+        wishes = PlanConstraints(**constraints)  # type: ignore[arg-type]
+        return grip_at(place, cloud, wishes, borders, 0.5)
 
     site = grip(cloud.sites[2] + [3.0, 2.0])
     assert isinstance(site, EdgeGrip) and site.edge == cloud.edge_ids[2]

@@ -1,4 +1,4 @@
-"""The splat view comes to rest: with a full picture, and nothing more is asked of the renderer, whatever its note says."""
+"""The splat view comes to rest with a full picture, and then requests nothing more."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from radiant_viewer.splats.splat_process import SplatProcess
 from radiant_viewer.layers.themes import LIGHT, style_sheet
 from radiant_viewer.pictures.view_pose import ViewPose
 
-# A renderer that answers at once: what is asked for is the matter here, and how long the note becomes.
+# A renderer that answers at once: the requests matter here, and the length of the note.
 class Renderer(SplatProcess):
     def __init__(self, parent, kind, ply_path):
         from PySide6.QtCore import QObject

@@ -33,7 +33,7 @@ MOVED = 20
 
 
 def town_of_the_tasks() -> Town:
-    """144 cameras, three seams of different strength, and a worst photograph that saw few points."""
+    """144 cameras, three seams of different strength, a worst photograph that saw few points."""
     town = made_up_town(step_levels=60, quarry_levels=20, grid=(16, 9))
     rng = np.random.default_rng(4)
     seen = np.concatenate(
@@ -71,7 +71,7 @@ def done(tmp_path_factory: pytest.TempPathFactory, display: str) -> Any:  # noqa
 
 
 def make_run(run: Path, out: Path) -> None:
-    """The run with every camera at its nearest edge, and the plan of least makespan as `other.json`."""
+    """The run with all cameras at the nearest edge; the plan of least makespan as `other.json`."""
     town = town_of_the_tasks()
     lines = [f'[[edge]]\nid = "{edge}"\n' + "".join(f'[[edge.device]]\nid = "{edge}-{n}"\n' for n in (1, 2)) for edge in EDGE_IDS]
     run.mkdir()
@@ -82,7 +82,7 @@ def make_run(run: Path, out: Path) -> None:
 
 
 def test_no_task_takes_more_than_five_actions(done: Any) -> None:
-    """The session of the fixture alone does five tasks of a user from an empty window to the answer."""
+    """The fixture's session alone does five tasks of a user, from an empty window to the answer."""
     for name, result in done[2].items():
         print(f"{name}: {len(result['actions'])} actions, window {result['open_s']:.1f} s, task {result['task_s']:.2f} s")
         print("    " + "; ".join(result["actions"]))

@@ -1,4 +1,4 @@
-"""Two windows on one plan neither overwrite nor lose each other's edits, and a window on a run that is resumed sees it go on."""
+"""Two windows on one plan keep each other's edits; a window on a resumed run sees it go on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Views and cameras are each other's inverse; flights pass through their keyframes and never look nowhere."""
+"""Views and cameras are inverse; flights pass through their keyframes with valid directions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run folder as pictures: every view of a finished run, one clear sentence for everything that is not one; charts."""
+"""A run folder as pictures: every view of a finished run, one clear sentence for others; charts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waypoints on a map: every one in its region's colour, thinned only where they would cover each other, and said so."""
+"""Waypoints on a map: each in its region's colour, thinned where they would cover each other."""
 
 from __future__ import annotations
 

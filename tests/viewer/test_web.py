@@ -1,4 +1,4 @@
-"""The web page in a real Chromium: layers, sorting, a chosen camera and the seam tour; and that only its own address opens it."""
+"""The web page in Chromium: layers, sorting, a camera, the tour; only its own address opens it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CHROMIUM_ARGUMENTS = [
     "--no-first-run",
 ]
 DEADLINE_S = 120
-"""For each step, on a machine that does other things; a step takes under a second on an idle one."""
+"""For each step, on a busy machine; a step takes under a second on an idle one."""
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def until(page: Any, view: str, is_there: Callable[[np.ndarray], bool], what: st
 
 
 def conflict_resolved(page: Any, view: str) -> np.ndarray:
-    """A view that shows something and has not changed for three looks, more than the half second after which a frame is sent again."""
+    """A view that has not changed for three looks, more than the half second between frames."""
     looks = [picture(page, view)]
 
     def is_still(now: np.ndarray) -> bool:

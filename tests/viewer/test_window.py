@@ -1,5 +1,5 @@
-"""The real windows under a real X server, in a process of their own: of a run for all that it does, of one at work from before its plan
-to its model, and of a PLY."""
+"""The real windows under a real X server, in a process of their own: of a run for all that it does,
+of one at work from before its plan to its model, and of a PLY."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ def drags_the_box(window, crop):
         QTest.qWait(20)
     QTest.mouseRelease(plotter, Qt.MouseButton.LeftButton, pos=spot(30))
     moved = crop.box - before
-    # The mouse moves in the plane of the picture: in perspective that is not quite so far along the axis.
+    # The mouse moves in the picture's plane: in perspective that is a little less along the axis.
     assert -26 < moved[1, 0] < -14, crop.box
     moved[1, 0] = 0
     assert np.abs(moved).max() < 0.02, "another side moved as well"
@@ -352,7 +352,7 @@ def steps_of_begun_run(nothing):
     window.set_theme("dark")
     assert window.docks.progress.table.item(0, 1).text() == "running"
     refused(window, lambda: window.docks.crop.save_inside(out / "none.ply"))
-    # What was trained since appears by itself, and the window stays as it was set up, but not while somebody measures.
+    # New results of the training appear by themselves, but not while the user measures.
     window.set_layer_visible("Borders", False)
     window.docks.fly.add_view()
     window.view.plotter.camera.azimuth += 25
@@ -415,7 +415,7 @@ def display() -> Iterator[str]:
 
 
 def run_python(code: str | list[str], *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code, or a module named by `["-m", …]`, in a process of its own in which every warning is an error."""
+    """Run code, or a module named by `["-m", …]`, in a process with every warning as an error."""
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     env = {name: value for name, value in os.environ.items() if name not in hidden} | environment
     command = [sys.executable, "-W", "error", *(["-c", code] if isinstance(code, str) else code), *arguments]
@@ -423,7 +423,7 @@ def run_python(code: str | list[str], *arguments: str, **environment: str) -> su
 
 
 def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_path: Path, display: str) -> None:
-    """Alone works the real windows: three sessions under one X server, whose imports and OpenGL contexts take most of the time."""
+    """The one test of the real windows: three sessions under one X server, mostly imports."""
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     save_run(tmp_path / "run", made_up_town(step_levels=60))
     save_run(tmp_path / "begun", made_up_town())

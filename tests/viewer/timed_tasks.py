@@ -1,7 +1,7 @@
 """Five tasks of docs/inspector.md, done in the real window; what each came to is what the window
 shows, as JSON.
 
-DISPLAY=:1 python -m tests.viewer.timed_tasks RUN OUT      OUT holds other.json, another plan of the run
+DISPLAY=:1 python -m tests.viewer.timed_tasks RUN OUT    OUT holds other.json, another plan
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class User:
         self.click(view.viewport(), text, spot)
 
     def will_name(self, path: Path) -> None:
-        """Give a name to the dialog that opens next: dialogs run their own loop, so the answer must be on the way before."""
+        """Give a name to the dialog that opens next: it runs its own loop, so answer in advance."""
         self.actions.append(f"name {path.name}")
 
         def answer() -> None:
@@ -128,7 +128,7 @@ def pixel(canvas: Canvas, place: np.ndarray) -> QPoint:
 
 
 def use_window(path: Path, act: Callable[[InspectorWindow], None]) -> None:
-    """Open `radiant inspect` on a path, act in its window once that is shown, and close it; what went wrong is raised."""
+    """Open `radiant inspect` on a path, act in its window, and close it; raise what went wrong."""
     failures: list[BaseException] = []
 
     def drive() -> None:

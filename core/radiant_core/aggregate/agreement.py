@@ -1,13 +1,12 @@
-"""Which of several models contradict the others where they show the same: poisoned ones are left
-out before anything is joined. Per join.
+"""Which of several models contradict the others; they are left out of the join. Once per join.
 
 Every model is rendered at some cameras of every other, as a guest:
 
-    agree(i, j):  PSNR of i's and j's pictures at j's cameras where both are opaque  ≥  MIN_AGREEMENT_DB
+    agree(i, j):  PSNR of i's and j's pictures at j's cameras, both opaque  ≥  MIN_AGREEMENT_DB
 
-The model with the largest share of contradicting neighbours goes if that is most of them, then the
-rest is counted again without it. Models that contradict each other where no third model covers the
-place both stay: nothing shows which is wrong. Attackers need about half of a model's neighbours.
+The model with the largest share of contradicting neighbours is left out if that is most of them,
+then the rest is counted again. Models that contradict each other where no third covers the place
+both stay: nothing shows which is wrong. Attackers need about half of a model's neighbours.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 
 MIN_AGREEMENT_DB = 10.0
-"""Half grey against a photograph is about 14 dB; the demo's four models agree to 16 to 22 dB (docs/threat_model.md)."""
+"""Half grey against a photograph is about 14 dB; models: 16 to 22 (docs/threat_model.md)."""
 MIN_MODELS = 3
 """Of two models that contradict each other it is undecidable which is wrong."""
 NUM_ASKED = 4
@@ -39,31 +38,31 @@ MIN_SHARE = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Agreement:
-    """agreement_db (M,M): what guest i shows at the cameras of host j against j, NaN where they share too little; reasons by model."""
+    """agreement_db (M,M) of guest i and host j, NaN where they share too little; reasons."""
 
     agreement_db: FloatArray
     refused: dict[int, str]
 
 
 def find_contradictions(models: Sequence[Splats], cameras: Sequence[Cameras], backend: Backend = "auto") -> Agreement:
-    """Which of M models with their cameras are not to be joined, one sentence each; none where there are fewer than three."""
+    """Which of M models are not to be joined, one sentence each; none where M is under three."""
     if len(models) != len(cameras):
         raise BadInput(f"{len(cameras)} sets of cameras for {len(models)} models: give one each.")
     if len(models) < MIN_MODELS:
         return Agreement(agreement_db=np.full((len(models), len(models)), np.nan), refused={})
     agreement_db = np.full((len(models), len(models)), np.nan)
     for host, own in enumerate(cameras):
-        asked = _some(own)
+        asked = _sample_cameras(own)
         if not len(asked):
             continue
         home = list(render_views(models[host], asked, backend))
         for guest in range(len(models)):
             if guest != host:
                 agreement_db[guest, host] = _agreement_db(home, list(render_views(models[guest], asked, backend)))
-    return Agreement(agreement_db=agreement_db, refused=_outvoted(agreement_db))
+    return Agreement(agreement_db=agreement_db, refused=_find_outvoted(agreement_db))
 
 
-def _some(cameras: Cameras) -> Cameras:
+def _sample_cameras(cameras: Cameras) -> Cameras:
     rows = np.unique(np.linspace(0, len(cameras) - 1, min(NUM_ASKED, len(cameras))).astype(np.int64))
     return cameras.select(rows).scaled(LONG_SIDE_PX) if len(cameras) else cameras
 
@@ -79,8 +78,8 @@ def _agreement_db(home: Sequence, guest: Sequence) -> float:
 
 
 def measure_agreement_db(model: Splats, cameras: Cameras, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> float:
-    """PSNR of some of the views, image (H,W,3) and weight (H,W) at V cameras, against what the
-    model shows there, where both are opaque; infinity where that is nowhere."""
+    """PSNR of some of V views, image (H,W,3) and weight (H,W), against the model's own, where both
+    are opaque; infinity where that is nowhere."""
     rows = np.unique(np.linspace(0, len(cameras) - 1, min(NUM_ASKED, len(cameras))).astype(np.int64))
     squares, count = 0.0, 0
     for own, row in zip(render_views(model, cameras.select(rows)), rows.tolist(), strict=True):
@@ -91,7 +90,7 @@ def measure_agreement_db(model: Splats, cameras: Cameras, views: Sequence[tuple[
     return float(-10 * np.log10(max(squares / count, 1e-10))) if count else float("inf")
 
 
-def _outvoted(agreement_db: FloatArray) -> dict[int, str]:
+def _find_outvoted(agreement_db: FloatArray) -> dict[int, str]:
     """Models to leave out, from what pairs say of each other in both directions.
 
     In rounds the model with the largest share of contradicting neighbours, or all that are equal in

@@ -1,8 +1,6 @@
-"""Whether a model that arrived can be joined: decided before anything renders it, so that one bad
-sender costs no one else the scene.
+"""Whether a model that arrived can be joined, decided before it is rendered. Once per arrival.
 
-Its count, which a file's head gives before anything is read (`io.messages`), its numbers and
-extent, and what its own cameras see. Once per arrival.
+By its count (read from the file's head: `io.messages`), numbers, extent and what its cameras see.
 """
 
 from __future__ import annotations
@@ -25,8 +23,8 @@ NUM_TRIED = 20_000
 
 
 def check_splats(splats: Splats, cameras: Cameras) -> str | None:
-    """What is wrong with a model (N Gaussians, finite by construction) that C cameras made, one
-    sentence, or None; without cameras what they see is not asked."""
+    """What is wrong with a model of C cameras, one sentence, or None; without cameras what they see
+    is not asked."""
     if not 0 < len(splats) <= MAX_SPLATS:
         return f"it has {len(splats):,} Gaussians, expected 1 to {MAX_SPLATS:,}."
     limits = {"means": MAX_COORDINATE_M, "sh0": MAX_HARMONIC, "shN": MAX_HARMONIC}

@@ -1,9 +1,9 @@
-"""Exposures that differ between models: one gain and offset per model and channel, from the places
-that two of them show. Once per join.
+"""Exposures that differ between models: a gain and offset per model and channel. Once per join.
 
-    c' = g c + b     g, b = argmin Σ over pairs of pixels  ρ(g_i c_i + b_i − g_j c_j − b_j),   Σ over models of g = M, of b = 0
+    c' = g c + b     g, b = argmin Σ over pairs of pixels  ρ(g_i c_i + b_i − g_j c_j − b_j)
+                     Σ over models of g = M, of b = 0
 
-over pixels at some cameras of every model where both models are opaque and their depths agree; ρ is
+over pixels of some cameras of every model where both models are opaque and their depths agree; ρ is
 Cauchy's, by least squares with weights 1 / (1 + (r / s)²), s the median |r|, since models differ by
 more than exposure. The gauge keeps the mean of all models.
 """
@@ -24,10 +24,8 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import SH_C0, Splats
 
 MIN_LEVELS = 8.0
-"""Models are balanced where their exposures differ from the mean by at least so much of 255 at mid
-grey. On three sets as they were taken it was 1 to 6, and balancing gained nothing on those where it
-was tried; with one device's photographs three quarters as bright it was 22 and gained 0.4 dB, 0.8
-dB beside one colour map per picture (docs/experiments/aggregation.md)."""
+"""Least difference from the mean, of 255 at mid grey. Three sets as taken had 1 to 6, without gain;
+one device three quarters as bright had 22 and gained 0.4 dB (docs/experiments/aggregation.md)."""
 MIN_PAIRS = 2_000
 """Pairs of pixels of a model with the others, below which nothing is said of it."""
 DEPTH_TOLERANCE, OPAQUE = 0.03, 0.95
@@ -41,7 +39,7 @@ _RIDGE = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Balance:
-    """gains, offsets (M,3) of M models for colours in 0..1; num_pairs of pixels that they come from."""
+    """gains, offsets (M,3) of M models for colours in 0..1; num_pairs of pixels behind them."""
 
     gains: FloatArray
     offsets: FloatArray
@@ -72,7 +70,7 @@ class _Pairs:
 
 
 def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> Balance:
-    """The exposures of M models; 1 and 0 for all of them where any shares too few places with the others to tell."""
+    """The exposures of M models; 1 and 0 for all where any shares too few places with others."""
     pairs = _pairs(teachers, backend)
     count = len(teachers)
     balance = Balance(gains=np.ones((count, 3)), offsets=np.zeros((count, 3)), num_pairs=len(pairs.first))
@@ -80,18 +78,18 @@ def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> 
     if count < 2 or shared.min() < MIN_PAIRS:
         return balance
     some = pairs.select(np.unique(np.linspace(0, len(pairs.first) - 1, MAX_PAIRS).astype(np.int64)))
-    solved = np.array([_solved(some, channel, count) for channel in range(3)])
+    solved = np.array([_solve_channel(some, channel, count) for channel in range(3)])
     return replace(balance, gains=solved[:, 0::2].T, offsets=solved[:, 1::2].T)
 
 
 def balance_teachers(teachers: Sequence[Teacher], balance: Balance) -> list[Teacher]:
-    """The teachers as if all had been exposed alike: their models, and the pictures that are rendered."""
+    """The teachers as if all had been exposed alike: their models, and their rendered pictures."""
     if not balance.needed:
         return list(teachers)
-    return [_exposed(*each) for each in zip(teachers, balance.gains, balance.offsets, strict=True)]
+    return [_expose_teacher(*each) for each in zip(teachers, balance.gains, balance.offsets, strict=True)]
 
 
-def _exposed(teacher: Teacher, gains: FloatArray, offsets: FloatArray) -> Teacher:
+def _expose_teacher(teacher: Teacher, gains: FloatArray, offsets: FloatArray) -> Teacher:
     shown = {
         # A picture is over black: where the model is transparent there is nothing to add to.
         row: (np.clip(gains * image + offsets * weight[..., None], 0, 255).round().astype(np.uint8), weight)
@@ -130,7 +128,7 @@ def _pairs(teachers: Sequence[Teacher], backend: Backend) -> _Pairs:
     return _Pairs(first=first_of, second=second_of, one=one, other=other)
 
 
-def _solved(pairs: _Pairs, channel: int, count: int) -> FloatArray:
+def _solve_channel(pairs: _Pairs, channel: int, count: int) -> FloatArray:
     """g and b in turn (2M,) of one channel."""
     rows = np.arange(len(pairs.first))
     design = np.zeros((len(rows), 2 * count))

@@ -1,5 +1,4 @@
-"""Whether models are retrained together, from predicted memory and time (paper Sec. III-D: else
-they are cut). Once per join.
+"""Whether models are retrained together, by memory and time (paper Sec. III-D). Once per join.
 
     memory = 0.39 GB + N (7 b + 500) + 4 Σ_v p_v + 136 max_v p_v        bytes, at least
     kept   = up to min(36 Σ_v p_v, 1 GiB) more, which saves time alone
@@ -8,10 +7,9 @@ they are cut). Once per join.
 N Gaussians of b bytes each, p_v pixels of view v, T_e seconds that edge e took (or is said to take)
 to aggregate its N_e Gaussians: a step of dense Adam touches all of them. 0.39 GB is a worker with
 its libraries and its inbox (three clouds of real sets held 356 to 383 MB beside the rest); seven
-copies are the models, their sum, the tensors
-that move with gradient and two moments, and the result; 500 bytes are the rasterizer's; a view
-keeps 4 bytes a pixel, the step on one view takes 100 and its loss 36; the loss may keep those 36 of
-every view (`StatisticsCache`), in what memory is left. `python -m tests.stress.retrain_memory`
+copies are the models, their sum, the tensors with gradient and two moments, and the result; 500
+bytes are the rasterizer's; a view keeps 4 bytes a pixel, its step takes 100 and its loss 36, which
+may be kept (`StatisticsCache`) in what memory is left. `python -m tests.stress.retrain_memory`
 measures it; tests/stress/test_cloud_memory.py compares.
 
 Views are never made smaller to fit: pictures of half the size teach about as much as a cut leaves,
@@ -47,14 +45,14 @@ class CloudNeeds:
 
 
 def retrain_memory_bytes(num_splats: int, bytes_per_splat: float, pixels_per_view: Sequence[int]) -> float:
-    """Least peak memory in bytes of a process that retrains N Gaussians on views of so many pixels."""
+    """Least peak bytes of a process that retrains N Gaussians on views of so many pixels."""
     models = num_splats * (COPIES * bytes_per_splat + RASTERIZER_BYTES_PER_SPLAT)
     step = (STEP_BYTES_PER_PX + STATISTICS_BYTES_PER_PX) * max(pixels_per_view, default=0)
     return PROCESS_BYTES + models + VIEW_BYTES_PER_PX * sum(pixels_per_view) + step
 
 
 def kept_statistics_bytes(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, memory_bytes: float) -> int | None:
-    """What the loss may keep of its views where models are retrained within `memory_bytes`; None where they cannot be."""
+    """What the loss may keep of its views within `memory_bytes`; None where nothing fits."""
     pixels = pixels_of(cameras, long_side_px)
     left = memory_bytes - retrain_memory_bytes(sum(map(len, models)), _bytes_per_splat(models), pixels)
     return None if left < 0 else int(min(STATISTICS_BYTES_PER_PX * sum(pixels), STATISTICS_BUDGET_BYTES, left))
@@ -72,7 +70,7 @@ def _bytes_per_splat(models: Sequence[Splats]) -> float:
 def cloud_needs(
     models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, edge_times_s: Sequence[float] | None
 ) -> CloudNeeds:
-    """Needs of retraining edge models at their virtual cameras, whose pictures are reduced to `long_side_px`; times (E,) of the edges."""
+    """Needs of retraining edge models at their virtual cameras; times (E,) of the edges."""
     counts = [len(model) for model in models]
     total = sum(counts)
     pixels = pixels_of(cameras, long_side_px)
@@ -85,18 +83,15 @@ def cloud_needs(
 
 
 def pooled_needs(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, share: float) -> CloudNeeds:
-    """The same, foreseen by an edge from its devices' models: those of the whole scene, of whose cameras it has a share (0 to 1]."""
+    """The same of the whole scene, foreseen by an edge with a share (0 to 1] of its cameras."""
     own = cloud_needs(models, cameras, long_side_px, None)
     scene_bytes = (own.memory_bytes - PROCESS_BYTES) / share
     return CloudNeeds(num_cameras=round(own.num_cameras / share), memory_bytes=PROCESS_BYTES + scene_bytes, time_s=None)
 
 
 def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str, *, memory_of: str = "the cloud's limit") -> tuple[bool, Decision]:
-    """Whether the cloud retrains (else it cuts), and the decision with the figure that came nearest
-    to its limit or beyond.
-
-    `memory_of` says in words whose limit that of memory is.
-    """
+    """Whether the cloud retrains (else it cuts), by the figure nearest to its limit or beyond;
+    `memory_of` says in words whose limit that of memory is."""
     limit_gb = None if cloud.memory_bytes is None else cloud.memory_bytes / 1e9
     most_views = None if cloud.max_cameras is None else float(cloud.max_cameras)
     own = "the cloud's limit"

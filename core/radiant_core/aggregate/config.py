@@ -17,32 +17,31 @@ class AggregateConfig:
     """How an edge joins its devices' models, and the cloud its edges'."""
 
     preset: AggregatePreset = "default"
-    """default: models fade where others own the place and are fitted together; paper: they are concatenated and retrained."""
+    """default: models fade where others own the place and are fitted; paper: all are retrained."""
     num_epochs: int = 5
-    """How often each synthetic view is shown where models are retrained, at edges and at the cloud (paper Sec. IV-B: 10)."""
+    """How often each synthetic view is shown in retraining (paper Sec. IV-B: 10)."""
     edges: Literal["pool", "retrain"] = "pool"
-    """pool: an edge whose cloud retrains sends its devices' models as one, each fainter where
-    another owns the place, with their pictures at its virtual cameras, so that the cloud learns
-    from devices at first hand; retrain: it joins them itself. default only."""
+    """pool: where the cloud retrains, an edge sends its devices' models as one, fainter where
+    another owns the place, with their pictures at its virtual cameras; retrain: it joins them
+    itself. default only."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
     """Whether a lone model is retrained on its own pictures too."""
     foreign_opacity: float = 0.3
-    """Factor of a Gaussian's opacity at the start where another model owns the place; default only."""
+    """Factor of a Gaussian's first opacity where another model owns the place; default only."""
     faint_opacity: float = 0.15
-    """What fades below this opacity where another model owns the place is left out at once; 0 keeps all; default only."""
+    """What fades below this opacity in another's place is left out; 0 keeps all; default only."""
     agreement_db: float | None = 48.0
-    """Models are only cut where their pictures agree with those of the cut at least so well, about
-    one step of 8 bits; None: they are always retrained. default only."""
+    """Models are only cut where their pictures agree with the cut's this well, about one step of 8
+    bits; None: they are always retrained. default only."""
     weight_by_alpha: bool = True
-    """Whether a synthetic pixel counts as much as its teacher is opaque there; the paper takes the pictures as they are."""
+    """Whether a synthetic pixel counts as much as its teacher is opaque there; not in paper."""
     cloud: Literal["crop_merge", "retrain"] = "retrain"
-    """retrain: the cloud does what the edges do, on views from virtual cameras, and cuts models at
-    their borders where that would exceed its limits; crop_merge: it always cuts them at the plan's
-    borders."""
+    """retrain: the cloud does as the edges, on views from virtual cameras, and cuts models at their
+    borders where that would exceed its limits; crop_merge: it always cuts them there."""
     fill_blind_spots: bool = False
-    """Whether crop-merge keeps a neighbour's Gaussian where the region's owner has nothing near it."""
+    """Whether crop-merge keeps a neighbour's Gaussian where the owner has nothing near it."""
 
     def __post_init__(self) -> None:
         if self.preset not in get_args(AggregatePreset):
@@ -69,14 +68,7 @@ class AggregateConfig:
 def aggregate_preset(name: str) -> AggregateConfig:
     """The configuration of a preset; BadInput lists the names there are."""
     if name == "paper":
-        return AggregateConfig(
-            preset="paper",
-            num_epochs=10,
-            edges="retrain",
-            retrain_single=True,
-            weight_by_alpha=False,
-            cloud="retrain",
-        )
+        return AggregateConfig(preset="paper", num_epochs=10, edges="retrain", retrain_single=True, weight_by_alpha=False, cloud="retrain")
     if name != "default":
         raise BadInput(f"aggregate preset {name!r} is unknown: use one of {', '.join(get_args(AggregatePreset))}.")
     return AggregateConfig()

@@ -1,7 +1,6 @@
-"""Crop-merge: keep of each model what lies in its own region and concatenate (paper Sec. III-D, the
-cloud's fallback). Once per merge.
+"""Crop-merge: of each model what lies in its own region (paper Sec. III-D). Once per merge.
 
-A region's owner may be blind in a part of it that only a neighbour's oblique cameras saw. On
+An owner may be blind in a part of its region that only a neighbour's oblique cameras saw. On
 request, the neighbour's Gaussians stay there: those with no Gaussian of the owner within
 `BLIND_FACTOR` times their own size.
 """
@@ -34,12 +33,10 @@ class MergeResult:
 
 
 def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray, *, fill_blind_spots: bool = False) -> MergeResult:
-    """Merge M models by the power diagram of `sites` (M,2) m with `weights` (M,) m²: Gaussian x
-    belongs to argmin ‖x − s‖² − w.
+    """Merge M models: x belongs to argmin ‖x − s‖² − w, `sites` s (M,2) m, `weights` w (M,) m².
 
-    Regions reach to infinity, so every place has exactly one owner. Without `fill_blind_spots` it
-    is a plain cut; with it, two scenes of trained models came out 0.5 and 2.2 dB lower
-    (docs/experiments/aggregation.md). Raises BadInput when the counts differ or there is no model.
+    Every place has exactly one owner. With `fill_blind_spots` two scenes came out 0.5 and 2.2 dB
+    lower (docs/experiments/aggregation.md). BadInput when the counts differ or there is no model.
     """
     if not models:
         raise BadInput("no models to merge: pass at least one.")
@@ -65,7 +62,7 @@ def _owners(model: Splats, sites: FloatArray, weights: FloatArray) -> NDArray[np
 def _blind_spots(
     model: Splats, owner: NDArray[np.int64], index: int, models: Sequence[Splats], owners: Sequence[NDArray[np.int64]]
 ) -> NDArray[np.bool_]:
-    """Mask (N,) of the Gaussians of model `index` that lie in another's region where that other has nothing near."""
+    """Gaussians (N,) of model `index` in another's region where that other has nothing near."""
     filled = np.zeros(len(model), dtype=bool)
     for other, other_model in enumerate(models):
         foreign = np.flatnonzero(owner == other) if other != index else np.zeros(0, np.int64)
@@ -77,7 +74,7 @@ def _blind_spots(
 
 
 def far_from(splats: Splats, means: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) have none of `means` (M,3) m within `BLIND_FACTOR` times their own size; all where there is none."""
+    """Which Gaussians (N,) have none of `means` (M,3) m within `BLIND_FACTOR` times their size."""
     if not len(means):
         return np.ones(len(splats), bool)
     distances, _ = KDTree(means).query(splats.means)

@@ -1,4 +1,4 @@
-"""Which of several models speaks for a place: the one whose region it is, unless another one saw it clearly better. Once per join."""
+"""Which model owns a place: its region's, unless another one saw it better. Once per join."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.regions.power_diagram import assign
 
 KEPT_COVERAGE = 0.8
-"""A region's owner speaks for a place that its cameras cover at least this well, compared with those that cover it best."""
+"""An owner keeps a place that its cameras cover at least this well, compared with the best."""
 CONTESTED_COVERAGE = 0.1
-"""A place is contested where a second model's cameras cover it at least this well, compared with the best."""
+"""A place is contested where a second model covers it this well, compared with the best."""
 
 Claims = Callable[[FloatArray], NDArray[np.int64]]
 """Positions (P,2) m → whose region each lies in (P,), as the plan says."""
@@ -26,7 +26,7 @@ Claims = Callable[[FloatArray], NDArray[np.int64]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ownership:
-    """Of P places: owner (P,) is a model's index; contested (P,) where a second model covers the place too."""
+    """Of P places: owner (P,) a model's index; contested (P,) where a second one covers it too."""
 
     owner: NDArray[np.int64]
     contested: NDArray[np.bool_]
@@ -37,8 +37,7 @@ class Ownership:
 
 
 def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | None = None) -> Ownership:
-    """Owners of places (P,3) m among models with these cameras; without `claims` of regions, the
-    model that covers it best.
+    """Owners of places (P,3) m by `claims` of regions, without them the model that covers it best.
 
     A place that no camera sees belongs to the region's owner, to the first model without claims.
     Raises BadInput without models.
@@ -65,7 +64,7 @@ def claims_of_cells(sites: FloatArray, weights: FloatArray) -> Claims:
 
 
 def claims_of_polygons(polygons: Sequence[FloatArray]) -> Claims | None:
-    """Claims of polygons (V,2) m; a position in none of them goes to the nearest, the first of equals. None where none has corners."""
+    """Claims of polygons (V,2) m; outside of all the nearest. None where none has corners."""
     areas = {index: Polygon(polygon) for index, polygon in enumerate(polygons) if len(polygon) > 2}
     if not areas:
         return None

@@ -1,10 +1,8 @@
-"""What an edge does that leaves joining to the cloud: its devices' models as one, and their
-pictures at its virtual cameras. Once per edge.
+"""What an edge does that leaves joining to the cloud: it pools models and pictures. Once per edge.
 
-Two tiers that both retrain lose: the cloud then learns from an edge's model that itself had only
-learnt from pictures, and that had filled in what another edge models better. With pictures of the
-devices' models and all steps at the cloud the same work gives 0.2 to 0.5 dB more
-(docs/experiments/aggregation.md). It costs the pictures' way up, and no Gaussian more.
+Two tiers that both retrain lose: the cloud learns from an edge's model that itself only learnt from
+pictures. With the devices' pictures and all steps at the cloud the same work gives 0.2 to 0.5 dB
+more (docs/experiments/aggregation.md). It costs the pictures' way up, and no Gaussian more.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from radiant_core.render.contract import Backend
 
 
 def pool_teachers(teachers: Sequence[Teacher], aggregate: AggregateConfig, claims: Claims | None = None) -> Joined:
-    """All teachers' models together, faded where another one owns the place and without what is too faint there; nothing is retrained."""
+    """All teachers' models as one, faded where another owns the place; nothing is retrained."""
     if not teachers:
         raise BadInput("no models to pool: give at least one, with the cameras it is asked at.")
     models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
@@ -44,11 +42,7 @@ def render_pictures(
     teachers: Sequence[Teacher], virtual: Cameras, near: NDArray[np.int64], long_side_px: int, backend: Backend = "auto"
 ) -> dict[int, ViewBytes]:
     """Each virtual camera's picture and weight, reduced to `long_side_px`, of the teacher near
-    whose camera it stands.
-
-    `near` (C,) are rows into all teachers' cameras in order. Raises BadInput where a row is none of
-    them.
-    """
+    whose camera it stands: `near` (C,), rows into all teachers' cameras; else BadInput."""
     ends = np.cumsum([len(teacher.cameras) for teacher in teachers])
     if len(near) != len(virtual) or (len(near) and not (near.min() >= 0 and near.max() < ends[-1])):
         raise BadInput(f"{len(virtual)} virtual cameras stand near rows {near.tolist()} of {ends[-1] if len(ends) else 0} cameras.")

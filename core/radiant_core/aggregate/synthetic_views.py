@@ -1,9 +1,5 @@
-"""Synthetic views: what a trained model shows at given cameras, the edge's only teacher (paper Sec.
-III-D). Once per device and edge.
-
-A teacher has no information where it is transparent: each pixel weighs as much as the model's alpha
-there.
-"""
+"""Synthetic views: what a trained model shows at given cameras, an edge's only teacher (paper Sec.
+III-D). Once per device and edge. Each pixel weighs as much as the model's alpha there."""
 
 from __future__ import annotations
 
@@ -29,24 +25,27 @@ Rendered = Mapping[int, ViewBytes]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Teacher:
-    """A model, the cameras that it is rendered at, and by index of the camera the views that need not be rendered any more."""
+    """A model, its cameras, and by index of the camera the views that are rendered already."""
 
     splats: Splats
     cameras: Cameras
     rendered: Rendered = field(default_factory=dict)
     pooled: bool = False
-    """Whether the model is several that are not joined yet (`pooling`): then all of it is contested."""
+    """Whether the model is several not yet joined (`pooling`): then all of it is contested."""
+
+
+_NONE_RENDERED: Rendered = {}
 
 
 def synthetic_views(
     splats: Splats,
     cameras: Cameras,
     backend: Backend = "auto",
-    rendered: Rendered = {},  # noqa: B006
+    rendered: Rendered = _NONE_RENDERED,
     folder: Path | None = None,
 ) -> TrainingViews:
-    """`splats` at all `cameras` at their sizes, images and weights from alpha in 8 bits, in files of
-    `folder` where one is given; what is in `rendered` is not rendered again."""
+    """Images and weights of `splats` at `cameras`, 8 bits; none in `rendered` is rendered again.
+    They lie in a file of `folder` where one is given."""
     fresh = views_in_bytes(splats, cameras.select([index for index in range(len(cameras)) if index not in rendered]), backend)
     views = (rendered[index] if index in rendered else next(fresh) for index in range(len(cameras)))
     images, weights = store_views(views, folder)

@@ -1,5 +1,4 @@
-"""`Tree`: the whole computation, cloud over edges over devices, folded from the leaves up. Pure:
-who runs a node is not its business.
+"""`Tree`: the whole computation, cloud over edges over devices, folded from the leaves up. Pure.
 
 Between an edge of several devices and each of them stands a teacher: the edge's rendering of that
 device's views, which can begin before the others have arrived.
@@ -19,7 +18,7 @@ Tier = Literal["cloud", "edge", "teacher", "device"]
 
 @dataclass(frozen=True, kw_only=True)
 class Tree:
-    """A node and its children; `id` is the path of the node's folder in a run, for example "devices/north-1"."""
+    """A node and its children; `id` is its folder's path in a run, such as "devices/north-1"."""
 
     id: str
     tier: Tier
@@ -46,7 +45,7 @@ class Tree:
 
 
 def tree_of_plan(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], *, teachers: bool = False) -> Tree:
-    """Cloud over the edges and devices that have cameras, idle ones left out; with `teachers` one per device of a shared edge."""
+    """Cloud over edges and devices with cameras; `teachers`: one per device of a shared edge."""
     edges = []
     for index, plan in enumerate(edge_plans):
         devices = tuple(Tree(id=f"devices/{device_id}", tier="device") for device_id in plan.device_ids if len(plan.cameras_of(device_id)))

@@ -1,11 +1,11 @@
-"""Virtual cameras: where the cloud looks at an edge's model from, without learning where a device
-stood. Once per edge.
+"""Virtual cameras: the cloud's views of an edge's model, which hide the devices'. Once per edge.
 
-    centre ← centre + r u,  r ≤ 2 % of the camera's median distance to the model;  rotation ← turn by at most 1° about u'
+    centre ← centre + r u,  r ≤ 2 % of the camera's median distance to the model
+    rotation ← turn by at most 1° about u'
 
-They come in a random order under names of their own, all with one size and one pinhole, so that
-neither their order, nor a name, nor the optics tells which device took which picture. What is not
-hidden: their number, and roughly where photographs were taken.
+They come in a random order under names of their own, with one size and pinhole, so that nothing
+tells which device took a picture. Not hidden: their number, and roughly where photographs were
+taken.
 """
 
 from __future__ import annotations
@@ -19,17 +19,16 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 
 MAX_MOVE = 0.02
-"""As a share of the median distance to the Gaussians: beyond what a teacher shows as well as at its own camera, it would be guessing."""
+"""As a share of the median distance to the Gaussians: beyond it a teacher would be guessing."""
 MAX_TURN_DEG = 1.0
 MAX_DISTANCES = 10_000
 """Gaussians that a median distance is taken over, evenly among all."""
 
 
 def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> tuple[Cameras, NDArray[np.int64]]:
-    """One virtual camera per camera (C) for a model with centres (N,3) m, and the camera (C,) that
-    each stands near, for the edge alone.
+    """A virtual camera per camera (C) for a model of means (N,3) m; which (C,) each stands near.
 
-    `rng` must be seeded by what the cloud does not know. Size and focal length are those of the
+    `rng` must be seeded by what is hidden from the cloud. Size and focal length are those of the
     camera with the median angle of view. Raises BadInput without cameras or Gaussians.
     """
     count = len(cameras)
@@ -61,7 +60,7 @@ def _inside_ball(count: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _common_pinhole(cameras: Cameras) -> tuple[NDArray[np.int64], FloatArray]:
-    """Size (2,) px and K (3,3) of the camera with the median of focal length over long side, its principal point in the middle."""
+    """Size (2,) px and K (3,3), centred, of the camera with the median focal length over side."""
     relative = cameras.Ks[:, 0, 0] / cameras.sizes_wh.max(axis=1)
     chosen = int(np.argsort(relative, kind="stable")[len(relative) // 2])
     size_wh, focal_px = cameras.sizes_wh[chosen], cameras.Ks[chosen, 0, 0]

@@ -1,17 +1,14 @@
-"""Whether one method beats another: the mean difference of a figure with its bounds. Once per
-comparison, 10,000 draws in some 10 ms.
+"""Whether one method beats another: a mean difference with bounds. Once per comparison, 10 ms.
 
 Both methods are run with the same seeds S on the same images I of each scene, so that differences d
-(S,I) are taken pairwise. Drawing anew, with replacement, seeds and images of every scene, each on
-its own, gives per draw
-    mean + mean over scenes of [√(S/(S−1)) (mean of the drawn seeds' rows − mean) + √(I/(I−1)) (mean
-    of the drawn images' columns − mean)]
+(S,I) are pairwise. Seeds and images of every scene are drawn anew, each on their own; per draw
+    mean + mean over scenes of [ √(S/(S−1)) (mean of the drawn seeds' rows − mean)
+                               + √(I/(I−1)) (mean of the drawn images' columns − mean) ]
 which is the part of Owen's (2007) bootstrap for crossed seeds and images that is linear in either;
-the roots make each variance unbiased. Bounds are percentiles of the draws, taken further from the
-mean by t over normal quantile at the degrees of freedom after Satterthwaite (1946): three seeds say
-little of a fourth. Noise that is new for every seed and image is counted twice, so bounds rather
-hold too often. Scenes are not drawn: the claim is about these scenes. With one seed it is about
-that seed, which no bound can show.
+the roots make each variance unbiased. Bounds are percentiles of the draws, widened by t over normal
+quantile at the degrees of freedom after Satterthwaite (1946): three seeds say little of a fourth.
+Noise of every seed and image alone is counted twice, so bounds rather hold too often. Scenes are
+not drawn: the claim is about these scenes and, with one seed, about that seed.
 """
 
 from __future__ import annotations
@@ -32,7 +29,7 @@ MAX_COUNTS = 2_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class PairedDifference:
-    """Mean difference a − b in the figure's unit, equal weight to every scene, and where it lies at the given confidence."""
+    """Mean difference a − b in the figure's unit, scenes weighted equally, and its bounds."""
 
     mean: float
     low: float
@@ -44,12 +41,12 @@ class PairedDifference:
     """One-sided: the difference is at most this, with the same confidence."""
     confidence: float
     degrees_of_freedom: float
-    """After Satterthwaite, infinite where nothing varies: a few say that seeds or images are too few for narrow bounds."""
+    """After Satterthwaite, infinite where nothing varies; few mean too few seeds or images."""
     num_scenes: int
     num_images: int
     """Over all scenes."""
     num_seeds: int
-    """The fewest of any scene; with 1 the bounds know nothing of other seeds."""
+    """The fewest of any scene; with 1 the bounds leave other seeds out."""
 
 
 def paired_bootstrap(
@@ -60,12 +57,10 @@ def paired_bootstrap(
     num_draws: int = 10_000,
     seed: int = 0,
 ) -> PairedDifference:
-    """Bounds of the mean of a − b, figures of two methods: arrays (S,I) over seeds and images, or a
-    list with one such array per scene.
+    """Bounds of the mean of a − b, arrays (S,I) over seeds and images, or one such array per scene.
 
-    The same input gives the same bounds. Raises BadInput when shapes differ, a scene has no seed or
-    under 2 images, a value is not finite, or `confidence` is not between 0.5 and 1 or `num_draws`
-    not from 100 to 10 million.
+    The same input gives the same bounds. BadInput when shapes differ, a scene has no seed or under
+    2 images, a value is not finite, `confidence` not in 0.5 to 1 or `num_draws` in 100 to 1e7.
     """
     if not 0.5 < confidence < 1:
         raise BadInput(f"confidence is {confidence}, expected more than 0.5 and less than 1.")

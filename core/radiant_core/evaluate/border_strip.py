@@ -1,10 +1,8 @@
-"""What a model looks like from straight above along a border: a strip of pixels aligned with it.
-One small render per border.
+"""A model from straight above along a border: a strip of pixels. One small render per border.
 
 A pinhole `ALTITUDE` strip lengths above the ground stands for an orthographic camera, which the
-rasterizer lacks: its rays are off the vertical by at most 1 / (2 · `ALTITUDE`) at the ends of the
-strip. Gaussians are moved to the middle of the border in float64 first, so that neither a far
-origin nor the altitude costs digits.
+rasterizer lacks: rays are off the vertical by at most 1 / (2 · `ALTITUDE`). Gaussians are moved to
+the middle of the border in float64 first, so that a far origin or altitude costs no digits.
 """
 
 from __future__ import annotations
@@ -26,19 +24,18 @@ if TYPE_CHECKING:
 ALTITUDE = 100.0
 MAX_STRIP_PX = 20_000_000
 CEILING_M = 40.0
-"""What stands higher over the middle ground than roofs and trees is sky or haze that training left in the air: it is left out."""
+"""What stands higher over the middle ground than roofs and trees is sky or haze: left out."""
 _REACH_SIGMAS = 3.5
 """Beyond this a Gaussian's α is below 1/255 whatever its opacity."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderStrip:
-    """T rows across the border, S columns along it; the border lies between rows T/2 − 1 and T/2,
-    its left side in the upper rows.
+    """T rows across, S columns along a border between rows T/2 − 1 and T/2, its left side above.
 
     image (T,S,3) in 0..1 over black; alpha (T,S); height_m (T,S) in the world, NaN where nothing
-    was hit; density (T,S) Gaussians per m² of those that show (weighted by opacity), at their
-    centres; px_m metres per pixel; ends (2,2) m.
+    was hit; density (T,S) opacities per m² of the centres of Gaussians; px_m metres per pixel;
+    ends (2,2) m.
     """
 
     image: NDArray[np.float32]
@@ -50,11 +47,10 @@ class BorderStrip:
 
 
 def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float, px_m: float, backend: Backend = "auto") -> BorderStrip:
-    """The strip within `half_width_m` of the straight border between `ends` (2,2) m, both rounded
-    down to whole pixels.
+    """The strip within `half_width_m` of the border between `ends` (2,2) m, in whole pixels.
 
-    Raises BadInput where the border is shorter than a pixel, a width or pixel is not positive and
-    finite, or the strip would have more than 20 million pixels.
+    BadInput where the border is shorter than a pixel, a width or pixel is not positive and finite,
+    or the strip would have more than 20 million pixels.
     """
     ends = check_array("ends", ends, (2, 2))
     if not (0 < px_m < np.inf and px_m <= half_width_m < np.inf):
@@ -77,9 +73,9 @@ def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float,
     ground_m = float(np.median(splats.means[inside, 2])) if inside.any() else 0.0
     low = low_gaussians(splats, inside)
     near, inside = near & low, inside & low
-    moved = _moved(splats.select(np.flatnonzero(near)), local[near], ground_m)
+    moved = _move(splats.select(np.flatnonzero(near)), local[near], ground_m)
     camera = _camera_above(along, columns, 2 * half_rows, px_m)
-    # Here, since it brings torch: who measures no seam has not to wait for it.
+    # Here, since it brings torch, which other measures need not wait for.
     from radiant_core.render.rendered_view import render_views
 
     (view,) = render_views(moved, camera, backend)
@@ -95,7 +91,7 @@ def low_gaussians(splats: Splats, inside: NDArray[np.bool_]) -> NDArray[np.bool_
     return splats.means[:, 2] < ground_m + CEILING_M
 
 
-def _moved(splats: Splats, local_xy: FloatArray, ground_m: float) -> Splats:
+def _move(splats: Splats, local_xy: FloatArray, ground_m: float) -> Splats:
     means = np.column_stack([local_xy, splats.means[:, 2].astype(np.float64) - ground_m])
     return replace(splats, means=means.astype(np.float32))
 

@@ -1,13 +1,11 @@
-"""Where the ground of regions meets: the owner of a ground position, the nearest other owner, and
-its distance. Once per mask.
+"""Where regions meet: a position's owner, the nearest other one, its distance. Once per mask.
 
-Ownership depends on x and y alone, so a border is a wall that stands on its line: what is seen of
-ground, roof or facade within a width of the line belongs to it. Two kinds: between edges, cells of
+Ownership depends on x and y alone, so a border is a wall on its line: ground, roof or facade within
+a width of the line belongs to it. Two kinds: between edges, cells of
 a power diagram (sites P, weights w), where x in cell i is away by
     min over j ≠ i of (‖x − Pj‖² − wj − ‖x − Pi‖² + wi) / (2‖Pi − Pj‖)
-exactly, without a search through polygons: a half-plane that does not touch the cell is never the
-nearest. And between the devices of an edge, strips of its cell cut by lines, where it is the least
-distance to a cut. P positions, R regions.
+exactly: a half-plane that does not touch the cell is never the nearest. And between the devices of
+an edge, strips of its cell, the least distance to a cut. P positions, R regions.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ BLOCK_NUMBERS = 4_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NearestBorder:
-    """distance_m (P,), infinite where a region has no neighbour; pair (P,2) of region indices, the lower one first, -1 there."""
+    """distance_m (P,), infinite without a neighbour; pair (P,2) of regions, ascending, -1 there."""
 
     distance_m: FloatArray
     pair: NDArray[np.int64]
@@ -61,7 +59,7 @@ class EdgeBorders:
         return self.plan.edge_ids
 
     def nearest(self, points_xy: FloatArray) -> NearestBorder:
-        """See `Borders`; two edges at one site have no border between them, the heavier one owns everything."""
+        """See `Borders`; two edges at one site have no border, the heavier one owns everything."""
         sites = self.plan.sites
         spacing = np.linalg.norm(sites[:, None] - sites, axis=2)
         distances, pairs = np.full(len(points_xy), np.inf), np.full((len(points_xy), 2), -1)
@@ -80,7 +78,7 @@ class EdgeBorders:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DeviceBorders:
-    """Borders between the devices of each edge; those between edges are not among them. Cuts reach across the whole cell of the edge."""
+    """Borders between the devices of each edge, not between edges; cuts span the edge's cell."""
 
     plan: CloudPlan
     edge_plans: Sequence[EdgePlan]
@@ -111,7 +109,7 @@ class DeviceBorders:
 
 
 def border_distance_m(points_xy: FloatArray, plan: CloudPlan) -> FloatArray:
-    """Distance (P,) of ground positions (P,2) to the border of the edge's region they lie in; inf with one region."""
+    """Distance (P,) of positions (P,2) to the border of their edge's region; inf without one."""
     return EdgeBorders(plan=plan).nearest(points_xy).distance_m
 
 
@@ -126,13 +124,13 @@ def edge_owners(points_xy: FloatArray, plan: CloudPlan) -> NDArray[np.int64]:
 
 
 def _cuts(plan: EdgePlan) -> list[tuple[tuple[int, int], FloatArray, float]]:
-    """Devices on either side, unit normal (2,) and offset of the line between each two consecutive strips that hold ground."""
+    """Device pair, unit normal (2,) and offset of the line between consecutive strips."""
     used = [index for index, strip in enumerate(plan.strips) if len(strip) >= 3]
     return [((a, b), *_separating_side(plan.strips[a], plan.strips[b])) for a, b in pairwise(used)]
 
 
 def _separating_side(strip: FloatArray, other: FloatArray) -> tuple[FloatArray, float]:
-    """The side of a convex polygon (V,2) that `other` lies farthest beyond: outward normal n and n · x on it."""
+    """The side of a convex polygon (V,2) that `other` lies farthest beyond: normal n and n · x."""
     strip = strip if polygon_area_m2(strip) > 0 else strip[::-1]
     sides = np.roll(strip, -1, axis=0) - strip
     lengths = np.linalg.norm(sides, axis=1)

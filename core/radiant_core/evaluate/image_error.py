@@ -1,5 +1,4 @@
-"""How far a render is from its photograph: PSNR, SSIM, FLIP, LPIPS, and the first two after colour
-correction. Once per held-out image.
+"""A render's errors: PSNR, SSIM, FLIP, LPIPS, the first two after colour correction as well.
 
 PSNR = −10 log10(mean squared error), peak 1. SSIM (Wang et al. 2004, Eqn. 13) per channel with an
 11×11 Gaussian window, σ 1.5 px, K1 0.01, K2 0.03, averaged over the windows that lie wholly inside
@@ -31,7 +30,7 @@ SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
 
 MIN_SQUARED_ERROR = 1e-10
-"""Equal images count as 100 dB, so that every figure stays finite; 8-bit photographs cannot show more than 59 dB."""
+"""Equal images count as 100 dB: every figure stays finite; 8 bits show no more than 59 dB."""
 
 NO_LPIPS_REASON = "LPIPS needs trained network weights, which are not part of the package: it was not measured; give --lpips-weights."
 NO_FLIP_REASON = "the package flip-evaluator is not installed: FLIP was not measured; install it to get the figure."
@@ -45,7 +44,7 @@ Distance = Callable[[ArrayLike, ArrayLike], float]
 
 @dataclass(frozen=True, kw_only=True)
 class ImageErrors:
-    """Figures of one image, or their means or medians over several; None where a figure was not measured of every image."""
+    """Figures of an image, or means or medians over several; None where an image lacks one."""
 
     name: str
     psnr_db: float
@@ -67,7 +66,7 @@ class ImageErrors:
 
 
 def psnr_db(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
-    """PSNR in dB of two images (H,W,3) in 0..1, of the pixels that are `used`; BadInput on other shapes or values."""
+    """PSNR in dB of the `used` pixels of images (H,W,3) in 0..1; BadInput on other values."""
     render, photograph = check_image_pair(render, photograph)
     squared = (render - photograph) ** 2
     return psnr_db_of_mse(float(np.mean(squared if used is None else squared[check_used(used, render)])))
@@ -79,8 +78,7 @@ def psnr_db_of_mse(mean_squared_error: float) -> float:
 
 
 def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
-    """SSIM of two images (H,W,3) in 0..1, float64; of the windows about `used` pixels, the others
-    being taken for equal.
+    """SSIM of images (H,W,3) in 0..1, of windows about `used` pixels, the others taken as equal.
 
     BadInput on other shapes or values, a side under 11 px, or where no such window is left.
     """
@@ -98,11 +96,8 @@ def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
 
 
 def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float | None:
-    """Mean FLIP of two sRGB images (H,W,3) in 0..1 at their `used` pixels, the others being taken
-    for equal, or None without the package.
-
-    BadInput on other shapes or values.
-    """
+    """Mean FLIP of sRGB images (H,W,3) in 0..1 at `used` pixels, the others taken as equal; None
+    without the package. BadInput on other shapes or values."""
     render, photograph = check_image_pair(render, photograph)
     render = replace_unused(render, photograph, used)
     if importlib.util.find_spec("flip_evaluator") is None:
@@ -114,12 +109,10 @@ def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float |
 
 
 def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Distance | None = None, used: Used = None) -> ImageErrors:
-    """All figures of one image (H,W,3) in 0..1 against its photograph; BadInput on other shapes or
-    values.
+    """All figures of an image (H,W,3) in 0..1 against its photograph; BadInput on other values.
 
-    `lpips` is a `radiant_core.evaluate.lpips.Lpips`, where weights are at hand. Where `used` (H,W)
-    is False nothing is scored; LPIPS alone is a mean of the whole image, in which those pixels are
-    equal.
+    `lpips`: an `evaluate.lpips.Lpips`, where weights are at hand; a mean over the whole image, in
+    which pixels outside `used` (H,W) are equal. The other figures leave those out.
     """
     corrected = correct_colors(render, photograph, used)
     return ImageErrors(
@@ -134,12 +127,12 @@ def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Dis
 
 
 def mean_errors(errors: Sequence[ImageErrors], name: str = "mean") -> ImageErrors:
-    """Mean of each figure over the images; None when any image lacks it. BadInput without images."""
+    """Mean of each figure; None when any image lacks it. BadInput without images."""
     return _over_images(errors, name, np.mean)
 
 
 def median_errors(errors: Sequence[ImageErrors], name: str = "median") -> ImageErrors:
-    """Median of each figure over the images; None when any image lacks it. BadInput without images."""
+    """Median of each figure; None when any image lacks it. BadInput without images."""
     return _over_images(errors, name, np.median)
 
 

@@ -1,4 +1,4 @@
-"""What every image error asks of a render and its photograph. Once per image and figure."""
+"""What every image error requires of a render and its photograph. Once per image and figure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Used = NDArray[np.bool_] | None
 
 
 def check_image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Both images (H,W,3) as float64; BadInput when shapes differ, there are no pixels, or a value is not finite or outside 0..1."""
+    """Both images (H,W,3) as float64; BadInput unless shapes agree and all values are in 0..1."""
     pair = [check_array(name, image, (None, None, 3)) for name, image in (("render", render), ("photograph", photograph))]
     if pair[0].shape != pair[1].shape:
         raise BadInput(f"a render {pair[0].shape} is compared with a photograph {pair[1].shape}: give them the same size.")

@@ -1,13 +1,11 @@
-"""LPIPS (Zhang et al. 2018), version 0.1: distance of two images in the features of a trained
-network. Once per image.
+"""LPIPS (Zhang et al. 2018), version 0.1: image distance in a network's features. Once per image.
 
     LPIPS(a, b) = Σ over taps l of mean over pixels of Σ over channels c of w_lc (â_lc − b̂_lc)²
 
 with â the features after a ReLU, divided at every pixel by their length over the channels, and
-inputs x in 0..1 scaled to (2x − 1 − shift) / scale. The networks are the convolutions of
-torchvision's VGG16 or AlexNet with five taps. Trained weights are the user's to bring
-(`load_lpips`): a backbone as torchvision publishes it and the heads w as the authors' package
-`lpips` does.
+inputs x in 0..1 scaled to (2x − 1 − shift) / scale, of torchvision's VGG16 or AlexNet with five
+taps. Trained weights are the user's to bring (`load_lpips`): a backbone as torchvision publishes it
+and the heads w as the authors' package `lpips` does.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ MAX_FILE_BYTES = 2**30
 
 @dataclass(frozen=True, kw_only=True)
 class _Conv:
-    """One convolution with its ReLU: its number in torchvision's `features`, and a max-pool of `pool_px` with stride 2 before it."""
+    """A convolution with its ReLU: its number in `features`, a max-pool of stride 2 before it."""
 
     number: int
     channels: tuple[int, int]
@@ -97,11 +95,11 @@ _NETWORKS: dict[LpipsNetwork, _Network] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lpips:
-    """A network with its weights: `distance = lpips(render, photograph)`. Made by `load_lpips`, which checks the weights."""
+    """A network with its weights: `distance = lpips(render, photograph)`. Made by `load_lpips`."""
 
     network: LpipsNetwork
     weights: Mapping[str, Tensor]
-    """`features.N.weight` (out,in,k,k), `features.N.bias` (out,), `linL.model.1.weight` (1,C,1,1); finite float32."""
+    """`features.N.weight` (out,in,k,k), `.bias` (out,), `linL.model.1.weight` (1,C,1,1)."""
 
     @property
     def min_side_px(self) -> int:
@@ -109,7 +107,7 @@ class Lpips:
         return MIN_SIDE_PX[self.network]
 
     def __call__(self, render: ArrayLike, photograph: ArrayLike) -> float:
-        """LPIPS of two images (H,W,3) in 0..1, 0 where they are equal; BadInput on other shapes or values, or a side that is too short."""
+        """LPIPS of images (H,W,3) in 0..1, 0 where equal; BadInput on other or too small ones."""
         pair = check_image_pair(render, photograph)
         height, width = pair[0].shape[:2]
         if min(height, width) < self.min_side_px:
@@ -124,7 +122,7 @@ class Lpips:
         distance, tap = 0.0, 0
         with torch.no_grad(), torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False):
             for conv in _NETWORKS[self.network].convs:
-                images = [_convolved(image, conv, weights) for image in images]
+                images = [_convolve(image, conv, weights) for image in images]
                 if conv.tap:
                     distance += _tap_distance(images[0], images[1], weights[_head(tap)])
                     tap += 1
@@ -132,12 +130,11 @@ class Lpips:
 
 
 def load_lpips(path: Path, network: LpipsNetwork) -> Lpips:
-    """The network with weights from `path`: a folder that holds torchvision's backbone
-    (`vgg16*.pth` or `alexnet*.pth`) and the heads of `lpips` version 0.1 (`vgg.pth` or `alex.pth`),
-    or one safetensors file with the tensors of both.
+    """The network with weights from `path`: a folder of torchvision's backbone (`vgg16*.pth`,
+    `alexnet*.pth`) and the heads of `lpips` 0.1 (`vgg.pth`, `alex.pth`), or one safetensors file.
 
-    Nothing in a .pth is executed. Raises BadInput when a file is missing, ambiguous, broken, over 1
-    GiB, or has a tensor that is missing, of another shape, not of a floating type or not finite.
+    Nothing in a .pth is executed. BadInput when a file is missing, ambiguous, broken or over 1 GiB,
+    or a tensor is missing, of another shape, not of a floating type or not finite.
     """
     if network not in get_args(LpipsNetwork):
         raise BadInput(f"LPIPS network {network!r} is unknown: use one of {', '.join(get_args(LpipsNetwork))}.")
@@ -154,11 +151,12 @@ def load_lpips(path: Path, network: LpipsNetwork) -> Lpips:
         found = _read_safetensors(path, network)
     else:
         raise BadInput(f"there are no LPIPS weights at {path}: give a folder with the .pth files or one safetensors file.")
-    return Lpips(network=network, weights={name: _checked(path, name, found.get(name), shape) for name, shape in _shapes(network).items()})
+    weights = {name: _check_tensor(path, name, found.get(name), shape) for name, shape in _shapes(network).items()}
+    return Lpips(network=network, weights=weights)
 
 
 def save_lpips(path: Path, lpips: Lpips) -> None:
-    """Write only the weights that are needed, 59 MB of VGG16, as safetensors that `load_lpips` reads; raises as `write_atomic`."""
+    """Write the needed weights, 59 MB of VGG16, as safetensors; raises as `write_atomic`."""
     from safetensors.torch import save
 
     write_atomic(path, save(dict(lpips.weights)))
@@ -182,7 +180,7 @@ def _head(tap: int) -> str:
     return f"lin{tap}.model.1.weight"
 
 
-def _convolved(image: Tensor, conv: _Conv, weights: Mapping[str, Tensor]) -> Tensor:
+def _convolve(image: Tensor, conv: _Conv, weights: Mapping[str, Tensor]) -> Tensor:
     """(C,H,W) after pooling, convolution and ReLU."""
     image = image[None]
     if conv.pool_px:
@@ -192,17 +190,16 @@ def _convolved(image: Tensor, conv: _Conv, weights: Mapping[str, Tensor]) -> Ten
 
 
 def _tap_distance(a: Tensor, b: Tensor, head: Tensor) -> float:
-    """Mean over the pixels of the weighted squared difference of two features (C,H,W) after each is made one long."""
+    """Mean of the weighted squared difference of features (C,H,W) that are made one long."""
     squared = (a / (a.norm(dim=0) + LENGTH_EPSILON)).sub_(b / (b.norm(dim=0) + LENGTH_EPSILON)).square_()
     return float(torch.tensordot(head[0, :, 0, 0], squared, dims=1).mean(dtype=torch.float64))
 
 
 def _read_pth(path: Path) -> dict[Any, Any]:
-    """What a file of `torch.save` holds, if that is a dictionary; the names it may hold besides are not looked at."""
+    """What a file of `torch.save` holds, if that is a dictionary; other names are ignored."""
     _require_size(path)
     try:
-        # weights_only: a pickle that asks for anything but tensors and plain containers is refused,
-        # not run.
+        # weights_only: a pickle of anything but tensors and plain containers is refused, not run.
         with warnings.catch_warnings():
             # It warns of odd pickles; what comes of them is checked below.
             warnings.simplefilter("ignore")
@@ -234,7 +231,7 @@ def _require_size(path: Path) -> None:
         raise BadInput(f"{path} has {num_bytes} bytes, expected at most {MAX_FILE_BYTES}: it holds no LPIPS weights.")
 
 
-def _checked(path: Path, name: str, value: Any, shape: tuple[int, ...]) -> Tensor:
+def _check_tensor(path: Path, name: str, value: Any, shape: tuple[int, ...]) -> Tensor:
     if not isinstance(value, Tensor):
         raise BadInput(f"{path} has no tensor {name}: give torchvision's backbone and the heads of lpips 0.1 for this network.")
     # The shape comes first: an expanded tensor of a small file could be of any size.

@@ -1,9 +1,7 @@
-"""`Metric`: one measured figure with its unit, what counts as better, and how much worse is still
-the same.
+"""`Metric`: one measured figure with its unit, direction and tolerance.
 
-A few hundred per run or benchmark; compared once against a blessed list:
-worse_by = (new − blessed) for "lower", (blessed − new) for "higher"; a regression is worse_by >
-tolerance of the new metric.
+A few hundred per run or benchmark; compared once against a blessed list: worse_by = (new − blessed)
+for "lower", (blessed − new) for "higher"; a regression is worse_by > tolerance of the new metric.
 """
 
 from __future__ import annotations
@@ -16,14 +14,14 @@ from typing import Any, Literal, get_args
 from radiant_core.errors import BadInput
 
 Direction = Literal["lower", "higher", "info"]
-"""lower: smaller is better; higher: larger is better; info: stands beside the others and is never compared."""
+"""lower: smaller is better; higher: larger is better; info: never compared."""
 
 JSON_KEYS = ("key", "value", "unit", "direction")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """One figure. Raises BadInput when the key is empty, the value or tolerance not finite, or the direction unknown."""
+    """One figure. BadInput for an empty key, an unknown direction, a number that is not finite."""
 
     key: str
     """Dotted name, for example "raster.S.random.native.fwd_cpu_ms"."""
@@ -43,20 +41,20 @@ class Metric:
             raise BadInput(f"metric {self.key} has the direction {self.direction!r}: use 'lower', 'higher' or 'info'.")
         if not isinstance(self.unit, str):
             raise BadInput(f"metric {self.key} has the unit {self.unit!r}: give it as text.")
-        object.__setattr__(self, "value", _finite(self.key, "value", self.value))
-        object.__setattr__(self, "tolerance", _finite(self.key, "tolerance", self.tolerance))
+        object.__setattr__(self, "value", _finite_number(self.key, "value", self.value))
+        object.__setattr__(self, "tolerance", _finite_number(self.key, "tolerance", self.tolerance))
         if self.tolerance < 0:
             raise BadInput(f"metric {self.key} has the tolerance {self.tolerance}: give zero or more.")
 
 
 def metrics_to_json(metrics: Sequence[Metric]) -> list[dict[str, str | float]]:
-    """List of {key, value, unit, direction}, ready for `write_json`; BadInput when a key comes twice."""
+    """List of {key, value, unit, direction} for `write_json`; BadInput when a key comes twice."""
     _by_key(metrics)
     return [{name: getattr(metric, name) for name in JSON_KEYS} for metric in metrics]
 
 
 def metrics_from_json(rows: Any) -> tuple[Metric, ...]:
-    """The metrics of a parsed JSON list, tolerance 0; BadInput when it is not such a list, row and reason named."""
+    """The metrics of a parsed JSON list, tolerance 0; BadInput names the row and the reason."""
     if not isinstance(rows, list):
         raise BadInput(f"metrics come as {type(rows).__name__}, expected a list of {{key, value, unit, direction}}.")
     for index, row in enumerate(rows):
@@ -68,11 +66,9 @@ def metrics_from_json(rows: Any) -> tuple[Metric, ...]:
 
 
 def regressions(new: Sequence[Metric], blessed: Sequence[Metric]) -> tuple[str, ...]:
-    """One sentence per blessed metric that is now worse by more than its tolerance or no longer
-    measured; empty when fine.
+    """One sentence per blessed metric that is worse by more than its tolerance or not measured now.
 
-    A key that is only in `new` is no regression. BadInput when unit or direction of a key changed:
-    bless the list anew.
+    A key that is only in `new` is none. BadInput when unit or direction of a key changed.
     """
     new_by_key = _by_key(new)
     sentences = []
@@ -107,7 +103,7 @@ def _by_key(metrics: Sequence[Metric]) -> dict[str, Metric]:
     return by_key
 
 
-def _finite(key: str, name: str, value: Any) -> float:
+def _finite_number(key: str, name: str, value: Any) -> float:
     try:
         number = float(value) if not isinstance(value, str | bytes | bool) else math.nan
     except (TypeError, ValueError, OverflowError):

@@ -1,15 +1,12 @@
-"""How well places of the ground were observed, so that no statement is made about ground that was
-not seen. Once per plan, O(C · K).
+"""How well places of the ground were observed. Once per plan, O(C · K).
 
-    share of x = min(1, coverage(x) / median coverage of the scene's own points),   0 where fewer than `MIN_VIEWS` images show x, fewer
-                                                                        than `MIN_POINTS` points lie
-                                                                        near, or it is below
-                                                                        `MIN_SHARE`
+    share of x = min(1, coverage(x) / median coverage of the scene's own points),   0 where fewer
+    than `MIN_VIEWS` images show x, fewer than `MIN_POINTS` points lie near, or below `MIN_SHARE`
 
-`coverage` is that of `geometry.coverage`: the sum over the images that show x of their resolution
-there, less at their rims. x stands at the middle height of the `NUM_NEAREST` points around it;
-occlusion does not count. Where structure from motion placed no points, images may show a place, but
-no two of them agreed on what stands there: a model's haze. C cameras, K places, P points.
+`coverage` sums the resolution of the images that show x (`geometry.coverage`). x stands at the
+middle height of the `NUM_NEAREST` points around it; occlusion does not count. Where structure from
+motion placed no points, no two images agreed on what stands there: a model's haze. C cameras,
+K places, P points.
 """
 
 from __future__ import annotations
@@ -26,17 +23,14 @@ from radiant_core.scene import SfmScene
 MIN_VIEWS = 2
 """What one image alone shows has no depth."""
 MIN_SHARE = 0.25
-"""Where the images' resolution adds up to less than a quarter of what it usually does, the place lies beside what was photographed."""
+"""With less than a quarter of the usual resolution a place lies beside what was photographed."""
 MIN_POINTS = 3
 NUM_NEAREST, NUM_SAMPLED = 16, 1000
 
 
 def observed_coverage(places_xy: ArrayLike, scene: SfmScene, reach: float) -> FloatArray:
-    """Share (K,) of the usual coverage that each of the places (K,2) of a scene has, 0 to 1; 0
-    where it was not observed.
-
-    reach: how near points must lie, in the frame's unit.
-    """
+    """Share (K,) of the usual coverage of places (K,2), 0 to 1, 0 where not observed; `reach`: how
+    near points must lie, in the frame's unit."""
     places_xy = check_array("places_xy", places_xy, (None, 2))
     if len(scene.points) < MIN_POINTS or not len(scene.cameras):
         return np.zeros(len(places_xy))
@@ -44,14 +38,14 @@ def observed_coverage(places_xy: ArrayLike, scene: SfmScene, reach: float) -> Fl
     num_nearest = min(NUM_NEAREST, len(scene.points))
     distances, nearest = KDTree(scene.points[:, :2]).query(places_xy, num_nearest)
     heights = np.median(scene.points[:, 2][nearest], axis=1)
-    covered, num_views = _covered(np.column_stack([places_xy, heights]), scene.cameras)
+    covered, num_views = _coverage_and_views(np.column_stack([places_xy, heights]), scene.cameras)
     usual = float(np.median(coverage(sampled, scene.cameras)))
     shares = np.minimum(1.0, covered / usual) if usual > 0 else np.zeros(len(covered))
     observed = (num_views >= MIN_VIEWS) & (distances[:, MIN_POINTS - 1] <= reach) & (shares >= MIN_SHARE)
     return np.where(observed, shares, 0.0)
 
 
-def _covered(places: FloatArray, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
+def _coverage_and_views(places: FloatArray, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
     """Coverage (K,) of places (K,3), and by how many images each is shown (K,)."""
     covered, num_views = np.zeros(len(places)), np.zeros(len(places))
     for index in range(len(cameras)):

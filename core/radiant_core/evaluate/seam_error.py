@@ -1,18 +1,17 @@
-"""How much worse a model is along the borders of a plan than elsewhere. Masks once per scene, plan
-and image, then sums once per render.
+"""How much worse a model is along the borders of a plan. Masks once per scene, plan and image.
 
 A pixel belongs to a band when the surface it sees, x = world_from_cam · (z K⁻¹ (u, v, 1)), lies
 within half a band of a border, measured horizontally, and to the nearest of all borders; what lies
 farther is the interior. Depths z are the generator's or the centralised model's, never the judged
-model's own, so that all methods are judged by the same pixels. A roof or facade counts by its own
-place, not by the ground it hides. Out are the sky and pixels whose place is not known to half of
-half a band: along the edge of what hides something else, depth mixes both. Inverse depth is affine
-over any plane, seen however flatly, so there its second differences
+model's own: all methods are judged by the same pixels. A roof or facade counts by its own place,
+not by the ground it hides. Out are the sky and pixels whose place is not known to half of half a
+band: along the edge of what hides something else, depth mixes both. Inverse depth is affine over
+any plane, so there its second differences
     |q(u−1) − 2 q(u) + q(u+1)| z² ‖horizontal part of K⁻¹ (u, v, 1)‖,  q = 1 / z, and likewise for v
 are how far the place is unsure.
 
 The headline is (band − interior) of a method minus that of a reference, usually the centralised
-model: what is hard to learn along a border for anybody cancels out.
+model: what is hard to learn along a border anyway cancels out.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ UNSURE_SHARE = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamMask:
-    """Pixels of one image: labels (H,W), the number of the border whose band it is, -1 in the interior, -2 where it does not count."""
+    """labels (H,W) of one image: the border whose band a pixel is in, -1 interior, -2 uncounted."""
 
     labels: NDArray[np.int16]
 
@@ -61,7 +60,7 @@ class SeamMask:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamMasks:
-    """One mask per image, and the names of the two regions of every border that any of them sees."""
+    """One mask per image, and the two regions of every border that any of them sees."""
 
     borders: tuple[tuple[str, str], ...]
     masks: tuple[SeamMask, ...]
@@ -79,7 +78,7 @@ class SeamMasks:
 
 @dataclass(frozen=True, kw_only=True)
 class SeamError:
-    """PSNR over all band and all interior pixels of several images; None where they are too few to say."""
+    """PSNR over all band and all interior pixels of several images; None where they are few."""
 
     seam_psnr_db: float | None
     interior_psnr_db: float | None
@@ -101,12 +100,11 @@ class SeamError:
 def seam_masks(
     cameras: Cameras, depths_m: Sequence[NDArray[np.floating]], borders: CloudPlan | Sequence[Borders], half_band_m: float
 ) -> SeamMasks:
-    """Masks of C images from their depths, C arrays (H,W) along the camera's z axis; 0, NaN or
-    infinite means no ground.
+    """Masks of C images from depths (H,W) along their camera's z axis; 0, NaN, inf mean no ground.
 
-    `borders` are those between the edges of a plan, or several kinds, as in `[EdgeBorders(…),
-    DeviceBorders(…)]`: a pixel then belongs to the nearest border of any kind. Raises BadInput when
-    a depth is not of its camera's size or `half_band_m` not positive.
+    `borders` are those between the edges of a plan, or several kinds, of which the nearest counts:
+    `[EdgeBorders(…), DeviceBorders(…)]`. Raises BadInput when a depth is not of its camera's size
+    or `half_band_m` not positive.
     """
     if not 0 < half_band_m < np.inf:
         raise BadInput(f"half_band_m is {half_band_m}, expected a positive width of the band beside a border.")
@@ -121,11 +119,9 @@ def seam_masks(
 def band_and_interior_psnr_db(
     renders: Iterable[NDArray[np.floating]], photographs: Iterable[NDArray[np.floating]], masks: Iterable[SeamMask]
 ) -> SeamError:
-    """PSNR of the pixels near borders and of the others, pooled over images (H,W,3) in 0..1 that
-    come one at a time.
+    """PSNR near borders and elsewhere, pooled over images (H,W,3) in 0..1 that come one at a time.
 
-    A part has a figure from 20,000 pixels in 10 images on. Raises BadInput when a render,
-    photograph and mask differ in size.
+    A part has a figure from 20,000 pixels in 10 images on. Raises BadInput when sizes differ.
     """
     return pooled_seam_error([seam_sums(renders, photographs, masks)])
 
@@ -144,7 +140,7 @@ def pooled_seam_error(sums: Iterable[FloatArray]) -> SeamError:
 def seam_sums(
     renders: Iterable[NDArray[np.floating]], photographs: Iterable[NDArray[np.floating]], masks: Iterable[SeamMask]
 ) -> FloatArray:
-    """(2,3): squared error, pixels and images of the band and of the interior, over images (H,W,3) in 0..1 that come one at a time."""
+    """(2,3): squared error, pixels, images of band and interior, of images (H,W,3) in turn."""
     band, interior = np.zeros(3), np.zeros(3)
     for render, photograph, mask in zip(renders, photographs, masks, strict=True):
         squared = squared_errors(render, photograph, mask)
@@ -154,7 +150,7 @@ def seam_sums(
 
 
 def squared_errors(render: NDArray[np.floating], photograph: NDArray[np.floating], mask: SeamMask) -> FloatArray:
-    """Mean over channels (H,W) of the squared difference of two images; BadInput when they and the mask differ in size."""
+    """Mean over channels (H,W) of the squared difference; BadInput when sizes differ."""
     if not render.shape == photograph.shape == (*mask.labels.shape, 3):
         raise BadInput(f"render {render.shape}, photograph {photograph.shape} and mask {mask.labels.shape} differ in size.")
     squared = ((np.asarray(render, np.float64) - photograph) ** 2).mean(axis=2)
@@ -193,7 +189,7 @@ def _seam_mask(
 
 
 def ground_places(cameras: Cameras, index: int, depth_m: NDArray[np.floating]) -> FloatArray:
-    """Horizontal place (H,W,2) m of what each pixel of one camera sees at depths (H,W) m along its z axis, NaN where there is none."""
+    """Horizontal place (H,W,2) m of each pixel at depths (H,W) m along z, NaN where none is."""
     depth = _depth_or_nan(depth_m)
     return cameras.centers[index, :2] + _rays(cameras, index, depth.shape) * depth[..., None]
 
@@ -211,7 +207,7 @@ def _rays(cameras: Cameras, index: int, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _places(cameras: Cameras, index: int, depth_m: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
-    """Horizontal place (H,W,2) of what each pixel sees, NaN without depth, and how far it is unsure (H,W) m."""
+    """Horizontal place (H,W,2) of each pixel, NaN without depth, and how unsure (H,W) m it is."""
     height, width = depth_m.shape
     depth, rays = _depth_or_nan(depth_m), _rays(cameras, index, depth_m.shape)
     places = ground_places(cameras, index, depth_m)

@@ -1,7 +1,6 @@
-"""How many pixels each Gaussian makes: what a model of fewer Gaussians can spare first. One render
-and its backward per view.
+"""How many pixels each Gaussian makes. One render and its backward per view.
 
-    shown of Gaussian i = Σ over views and pixels of  T_i α_i,      Σ over i of that = Σ over pixels of alpha
+    shown of Gaussian i = Σ over views and pixels of  T_i α_i,  Σ over i = Σ over pixels of alpha
 
 the derivative of all pixels' sum by its colour.
 """
@@ -36,7 +35,7 @@ def count_shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "aut
 
 
 def select_strongest(splats: Splats, cameras: Cameras, count: int, backend: Backend = "auto") -> Splats:
-    """The `count` Gaussians that show most to the cameras, in their order; the model itself where it has no more."""
+    """The `count` Gaussians that show most to the cameras, in their order; all where fewer."""
     if count < 1:
         raise BadInput(f"{count} Gaussians are to be left, expected at least 1.")
     if len(splats) <= count:

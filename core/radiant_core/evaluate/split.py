@@ -1,9 +1,10 @@
-"""Which photographs are kept apart. Computed once per scene, from names alone, so that it is the
-same in every run.
+"""Which photographs are kept apart, from names alone, the same in every run. Once per scene.
 
-held out: what the set itself keeps in val/ (Mill 19 does), else position 0, 8, 16, … by sorted name; used for scoring only.
-validation: position 0, 8, 16, … of what remains, from 8 training photographs on; used for choices inside training, never to score.
-training:   the rest. A choice that was made by the validation part may then be trained on both.
+held out:   what the set itself keeps in val/ (as Mill 19), else position 0, 8, 16, … by sorted
+            name; used for scoring only.
+validation: position 0, 8, 16, … of what remains, from 8 photographs on; used for choices inside
+            training, never to score.
+training:   the rest; a choice that was made by the validation part may then be trained on both.
 """
 
 from __future__ import annotations
@@ -17,14 +18,12 @@ from radiant_core.errors import BadInput
 
 
 def held_out_mask(names: Sequence[str], every: int = 8, first: int = 0) -> NDArray[np.bool_]:
-    """Mask (C,) of the first, ninth, … of `names` (C) in sorted order; it moves with the names when
-    they are reordered.
+    """Mask (C,) of the first, ninth, … of `names` (C) in sorted order, whatever their own order.
 
     `first` from 1 to `every` − 1 begins that many later: `every` splits of one set hold each
     photograph out once (cross-validation). Where some names begin with "train/" and all others with
     "val/" the set brings its own split, and "val/" is held out. Raises BadInput when `every` is
-    below 2 (nothing would be left to train on), a name comes twice, or `first` is none of these or
-    asked of a set with its own split.
+    below 2, a name comes twice, or `first` is none of these or asked of a set with its own split.
     """
     everything = _every_nth(names, np.ones(len(names), bool), every, first)
     if not 0 <= first < every:
@@ -38,7 +37,7 @@ def held_out_mask(names: Sequence[str], every: int = 8, first: int = 0) -> NDArr
 
 
 def validation_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
-    """Mask (C,) of the validation part of a whole set: what `training_validation_mask` takes of what `held_out_mask` leaves."""
+    """Mask (C,) of a whole set: the validation part of what `held_out_mask` leaves."""
     held_out = held_out_mask(names, every)
     training = np.flatnonzero(~held_out)
     mask = np.zeros(len(names), bool)
@@ -47,11 +46,9 @@ def validation_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
 
 
 def training_validation_mask(training_names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
-    """Mask (C,) of the validation part of training photographs (C), for a trainer that has none of
-    the held-out ones.
+    """Mask (C,) of the validation part of training photographs (C), without the held-out ones.
 
-    The first, ninth, … in sorted order: ⌈C / every⌉ of them, or none where C < `every`. Raises as
-    `held_out_mask`.
+    ⌈C / every⌉ in sorted order, or none where C < `every`. Raises as `held_out_mask`.
     """
     mask = _every_nth(training_names, np.ones(len(training_names), bool), every)
     return mask if len(training_names) >= every else np.zeros(len(training_names), bool)

@@ -1,9 +1,9 @@
-"""Finds a seam without a reference: does a model step at a border more than at lines beside it? One
-render and 0.3 s per straight border.
+"""Finds seams without a reference: does a model step at a border more than at lines beside it?
 
-Of the strip seen from straight above and the Gaussians that show in it, four quantities are taken
-at the border and at parallels:
-    colour   mean of the 0.4 m to the left − to the right of every half metre of the border; grey and two differences of channels
+One render and 0.3 s per straight border. Of the strip seen from straight above and the Gaussians
+that show in it, four quantities are taken at the border and at parallels:
+    colour   mean of the 0.4 m to the left − to the right of every half metre of the border, of
+             grey and two differences of channels
     height   left − right of neighbouring Gaussians' centres that lie on either side
     density  log of the ratio of Gaussians, weighted by opacity, in the bands to either side
     gap      opacity beside the line − opacity on it
@@ -11,9 +11,9 @@ the first two pooled along the border by a location that lets no piece decide: w
 − v)²), the maximum of Cauchy's likelihood with the scale s of each piece's own surroundings, so
 that lawn counts more than hedges. With v(t) for the pooled figure at t,
     score = |v(0) − median of v(t)| / root mean square of v(t) − median,  2 m ≤ |t| ≤ 7 m.
-Heights are those of centres, since rendered depth mixes surfaces: there, 5 cm vanish in the scatter
-of 20 cm. A seam is found where any score exceeds its threshold. They hold for metric models of
-towns from the air; `radiant_app/bench/step_detector.py` measured them.
+Heights are those of centres: rendered depth mixes surfaces, and 5 cm vanish in its scatter of
+20 cm. A seam is found where any score exceeds its threshold, which holds for metric models of
+towns from the air (`radiant_app/bench/step_detector.py` measured them).
 """
 
 from __future__ import annotations
@@ -39,8 +39,7 @@ THRESHOLDS: dict[Quantity, float] = {"colour": 4.40, "height": 3.05, "density": 
 """Together 5 % false alarms on 216 virtual borders of 144 m in six centralised models (town,
 caliterra, lewis; 2 seeds, 640 px, 150 s): `python -m radiant_app.bench.step_detector --borders 36
 MODEL…`. Cross-validated 6.9 %. Power by that command: height 5 cm 1.00 in the town, 0.44 in
-caliterra, 0 in lewis; grey 20/255 0.61, 0.44, 0; grey 2/255 0 everywhere, since texture alone steps
-by more."""
+caliterra, 0 in lewis; grey 20/255 0.61, 0.44, 0; grey 2/255 0 everywhere: texture steps more."""
 
 PX_M = 0.1
 HALF_WIDTH_M = 10.0
@@ -48,9 +47,8 @@ PIECE_M = 0.5
 """Length of the border in which colours are averaged."""
 PARALLELS_M: FloatArray = np.concatenate([np.arange(-7.0, -1.9, 0.5), np.arange(2.0, 7.1, 0.5)])
 COLOR_WIDTH_M = 0.4
-"""Narrow, though a step is blurred over as much: texture grows faster with the distance than the
-step does. With 0.4 m a grey step of 20/255 was found at 0.71 of 90 virtual borders, with 1 m at
-0.54, with straight lines through 1.5 m on either side at 0.38."""
+"""Narrow, though a step is blurred over as much: texture grows faster with the distance. A step of
+20/255 was found at 0.71 of 90 virtual borders, with 1 m at 0.54, with lines over 1.5 m at 0.38."""
 DENSITY_WIDTH_M = 2.0
 GAP_WIDTH_M, BESIDE_GAP_M = 0.3, 1.0
 """Half the width of the line, and to where opacity beside it is taken."""
@@ -66,8 +64,8 @@ MIN_HEIGHT_SCALE_M, MIN_COLOR_SCALE = 0.01, 0.5 / 255
 class BorderSteps:
     """What was found at one border; NaN where there is too little to say.
 
-    steps: left − right in each quantity's unit: grey of 0..1, m, log ratio, opacity; responses (1 +
-    22,): deviation from the median of the parallels in units of their scatter, at the border and at
+    steps: left − right in each quantity's unit: grey of 0..1, m, log ratio, opacity; responses
+    (1 + 22,): deviation from the median of the parallels over their scatter, at the border and at
     `PARALLELS_M`, of the strongest channel for colour; scatters: the root mean square of the
     parallels' steps, in the unit of `steps`.
     """
@@ -84,34 +82,31 @@ class BorderSteps:
 
     @property
     def limits(self) -> dict[Quantity, float]:
-        """The least step that would have been found, in each quantity's unit, of colour that of
-        grey; NaN where there is too little to say.
+        """The least step that would have been found, in its unit (of colour that of grey); or NaN.
 
-        A step blurs over more than its bands: what was planted has to be larger, of grey about
-        twice as large.
+        A step blurs beyond its bands: a planted one has to be larger, of grey twice as large.
         """
         return {quantity: THRESHOLDS[quantity] * self.scatters[quantity] for quantity in QUANTITIES}
 
     @property
     def found(self) -> tuple[Quantity, ...]:
-        """In which quantities there is a seam. None found does not mean that there is none, see `limits`."""
+        """In which quantities there is a seam; none found does not exclude one, see `limits`."""
         return tuple(quantity for quantity in QUANTITIES if self.scores[quantity] > THRESHOLDS[quantity])
 
 
 def border_steps(splats: Splats, ends: ArrayLike, *, backend: Backend = "auto") -> BorderSteps:
-    """Look for a seam along the straight border between `ends` (2,2) m of a metric model; "left" is
-    seen from the first to the second.
+    """Look for a seam along the border between `ends` (2,2) m; "left" is seen from first to second.
 
-    Raises BadInput for ends that are not finite or nearer than a pixel, or a strip of more than 20
-    million pixels (100 km).
+    Raises BadInput for ends that are not finite or nearer than a pixel, or a strip over 20 million
+    pixels (100 km).
     """
     ends = check_array("ends", ends, (2, 2))
     strip = render_border_strip(splats, ends, half_width_m=HALF_WIDTH_M, px_m=PX_M, backend=backend)
     measured = {
-        "colour": _strongest([_scored(values) for values in _colors(strip)]),
-        "height": _scored(_heights(splats, ends)),
-        "density": _scored(_densities(strip)),
-        "gap": _scored(_gaps(strip)),
+        "colour": _strongest([_score(values) for values in _colors(strip)]),
+        "height": _score(_heights(splats, ends)),
+        "density": _score(_densities(strip)),
+        "gap": _score(_gaps(strip)),
     }
     return BorderSteps(
         steps={quantity: measured[quantity].step for quantity in QUANTITIES},
@@ -126,33 +121,33 @@ def _offsets_m() -> FloatArray:
     return np.concatenate([[0.0], PARALLELS_M])
 
 
-class _Scored(NamedTuple):
-    """Step at the border, scatter of the parallels in its unit, responses (1 + 22,) in units of that."""
+class _Score(NamedTuple):
+    """Step at the border, scatter of the parallels, responses (1 + 22,) in units of that."""
 
     step: float
     scatter: float
     responses: FloatArray
 
 
-def _scored(values: FloatArray) -> _Scored:
-    """What is pooled at the border and its parallels (1 + 22,) beside the parallels' own scatter."""
+def _score(values: FloatArray) -> _Score:
+    """The border and its parallels (1 + 22,) in units of the parallels' own scatter."""
     known = np.isfinite(values)
     if not known[0] or known[1:].sum() < len(PARALLELS_M) // 2:
-        return _Scored(np.nan, np.nan, np.full(len(values), np.nan))
+        return _Score(np.nan, np.nan, np.full(len(values), np.nan))
     others = values[1:][known[1:]]
     deviations = values - np.median(others)
     # A made-up model may be the same at all parallels, to rounding of float32.
     scatter = max(float(np.sqrt(np.mean((others - np.median(others)) ** 2))), 1e-6)
-    return _Scored(float(deviations[0]), scatter, deviations / scatter)
+    return _Score(float(deviations[0]), scatter, deviations / scatter)
 
 
-def _strongest(rows: list[_Scored]) -> _Scored:
-    """Step and scatter of grey, and the responses of grey or of a difference of channels, whichever stands out most at the border."""
+def _strongest(rows: list[_Score]) -> _Score:
+    """Step and scatter of grey; the responses of whichever channel stands out most."""
     return rows[0]._replace(responses=max((row.responses for row in rows), key=lambda responses: abs(responses[0])))
 
 
 def _location(values: FloatArray, scales: FloatArray) -> FloatArray:
-    """Location (O,) of values (O,K) with scales (K,): fixed point of v = Σ q x / Σ q, q = 1 / (s² + (x − v)²), from the median on."""
+    """Location (O,) of (O,K): fixed point of v = Σ q x / Σ q, q = 1 / (s² + (x − v)²)."""
     location = np.median(values, axis=1)
     for _ in range(20):
         weights = 1 / (scales**2 + (values - location[:, None]) ** 2)
@@ -182,7 +177,7 @@ def _pooled_steps(channel: FloatArray) -> FloatArray:
 
 
 def _heights(splats: Splats, ends: FloatArray) -> FloatArray:
-    """Pooled differences (1 + 22,) m of neighbouring centres across the border and its parallels."""
+    """Pooled differences (1 + 22,) m of neighbouring centres across border and parallels."""
     empty = np.full(1 + len(PARALLELS_M), np.nan)
     length_m = float(np.hypot(*(ends[1] - ends[0])))
     along = (ends[1] - ends[0]) / length_m
@@ -205,8 +200,7 @@ def _heights(splats: Splats, ends: FloatArray) -> FloatArray:
         across = (t[first] > offset_m) != (t[second] > offset_m)
         if across.sum() >= MIN_PAIRS:
             signs = np.where(t[first[across]] > offset_m, 1.0, -1.0)
-            # Of pairs on one side alone: a step itself would look rough where it adds to what is
-            # there.
+            # Of pairs on one side alone: a step would look rough where it adds to what is there.
             rough_m = _roughness_m(first[~across], second[~across], differences[~across], len(chosen))
             scales = np.maximum((rough_m[first[across]] + rough_m[second[across]]) / 2, MIN_HEIGHT_SCALE_M)
             values[index] = _location((signs * differences[across])[None], scales)[0]
@@ -214,7 +208,7 @@ def _heights(splats: Splats, ends: FloatArray) -> FloatArray:
 
 
 def _roughness_m(first: NDArray[np.int64], second: NDArray[np.int64], differences: FloatArray, count: int) -> FloatArray:
-    """How rough it is around each centre (N,): square of the mean root of |difference| over its pairs (M,)."""
+    """Roughness around each centre (N,): square of the mean root of |difference| of pairs (M,)."""
     ends, roots = np.concatenate([first, second]), np.tile(np.sqrt(np.abs(differences)), 2)
     return (np.bincount(ends, roots, count) / np.maximum(np.bincount(ends, minlength=count), 1)) ** 2
 

@@ -1,1 +1,1 @@
-"""Geometry of trained models: moving them, comparing their surfaces, bringing their frames together."""
+"""Geometry of trained models: moving them, comparing surfaces, aligning their frames."""

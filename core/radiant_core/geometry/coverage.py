@@ -2,9 +2,9 @@
 
     coverage of x by cameras = Σ over the images that show x of  min(1, 4 r) / z · f / width
 
-r is how far inside the image x lies (0 at its rim, 1 in its middle), so that what is only grazed
-counts little; z is depth. Occlusion does not count: with depths compared, models whose depths are
-wrong in places lost those to neighbours that were no better (docs/experiments/aggregation.md).
+r is how far inside the image x lies (0 at its rim, 1 in its middle); z is depth. Occlusion does not
+count: with depths compared, models whose depths are wrong in places lost those to neighbours that
+were no better (docs/experiments/aggregation.md).
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ _RIM = 0.25
 
 
 def coverage(places: ArrayLike, cameras: Cameras) -> FloatArray:
-    """How well cameras cover each of the places (P,3) m: the formula above, in image widths per unit of length; 0 where none sees it."""
-    # Rows of coordinates, and only what is in front and in the image goes on: half the time of
-    # (P,3) arrays.
+    """Coverage (P,) of places (P,3) m as above, in image widths per unit of length; 0 unseen."""
+    # Rows of coordinates, and only what is shown goes on: half the time of (P,3) arrays.
     rows = np.ascontiguousarray(np.asarray(places, np.float64).T)
     covered = np.zeros(rows.shape[1])
     for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):

@@ -1,5 +1,4 @@
-"""All frames of neighbouring models at once: pairwise similarities and GPS, each with its error, in
-one least squares. Once per edge.
+"""The frames of neighbouring models at once, from pairs and GPS with errors. Once per edge.
 
     min Σ_m ‖ξ(S_m)‖²_{G_m} + Σ_(a,b) ‖ξ(S_a M_ab S_b⁻¹)‖²_{C_ab}
 over one correction S_m per model. ξ = (shift m, rotation rad, ln scale) about the middle of a
@@ -23,7 +22,7 @@ from radiant_core.numerics import FloatArray, check_array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameEdge:
-    """What a pair of models `a`, `b` (indices) says: the similarity that takes b's present frame to a's."""
+    """What a pair of models `a`, `b` (indices) says: the similarity of b's frame to a's."""
 
     a: int
     b: int
@@ -43,7 +42,7 @@ class SolvedFrames:
 
 
 def uncertainty_of(covariance: FloatArray) -> FrameUncertainty:
-    """The three figures of a covariance (7,7) of ξ: RMS of the axes for the place, the worst axis for the rotation."""
+    """The figures of a covariance (7,7) of ξ: RMS of the axes of the place, worst of rotation."""
     return FrameUncertainty(
         position_m=float(np.sqrt(np.trace(covariance[:3, :3]) / 3)),
         scale=float(np.sqrt(covariance[6, 6])),
@@ -52,7 +51,7 @@ def uncertainty_of(covariance: FloatArray) -> FrameUncertainty:
 
 
 def solve_frames(centers: FloatArray, priors: Sequence[FrameUncertainty], edges: Sequence[FrameEdge]) -> SolvedFrames:
-    """Corrections of M models with camera middles (M,3) m, GPS `priors` (M) and edges between them."""
+    """Corrections of M models with camera middles (M,3) m, GPS `priors` (M) and edges."""
     centers = check_array("centers", centers, (len(priors), 3))
     sigmas = np.concatenate([prior.sigmas for prior in priors]) if len(priors) else np.zeros(0)
     whitening = [np.linalg.inv(np.linalg.cholesky(edge.fit.covariance)) for edge in edges]
@@ -64,8 +63,7 @@ def solve_frames(centers: FloatArray, priors: Sequence[FrameUncertainty], edges:
 
     if not len(priors):
         return SolvedFrames(corrections=(), covariance=np.zeros((0, 0)))
-    # x in units of its own uncertainty: what GPS fixes to 1 m and to 1 % differentiates equally
-    # well.
+    # x in units of its own uncertainty: 1 m and 1 % by GPS then differentiate equally well.
     solved = least_squares(residuals, np.zeros(7 * len(priors)), method="trf", x_scale=1.0, max_nfev=50)
     moves = tuple(similarity_about(center, xi) for center, xi in zip(centers, (solved.x * sigmas).reshape(-1, 7), strict=True))
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * np.outer(sigmas, sigmas)
@@ -73,13 +71,13 @@ def solve_frames(centers: FloatArray, priors: Sequence[FrameUncertainty], edges:
 
 
 def edge_xi(edge: FrameEdge, a_move: Sim3, b_move: Sim3) -> FloatArray:
-    """How far (7,) two corrected models are apart on their common ground: ξ of S_a M S_b⁻¹ about it."""
+    """How far (7,) two corrected models are apart on common ground: ξ of S_a M S_b⁻¹."""
     apart = compose(compose(a_move, edge.fit.a_from_b), b_move.inverse())
     return xi_about(a_move.apply(edge.fit.center[None])[0], apart)
 
 
 def spread_to(center: FloatArray, model_center: FloatArray, prior: FrameUncertainty, bias_m: float) -> FloatArray:
-    """Variances (7,) that a frame's uncertainty gives to ξ about another `center` (3,): turns and scale shift what is far."""
+    """Variances (7,) that a frame's uncertainty gives to ξ about another `center` (3,)."""
     distance = float(np.linalg.norm(center - model_center))
     variances = np.square(prior.sigmas)
     variances[:3] += bias_m**2 + (distance * prior.rotation_rad) ** 2 + (distance * prior.scale) ** 2

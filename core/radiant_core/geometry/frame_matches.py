@@ -1,10 +1,9 @@
-"""Pairs of one place in two models, found in pictures that the models render; no photograph is
-read. Once per pair of neighbours.
+"""Pairs of one place in two models, by pictures that they render. Once per pair of neighbours.
 
 Coarse, at the frames that GPS gives: both models are rendered at the same cameras, SIFT features
 matched, lifted by the rendered depths and the similarity taken that most agree with. Fine: points
 are followed through several cameras of each model and triangulated in each model by itself
-(`model_views.py`). Source of the features: Lowe, IJCV 60 (2004).
+(`model_views.py`). No photograph is read. Source of the features: Lowe, IJCV 60 (2004).
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ MIN_VIEWS = 2
 MIN_SEEN_SHARE = 0.05
 MIN_KNOWING_CAMERAS = 3
 KNOWN_WITHIN = 1.5
-"""A camera resolves what it sees within this many times its model's median viewing distance; beyond, pixels are too coarse to match."""
+"""A camera resolves what it sees within this many median viewing distances of its model."""
 MIN_COMMON_PIXELS = 0.05
 MAX_SAMPLES = 2000
 NUM_FEATURES = 1500
@@ -43,14 +42,15 @@ COARSE_TOLERANCE = 0.03
 """Rendered depth and feature together, as a share of the distance to the camera."""
 MIN_COARSE_PAIRS = 25
 MIN_COARSE_SHARE = 0.03
-"""Of two places that have nothing in common, at most 8 of 859 features agreed; of those with little in common, 113 of 2,054."""
+"""Places with nothing in common: at most 8 of 859 features agreed; with little: 113 of 2,054."""
 MIN_FINE_PAIRS = 25
 MIN_FINE_SHARE = 0.25
 MAX_DEPTH_ERROR = 0.1
 """Largest difference of rendered depths, as a share, that is not an occlusion."""
 MAX_RMS_PX = 1.0
 MAX_POINT_ERROR = 0.03
-"""Standard deviation of a triangulated point, as a share of its distance: rays that hardly differ in direction meet anywhere."""
+"""Standard deviation of a triangulated point, as a share of its distance: rays that hardly differ
+in direction meet anywhere."""
 _Matched = tuple[FloatArray, FloatArray, FloatArray]
 IDENTITY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
@@ -58,8 +58,7 @@ IDENTITY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlap:
     """The cameras of either model that see the other's surface, best first, and `share`: of what
-    one model covers, by three cameras near enough, the other covers that much (the larger of both
-    ways)."""
+    one model covers by three near cameras, how much the other covers, the larger of both ways."""
 
     a_cameras: Cameras
     b_cameras: Cameras
@@ -67,8 +66,9 @@ class Overlap:
 
 
 def find_overlap(a_surface: FloatArray, a_cameras: Cameras, b_surface: FloatArray, b_cameras: Cameras) -> Overlap | None:
-    """What models with surface points (N,3), (M,3) m in one frame have in common; None where under two cameras of either see the other."""
-    a_points, b_points = _thinned(a_surface), _thinned(b_surface)
+    """What models with surface points (N,3), (M,3) m in one frame have in common; None where under
+    two cameras of either see the other."""
+    a_points, b_points = _thin(a_surface), _thin(b_surface)
     if not (len(a_points) and len(b_points) and len(a_cameras) and len(b_cameras)):
         return None
     points = np.concatenate([a_points, b_points])
@@ -79,13 +79,13 @@ def find_overlap(a_surface: FloatArray, a_cameras: Cameras, b_surface: FloatArra
     b_chosen = np.argsort(-b_counts, kind="stable")[: int((b_counts >= MIN_SEEN_SHARE * len(a_points)).sum())]
     if min(len(a_chosen), len(b_chosen)) < MIN_VIEWS:
         return None
-    a_knows, b_knows = _knows(a_cameras, a_sees, points, of_a), _knows(b_cameras, b_sees, points, ~of_a)
-    share = float((a_knows & b_knows).sum()) / max(1.0, float(min(a_knows.sum(), b_knows.sum())))
+    a_covers, b_covers = _covers(a_cameras, a_sees, points, of_a), _covers(b_cameras, b_sees, points, ~of_a)
+    share = float((a_covers & b_covers).sum()) / max(1.0, float(min(a_covers.sum(), b_covers.sum())))
     return Overlap(a_cameras=a_cameras.select(a_chosen), b_cameras=b_cameras.select(b_chosen), share=share)
 
 
 def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int) -> PairFit | str:
-    """The similarity a ← b of two models in nearly one frame, or one clause that says why none was found."""
+    """The similarity a ← b of two models in nearly one frame, or why none was found."""
     a, b = without_background(a, overlap.a_cameras), without_background(b, overlap.b_cameras)
     coarse = coarse_match(a, b, overlap, seed)
     if isinstance(coarse, str):
@@ -112,8 +112,7 @@ def without_background(splats: Splats, cameras: Cameras) -> Splats:
 
 
 def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | str:
-    """The similarity a ← b that most features agree with, good to a few decimetres, or why there is
-    none.
+    """The similarity a ← b that most features agree with, good to decimetres, or why there is none.
 
     First both are rendered at the same cameras, where features look alike; then each at its own,
     which finds what lies far from its GPS.
@@ -141,18 +140,16 @@ def _at_common_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]
         for index in range(len(cameras)):
             known = (of_a.views[index].alpha > MIN_ALPHA) & (of_b.views[index].alpha > MIN_ALPHA)
             if known.mean() >= MIN_COMMON_PIXELS:
-                found.append(_matched(_features(of_a, index), _features(of_b, index)))
+                found.append(_match_features(_features(of_a, index), _features(of_b, index)))
     return found
 
 
 def _at_own_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:
-    views = [
-        ModelViews.of(*one) for one in ((a, _first(overlap.a_cameras, MAX_COARSE_VIEWS)), (b, _first(overlap.b_cameras, MAX_COARSE_VIEWS)))
-    ]
+    own = ((a, overlap.a_cameras), (b, overlap.b_cameras))
+    views = [ModelViews.of(model, _first(cameras, MAX_COARSE_VIEWS)) for model, cameras in own]
     features = [[_features(of_one, index) for index in range(len(of_one.cameras))] for of_one in views]
-    # The consensus below asks for a share of all pairs: pairs of views without a common place would
-    # only water it down.
-    matched = [_matched(one, other) for one in features[0] for other in features[1]]
+    # `consensus` requires a share of all pairs, which views without a common place would dilute.
+    matched = [_match_features(one, other) for one in features[0] for other in features[1]]
     return sorted(matched, key=lambda pairs: -len(pairs[0]))[: 2 * MAX_COARSE_VIEWS]
 
 
@@ -161,16 +158,18 @@ def _first(cameras: Cameras, count: int) -> Cameras:
 
 
 def tracked_pairs(a: ModelViews, b: ModelViews, a_from_b: Sim3) -> PointPairs:
-    """Points followed through cameras of both models and triangulated in each; P pairs, each in its own model's frame."""
-    parts = [_tracked_from(a, index, b, a_from_b.inverse()) for index in range(len(a.cameras))]
+    """P points followed through cameras of both models, each in its own model's frame."""
+    parts = [_track_from(a, index, b, a_from_b.inverse()) for index in range(len(a.cameras))]
     for index in range(len(b.cameras)):
-        there = _tracked_from(b, index, a, a_from_b)
+        there = _track_from(b, index, a, a_from_b)
         parts.append((there[2], there[3], there[0], there[1]))
     arrays = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
     return PointPairs(a=arrays[0], a_covariances=arrays[1], b=arrays[2], b_covariances=arrays[3])
 
 
-def _tracked_from(hub_views: ModelViews, index: int, other: ModelViews, other_from_hub: Sim3):  # noqa: ANN202
+def _track_from(
+    hub_views: ModelViews, index: int, other: ModelViews, other_from_hub: Sim3
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Points (P,3) and covariances in the hub's model, then in the other, from one hub view."""
     nothing = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
     pixels = corners(hub_views, index, NUM_CORNERS)
@@ -221,9 +220,9 @@ def _nearest(cameras: Cameras, center: FloatArray, count: int = MAX_PARTNERS) ->
 
 
 def _features(views: ModelViews, index: int) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
-    """Points (P,3) at the rendered depth, tolerances (P,) m and descriptors (P,128) of the features in one view."""
+    """Points (P,3) at rendered depth, tolerances (P,) m, descriptors (P,128) of one view."""
     sift = cv2.SIFT.create(nfeatures=NUM_FEATURES, contrastThreshold=0.01)
-    keypoints, descriptors = sift.detectAndCompute(views.grey[index], _eroded(views.views[index].alpha > MIN_ALPHA))
+    keypoints, descriptors = sift.detectAndCompute(views.grey[index], _erode(views.views[index].alpha > MIN_ALPHA))
     if descriptors is None:
         return np.zeros((0, 3)), np.zeros(0), np.zeros((0, 128), np.float32)
     points, depths = views.lift(index, np.array([keypoint.pt for keypoint in keypoints]) + 0.5)
@@ -231,8 +230,8 @@ def _features(views: ModelViews, index: int) -> tuple[FloatArray, FloatArray, ND
     return points[there], COARSE_TOLERANCE * depths[there], np.asarray(descriptors, np.float32)[there]
 
 
-def _matched(a: tuple, b: tuple) -> _Matched:
-    """Features of two views whose best match is clearly better than the second: points (P,3) of a, of b, tolerances (P,) m."""
+def _match_features(a: tuple, b: tuple) -> _Matched:
+    """Points (P,3) of a, of b and tolerances (P,) m of features with one clear best match."""
     if len(a[0]) < 2 or len(b[0]) < 2:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     candidates = cv2.BFMatcher().knnMatch(a[2], b[2], k=2)
@@ -241,11 +240,11 @@ def _matched(a: tuple, b: tuple) -> _Matched:
     return a[0][one], b[0][other], a[1][one]
 
 
-def _eroded(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _erode(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return cv2.erode(mask.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
 
 
-def _thinned(points: FloatArray) -> FloatArray:
+def _thin(points: FloatArray) -> FloatArray:
     return points[:: max(1, -(-len(points) // MAX_SAMPLES))]
 
 
@@ -254,8 +253,8 @@ def _sees(cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
     return np.array([cameras.select([index]).any_sees(points) for index in range(len(cameras))]).reshape(len(cameras), len(points))
 
 
-def _knows(cameras: Cameras, sees: NDArray[np.bool_], points: FloatArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which points (P,) at least three cameras see from near enough, measured by how far they are from the model's `own` points."""
+def _covers(cameras: Cameras, sees: NDArray[np.bool_], points: FloatArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Points (P,) near enough to three cameras, measured by the distances of the `own` ones."""
     distances = np.linalg.norm(points[None] - cameras.centers[:, None], axis=2)
     seen_own = sees & own
     if not seen_own.any():

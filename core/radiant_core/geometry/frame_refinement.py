@@ -1,14 +1,12 @@
-"""Device models brought into one frame through what they show of common ground, never through
-photographs. Once per edge.
+"""Device models brought into one frame by what they show of common ground. Once per edge.
 
-1. Neighbours: models that know common ground (`frame_matches.find_overlap`), the best four of each.
-2. Per pair: the similarity between both, from points followed through renders of both
-  (`frame_matches`), or by ICP (`surface_matches`).
+1. Neighbours: models with common ground (`frame_matches.find_overlap`), the best four of each.
+2. Per pair: the similarity of both from points followed through renders (`frame_matches`), or by
+   ICP (`surface_matches`). No photograph is read.
 3. A pair that disagrees with the GPS of both by more than four standard deviations contradicts;
    what agrees holds models together. Of two groups that contradict each other the one with fewer
    photographs is refused, with the figures.
-4. All agreeing pairs and GPS in one least squares (`frame_graph`); pairs that the loops contradict
-  are left out.
+4. All agreeing pairs and GPS in one least squares (`frame_graph`), without pairs that loops refute.
 GPS stays the gauge: an error common to all models of a group is only averaged down.
 """
 
@@ -33,7 +31,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 
 GPS_BIAS_M = 1.5
-"""What the GPS of two flights may differ by as a whole, per axis; residuals within one flight cannot show it."""
+"""What the GPS of two flights may differ by per axis; residuals within a flight cannot show it."""
 MAX_SIGMAS = 4.0
 BEND = np.array([0.3, 0.3, 0.3, 0.005, 0.005, 0.005, 0.005])
 """What models bend by (m, rad, 1) beyond the errors of their pairs: loops may stay open by this."""
@@ -43,7 +41,7 @@ photographs a camera calibrates itself badly (brighton: two halves with focal le
 so that their common strip differed by 3 % of scale)."""
 MIN_SHARE = 0.05
 EXPECTED_SHARE = 0.35
-"""Models that have so much known ground in common match: on the town all pairs from 0.36 on did, one with 0.10 did not."""
+"""Models with so much common ground match: in the town all from 0.36 on, one of 0.10 not."""
 ALONE_MAX_SCALE = 0.05
 ALONE_MAX_ROTATION_RAD = np.radians(5.0)
 """A model that no neighbour holds is not merged when GPS fixes its frame to no better than this."""
@@ -58,13 +56,14 @@ Report = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlacedModel:
-    """A trained model and its training cameras in the common frame (m, z up), and how well GPS or poses fix that frame."""
+    """A trained model and its training cameras in the common frame (m, z up), and how well GPS or
+    poses fix that frame."""
 
     splats: Splats
     cameras: Cameras
     uncertainty: FrameUncertainty
     name: str = ""
-    """What reasons call it; without one its number."""
+    """What reasons call it; by default its number."""
 
     def __post_init__(self) -> None:
         if not (len(self.cameras) and len(self.splats)):
@@ -76,10 +75,9 @@ class RefinedFrame:
     """What became of one model's frame.
 
     ok: `correction` moves it to its neighbours. alone: no neighbour shares enough ground, it stays
-    where GPS puts it. refused: do not merge it.
-    `uncertainty` is what is left, GPS's own included; `residual_m` the distance left to its
-    neighbours on common ground, None without any; `neighbours` are the indices of the models it was
-    joined with; `reason` is one sentence.
+    where GPS puts it. refused: do not merge it. `uncertainty` is what is left, GPS's own included;
+    `residual_m` the distance left to its neighbours on common ground, None without any;
+    `neighbours` are the indices of the models it was joined with; `reason` is one sentence.
     """
 
     status: FrameStatus
@@ -92,7 +90,7 @@ class RefinedFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Pair:
-    """One pair's outcome: a fit that agrees with GPS, one that contradicts it (`reason`), or none."""
+    """A fit that agrees with GPS, one that contradicts it (`reason`), or none."""
 
     a: int
     b: int
@@ -118,12 +116,12 @@ def refine_frames(models: Sequence[PlacedModel], report: Report | None = None, s
     for done, ((a, b), overlap) in enumerate(overlaps.items()):
         if report is not None:
             report(done, len(overlaps), " and ".join(models[index].name or f"model {index + 1}" for index in (a, b)))
-        pairs.append(_fitted_pair(models, surfaces, (a, b), overlap, seed))
+        pairs.append(_fit_pair(models, surfaces, (a, b), overlap, seed))
     if report is not None:
         report(len(overlaps), len(overlaps), "all frames at once")
     centers = np.array([_middle(model) for model in models]).reshape(-1, 3)
     priors = [model.uncertainty for model in models]
-    solved, used, dropped = _solved_without_open_loops(centers, priors, [pair for pair in pairs if pair.agrees])
+    solved, used, dropped = _solve_without_open_loops(centers, priors, [pair for pair in pairs if pair.agrees])
     group = _groups(len(models), used)
     sizes = [len(model.cameras) for model in models]
     named = [model.name or f"model {number}" for number, model in enumerate(models, 1)]
@@ -141,7 +139,7 @@ def _middle(model: PlacedModel) -> FloatArray:
 
 
 def _neighbours(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray]) -> dict[tuple[int, int], Overlap]:
-    """Pairs (a < b) that have ground in common; of each model the four with most, and whatever others chose it."""
+    """Pairs (a < b) with common ground: of each model the four best, and those chosen by others."""
     found: dict[tuple[int, int], Overlap] = {}
     for a, b in combinations(range(len(models)), 2):
         overlap = find_overlap(surfaces[a], models[a].cameras, surfaces[b], models[b].cameras)
@@ -154,9 +152,7 @@ def _neighbours(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray]) -
     return {pair: found[pair] for pair in sorted(chosen)}
 
 
-def _fitted_pair(
-    models: Sequence[PlacedModel], surfaces: Sequence[FloatArray], pair: tuple[int, int], overlap: Overlap, seed: int
-) -> _Pair:
+def _fit_pair(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray], pair: tuple[int, int], overlap: Overlap, seed: int) -> _Pair:
     a, b = pair
     fit = match_models(models[a].splats, models[b].splats, overlap, seed)
     if isinstance(fit, str) and overlap.share >= EXPECTED_SHARE:
@@ -168,18 +164,15 @@ def _fitted_pair(
     if isinstance(fit, str):
         return _Pair(a=a, b=b, share=overlap.share, fit=None, agrees=False, reason=fit)
     apart = xi_about(fit.center, fit.a_from_b)
-    variances = (
-        np.diag(fit.covariance)
-        + LENS_BEND**2
-        + sum(spread_to(fit.center, _middle(models[i]), models[i].uncertainty, GPS_BIAS_M) for i in pair)
-    )
+    variances = np.diag(fit.covariance) + LENS_BEND**2
+    variances = variances + sum(spread_to(fit.center, _middle(models[i]), models[i].uncertainty, GPS_BIAS_M) for i in pair)
     limits = MAX_SIGMAS * np.sqrt(variances)
-    agrees = not _beyond(apart, limits)
+    agrees = not _exceeds(apart, limits)
     reason = f"their common ground lies {_figures(apart)} apart, where GPS allows {_figures(limits / np.sqrt([3, 3, 3, 3, 3, 3, 1]))}"
     return _Pair(a=a, b=b, share=overlap.share, fit=fit, agrees=agrees, reason=reason)
 
 
-def _beyond(xi: FloatArray, limits: FloatArray) -> bool:
+def _exceeds(xi: FloatArray, limits: FloatArray) -> bool:
     """Whether shift, rotation or scale exceed their largest limit per axis."""
     lengths = [np.linalg.norm(xi[:3]), np.linalg.norm(xi[3:6]), abs(xi[6])]
     return bool((lengths > np.array([limits[:3].max(), limits[3:6].max(), limits[6]])).any())
@@ -189,10 +182,10 @@ def _figures(xi: FloatArray) -> str:
     return f"{np.linalg.norm(xi[:3]):.2f} m, {np.degrees(np.linalg.norm(xi[3:6])):.2f}° and {100 * abs(np.expm1(xi[6])):.2f} % of scale"
 
 
-def _solved_without_open_loops(
+def _solve_without_open_loops(
     centers: FloatArray, priors: list[FrameUncertainty], agreeing: list[_Pair]
 ) -> tuple[SolvedFrames, list[_Pair], list[_Pair]]:
-    """All frames from the pairs, after the pair that leaves its loop open by most was left out as often as one does."""
+    """All frames from the pairs; the worst pair is left out until no loop stays open."""
     used, dropped = list(agreeing), []
     while True:
         solved = solve_frames(centers, priors, [pair.edge for pair in used])
@@ -219,11 +212,10 @@ def _groups(num_models: int, used: Sequence[_Pair]) -> list[int]:
 
 
 def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int], sizes: list[int], named: list[str]) -> dict[int, str]:
-    """The models that must not be merged, with the reason: of two groups that contradict each other
-    the one with fewer photographs.
+    """The models that must not be merged: of two contradicting groups that with fewer photographs.
 
-    Contradiction: a pair that disagrees with GPS or with the loops, or, for a model joined to no
-    other, one that should match and does not.
+    A contradiction is a pair that disagrees with GPS or with the loops, or, for a model joined to
+    no other, one that should match and does not.
     """
     photographs = {number: sum(size for size, other in zip(sizes, group, strict=True) if other == number) for number in set(group)}
     refusals: dict[int, str] = {}

@@ -1,10 +1,10 @@
-"""Depth views fused into a mesh in a process of its own, sized before: `python -m
-radiant_core.geometry.fusion FOLDER`. Once per surface.
+"""Depth views fused into a mesh by a process of its own, sized before. Once per surface.
 
-    bytes = `BASE_BYTES` + blocks · `BYTES_PER_BLOCK`,  blocks of 16³ voxels ∝ 1 / voxel² for a surface
+    python -m radiant_core.geometry.fusion FOLDER
+    bytes = `BASE_BYTES` + blocks · `BYTES_PER_BLOCK`,  blocks of 16³ voxels ∝ 1 / voxel²
 Open3D ends the process by a signal where its tables are too small; here that is a sentence. The
-views lie in a temporary folder, some 2 MB each at 640 px, beside the result where the caller says
-so, since /tmp may be memory: they are counted first, then fused, 0.2 s each.
+views lie in a temporary folder, some 2 MB each at 640 px, beside the result on request, since /tmp
+may be memory: they are counted first, then fused, 0.2 s each.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _SETTINGS, _MESH = "settings.json", "mesh.safetensors"
 
 @dataclass(frozen=True, kw_only=True)
 class FusionSettings:
-    """voxel, in the model's unit, coarser where its blocks of 16³ are more than max_blocks unless it `is_fixed`; depth up to max_depth."""
+    """voxel in the model's unit, coarser where its blocks exceed max_blocks, unless `is_fixed`."""
 
     voxel: float
     is_fixed: bool
@@ -66,10 +66,8 @@ def fuse_apart(
     """The mesh of depth views, made by another process; `report` gets views fused and their total.
 
     The views go into a hidden folder in `scratch`, by default the system's for temporary files, and
-    are removed in the end.
-
-    Raises BadInput, which names a resolution that would do, where a fixed one takes too many blocks
-    and where that process ends early.
+    are removed in the end. Raises BadInput, which names a resolution that would do, where a fixed
+    one takes too many blocks, and where that process ends early.
     """
     with tempfile.TemporaryDirectory(prefix=".radiant-surface-", dir=scratch) as name:
         folder = Path(name)
@@ -140,7 +138,7 @@ def _load_mesh(path: Path) -> Mesh:
 
 
 def main(folder: Path, say: IO[str]) -> int:
-    """Count and fuse the views in `folder`; the last line of `say` holds the figures, the mesh lies beside the views."""
+    """Count and fuse the views in `folder`; the last line of `say` holds the figures."""
     from safetensors.numpy import load_file, save_file
 
     settings = FusionSettings(**json.loads((folder / _SETTINGS).read_text()))
@@ -171,12 +169,12 @@ def main(folder: Path, say: IO[str]) -> int:
 
 
 def fitting_voxel(count: Callable[[float], int], settings: FusionSettings) -> tuple[float, int]:
-    """The finest voxel, from that of the settings on, whose blocks are possible; and its blocks, or those of a fixed one."""
+    """The finest voxel from the settings' on whose blocks are possible; and its blocks, or those of
+    a fixed one."""
     voxel = settings.voxel
     first = num_blocks = count(voxel)
     while num_blocks > settings.max_blocks:
-        # A surface's blocks fall with the square; 5 % more, so that the next count is not one too
-        # many.
+        # A surface's blocks fall with the square; 5 % more, so that the next count is not one over.
         voxel *= 1.05 * max(1.05, float(np.sqrt(num_blocks / settings.max_blocks)))
         num_blocks = count(voxel)
     return voxel, first if settings.is_fixed else num_blocks

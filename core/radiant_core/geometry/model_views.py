@@ -1,13 +1,11 @@
-"""Rendered views of a model at its own cameras, and what a point in one of them shows in another.
-Once per pair of models and round.
+"""Views of a model, and what a point in one shows in another. Once per pair of models and round.
 
 A point u of a hub view is followed into another view in two steps: the rendered depth predicts
 where every pixel of the hub lies there, the other view is warped by that into the hub, and
 Lucas–Kanade finds what is left between the two, forth and back. The rendered depth need only be
 near: what counts is which rays meet, and `triangulate` intersects them. Measured on the town, depth
-itself is off by 0.2 to 0.6 m, the intersection by 0.06 m (docs/experiments/frames.md).
-Sources: Lucas and Kanade, IJCAI (1981); Hartley and Sturm, Triangulation (1997) for the least
-squares over reprojection errors.
+itself is off by 0.2 to 0.6 m, the intersection by 0.06 m (docs/experiments/frames.md). Sources:
+Lucas and Kanade, IJCAI (1981); Hartley and Sturm, Triangulation (1997) for reprojection errors.
 """
 
 from __future__ import annotations
@@ -40,8 +38,8 @@ MIN_Z = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelViews:
-    """V cameras of at most 400 px with what the model shows there; grey (H,W) uint8 has its local
-    brightness and contrast taken out, so that exposures do not matter."""
+    """V cameras of at most 400 px with what the model shows there; grey (H,W) uint8 is without
+    local brightness and contrast, so that exposures do not matter."""
 
     cameras: Cameras
     views: tuple[RenderedView, ...]
@@ -62,7 +60,7 @@ class ModelViews:
         return (in_camera - pose[:3, 3]) @ pose[:3, :3], depths
 
     def project(self, index: int, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pixels (N,2) and depths (N,) of world points (N,3) in one view; pixels mean nothing where the depth is not positive."""
+        """Pixels (N,2) and depths (N,) of points (N,3) in one view; no pixel where depth ≤ 0."""
         K, pose = self.cameras.Ks[index], self.cameras.cam_from_world[index]
         in_camera = points @ pose[:3, :3].T + pose[:3, 3]
         depths = in_camera[:, 2]
@@ -87,7 +85,7 @@ def sample_bilinear(image: NDArray[Any], pixels: FloatArray) -> FloatArray:
 
 
 def corners(views: ModelViews, index: int, count: int) -> FloatArray:
-    """At most `count` well textured pixels (N,2) of one view where the model is there. Source: Shi and Tomasi, CVPR (1994)."""
+    """At most `count` textured pixels (N,2) of one view (Shi and Tomasi, CVPR 1994)."""
     known = (views.views[index].alpha > MIN_ALPHA).astype(np.uint8)
     found = cv2.goodFeaturesToTrack(views.grey[index], count, 0.01, 6, mask=known)
     return np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64) + 0.5
@@ -104,7 +102,7 @@ def hub_map(hub: ModelViews, index: int) -> tuple[FloatArray, tuple[int, int]]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hub:
-    """A view whose points (N,2) px are followed, with its coarse map of world points (G,3) in (rows, columns)."""
+    """A view whose points (N,2) px are followed, with coarse world points (G,3) in a grid."""
 
     views: ModelViews
     index: int
@@ -124,11 +122,7 @@ class Rays:
 
 def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) were
-    found there and back.
-
-    A pixel is hidden where the other view's rendered depth differs by more than the share
-    `max_depth_error`.
-    """
+    found there and back. Rendered depths that differ by over `max_depth_error` hide a pixel."""
     grey = hub.views.grey[hub.index]
     height, width = grey.shape
     there, depths = other.project(index, other_from_hub.apply(hub.grid))
@@ -137,14 +131,14 @@ def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_de
         for values in (there[:, 0] - 0.5, there[:, 1] - 0.5, depths)
     ]
 
-    def warped(image: NDArray[Any]) -> NDArray[Any]:
+    def warp(image: NDArray[Any]) -> NDArray[Any]:
         return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
 
     view = other.views[index]
-    visible = (warped(view.alpha) > MIN_ALPHA) & (np.abs(warped(view.depth) - maps[2]) < max_depth_error * maps[2])
+    visible = (warp(view.alpha) > MIN_ALPHA) & (np.abs(warp(view.depth) - maps[2]) < max_depth_error * maps[2])
     if not visible.any():
         return hub.pixels, np.zeros(len(hub.pixels), bool)
-    image = warped(other.grey[index])
+    image = warp(other.grey[index])
     start = (hub.pixels - 0.5).astype(np.float32)[:, None]
     forth, found, _ = _flow(grey, image, start)
     back, found_back, _ = _flow(image, grey, forth)
@@ -156,10 +150,8 @@ def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_de
 
 
 def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (P,3) where O rays meet, by least squares of reprojection errors from `start` (P,3).
-
-    Returns points (P,3), covariances (P,3,3) m² for 0.5 px of error, RMS errors (P,) px.
-    """
+    """Points (P,3) where O rays meet, by least squares of reprojection errors from `start` (P,3);
+    their covariances (P,3,3) m² for 0.5 px of error and RMS errors (P,) px."""
     points, num_points, seen = start.copy(), len(start), rays.points
     poses, Ks = cameras.cam_from_world[rays.cameras], cameras.Ks[rays.cameras]
     focal = Ks[:, [0, 1], [0, 1]]
@@ -178,8 +170,7 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
         gradient = np.zeros((num_points, 3))
         np.add.at(H, seen, np.einsum("o,oki,okj->oij", weights, jacobian, jacobian) / SIGMA_PX**2)
         np.add.at(gradient, seen, np.einsum("o,oki,ok->oi", weights, jacobian, residuals) / SIGMA_PX**2)
-        # A ray alone, or parallel ones, leave a direction open: 1e-6/m² holds it and the covariance
-        # of 1000² m² says so.
+        # A lone ray, or parallel ones, leave a direction open: 1e-6/m² holds it, at 1000² m².
         H += 1e-6 * np.eye(3)
         points = points + np.linalg.solve(H, gradient[..., None])[..., 0]
     counts = np.maximum(1, np.bincount(seen, minlength=num_points))
@@ -187,7 +178,8 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
     return points, np.asarray(np.linalg.inv(H), np.float64), rms_px
 
 
-def _flow(one: NDArray[Any], other: NDArray[Any], start: NDArray[Any]):  # noqa: ANN202 - positions, status, error
+def _flow(one: NDArray[Any], other: NDArray[Any], start: NDArray[Any]) -> Any:
+    """Positions, status, error."""
     return cv2.calcOpticalFlowPyrLK(
         one, other, start, start.copy(), winSize=WINDOW_PX, maxLevel=NUM_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
     )

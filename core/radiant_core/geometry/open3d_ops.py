@@ -1,8 +1,7 @@
-"""What Open3D computes for core besides file formats: ICP with scale between two sets of surface
-points, once per pair of models; a mesh from depth views by a truncated signed distance, and its
-heights, once per surface model.
+"""What Open3D computes: ICP with scale of surface points, once per pair of models; a mesh from
+depth views by a truncated signed distance and its heights, once per surface model.
 
-    (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target within the radius, anew in each iteration; radii fall.
+    (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target in a falling radius.
 A free scale may collapse: a shrunken cloud has a near neighbour everywhere. So the result says how
 it fared both ways. Sources: Besl and McKay, PAMI 14 (1992); Umeyama, PAMI 13 (1991).
 """
@@ -32,13 +31,14 @@ BLOCK_VOXELS = 16
 MAX_BLOCKS = 160_000
 """Open3D numbers the three colours of each voxel with 32 bits: 3 · 16³ · 174,763 is beyond."""
 BLOCKS_AT_ONCE = 8_192
-"""Open3D counts 16 bytes for each voxel of a mesh with 32 bits: from 32,768 blocks on it writes outside of its memory."""
+"""Open3D counts 16 bytes for each voxel of a mesh with 32 bits: from 32,768 blocks on it writes
+outside of its memory."""
 RAYS_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthView:
-    """image (H,W,3) uint8; depth (H,W) along the axis, 0 where nothing is known; K (3,3) px; cam_from_world (4,4)."""
+    """image (H,W,3) uint8; depth (H,W) along the axis, 0 unknown; K (3,3) px; pose (4,4)."""
 
     image: NDArray[np.uint8]
     depth: NDArray[np.float32]
@@ -48,7 +48,7 @@ class DepthView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IcpFit:
-    """Similarity target ← source, the share of source points that met a target within the last radius, and their RMS distance in m."""
+    """Similarity target ← source, share of source points within the last radius, their RMS in m."""
 
     target_from_source: Sim3
     overlap: float
@@ -56,8 +56,7 @@ class IcpFit:
 
 
 def surface_points(splats: Splats, largest_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Means (K,3) m of the Gaussians that make a surface, and which (N,) those are: opaque, and at
-    most `largest_m` wide, so no sky and no haze."""
+    """Means (K,3) m and mask (N,) of what makes a surface: opaque, at most `largest_m` wide."""
     opaque = splats.logit_opacities > np.log(SURFACE_OPACITY / (1 - SURFACE_OPACITY))
     chosen = opaque & (splats.log_scales.max(axis=1, initial=-np.inf) < np.log(largest_m))
     return splats.means[chosen].astype(np.float64), chosen
@@ -65,10 +64,7 @@ def surface_points(splats: Splats, largest_m: float) -> tuple[FloatArray, NDArra
 
 def icp_with_scale(source: ArrayLike, target: ArrayLike, start: Sim3, radii_m: Sequence[float]) -> IcpFit | None:
     """Align source (N,3) to target (M,3) from `start` with falling radii; None with under 50 points
-    or when the scale runs away (20 %).
-
-    Raises BadInput on shapes or values that are not finite.
-    """
+    or when the scale runs away (20 %). BadInput on shapes or values that are not finite."""
     import open3d as o3d
 
     source, target = check_array("source", source, (None, 3)), check_array("target", target, (None, 3))
@@ -79,15 +75,10 @@ def icp_with_scale(source: ArrayLike, target: ArrayLike, start: Sim3, radii_m: S
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = start.scale * start.rotation, start.translation
     overlap = residual_m = 0.0
+    convergence = registration.ICPConvergenceCriteria(max_iteration=MAX_ITERATIONS)
+    estimation = registration.TransformationEstimationPointToPoint(True)
     for radius_m in radii_m:
-        result = registration.registration_icp(
-            clouds[0],
-            clouds[1],
-            radius_m,
-            matrix,
-            registration.TransformationEstimationPointToPoint(True),
-            registration.ICPConvergenceCriteria(max_iteration=MAX_ITERATIONS),
-        )
+        result = registration.registration_icp(*clouds, radius_m, matrix, estimation, convergence)
         matrix, overlap, residual_m = np.array(result.transformation), float(result.fitness), float(result.inlier_rmse)
         determinant = float(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else 0.0
         if not abs(np.log(max(determinant, 1e-300)) / 3 - np.log(start.scale)) < MAX_SCALE_CHANGE:
@@ -111,7 +102,7 @@ def count_blocks(views: Iterable[DepthView], voxel: float, max_depth: float) -> 
     """For how many blocks of 16³ voxels `fused_mesh` needs room; some 20 ms a view.
 
     These are all that views see, and once more those of the largest view: Open3D adds a view's
-    blocks to what it holds before it looks which of them are new.
+    blocks to what it holds before it checks which of them are new.
     """
     import open3d as o3d
 
@@ -128,12 +119,12 @@ def count_blocks(views: Iterable[DepthView], voxel: float, max_depth: float) -> 
 def fused_mesh(
     views: Iterable[DepthView], voxel: float, max_depth: float, num_blocks: int = 10_000, blocks_at_once: int = BLOCKS_AT_ONCE
 ) -> Mesh:
-    """The surface that depth views agree on: their truncated signed distances averaged in voxels,
-    then marching cubes; pieces smaller than a square of `MIN_PIECE_VOXELS` are left out. May be
-    empty. Source: Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
+    """The surface that depth views agree on: truncated signed distances averaged in voxels, then
+    marching cubes, without pieces below a square of `MIN_PIECE_VOXELS`. May be empty. Source:
+    Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
 
-    `num_blocks` as `count_blocks` says spares the grid to grow, which doubles it; the mesh is made
-    of `blocks_at_once` and less.
+    `num_blocks` by `count_blocks` spares the grid to grow, which doubles it; the mesh is made of
+    `blocks_at_once` and less.
     """
     import open3d as o3d
 
@@ -143,7 +134,7 @@ def fused_mesh(
         image = o3d.t.geometry.Image(_tensor(np.asarray(view.image, np.float32) / 255))
         depth, K, pose = _depth_tensors(view)
         grid.integrate(blocks, depth, image, K, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
-    mesh = _welded_mesh(_pieces(grid, voxel, blocks_at_once))
+    mesh = _weld_mesh(_pieces(grid, voxel, blocks_at_once))
     if len(mesh.triangles):
         labels, _, areas = mesh.cluster_connected_triangles()
         small = np.asarray(areas)[np.asarray(labels)] < (MIN_PIECE_VOXELS * voxel) ** 2
@@ -159,7 +150,7 @@ def fused_mesh(
 def _tensor(values: NDArray[Any]) -> Any:
     import open3d as o3d
 
-    # Its stubs know no numpy arrays.
+    # Its stubs leave out numpy arrays.
     return cast(Any, o3d.core.Tensor)(np.ascontiguousarray(values))
 
 
@@ -188,13 +179,13 @@ def _seen_blocks(grid: Any, view: DepthView, max_depth: float) -> Any:
 
 def _pieces(grid: Any, voxel: float, blocks_at_once: int) -> Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]:
     """The mesh in boxes of blocks: vertices (V,3), triangles (T,3), colors (V,3). Each is made with
-    the blocks around its box and holds the triangles whose middle lies in it, so that the next box
-    goes on at the very same vertices."""
+    the blocks around its box and holds the triangles whose middle lies in it, so that the next
+    box goes on at the very same vertices."""
     rows = grid.hashmap().active_buf_indices().numpy().astype(np.int64)
     keys = grid.hashmap().key_tensor().numpy()[rows].astype(np.int64)
     for low, high in _boxes(keys, blocks_at_once):
         near = _within(keys, low - 1, high + 1)
-        mesh = _copied(grid, voxel, rows[near]).extract_triangle_mesh(weight_threshold=MIN_WEIGHT)
+        mesh = _copy_blocks(grid, voxel, rows[near]).extract_triangle_mesh(weight_threshold=MIN_WEIGHT)
         if "indices" not in mesh.triangle:
             continue
         vertices, triangles = mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy()
@@ -204,8 +195,8 @@ def _pieces(grid: Any, voxel: float, blocks_at_once: int) -> Iterator[tuple[Floa
 
 
 def _boxes(keys: NDArray[np.int64], blocks_at_once: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Boxes, lower corner inclusive and upper one exclusive, that hold all blocks `keys` (B,3),
-    each with those around it no more than so many, or a single block."""
+    """Boxes, lower corner inclusive and upper one exclusive, of all blocks `keys` (B,3), each with
+    those around it no more than so many, or a single block."""
     if not len(keys):
         return
     waiting = [(keys.min(axis=0), keys.max(axis=0) + 1)]
@@ -227,8 +218,8 @@ def _within(places: NDArray[Any], low: NDArray[np.int64], high: NDArray[np.int64
     return np.asarray(((places >= low) & (places < high)).all(axis=1))
 
 
-def _copied(grid: Any, voxel: float, rows: NDArray[np.int64]) -> Any:
-    """A grid of its own of some blocks, which `rows` names."""
+def _copy_blocks(grid: Any, voxel: float, rows: NDArray[np.int64]) -> Any:
+    """A grid of the blocks at `rows` alone."""
     if len(rows) == grid.hashmap().size():
         return grid
     part = _empty_grid(voxel, len(rows))
@@ -239,8 +230,8 @@ def _copied(grid: Any, voxel: float, rows: NDArray[np.int64]) -> Any:
     return part
 
 
-def _welded_mesh(pieces: Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]) -> Any:
-    """Pieces as one of Open3D's meshes, with every vertex once."""
+def _weld_mesh(pieces: Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]) -> Any:
+    """Pieces as one mesh of Open3D, with every vertex once."""
     import open3d as o3d
 
     parts = list(pieces)
@@ -256,7 +247,7 @@ def _welded_mesh(pieces: Iterator[tuple[FloatArray, NDArray[np.int32], FloatArra
 
 
 def heights_from_above(mesh: Mesh, places: ArrayLike) -> FloatArray:
-    """Height (P,) of the topmost surface over places (P,2); NaN where there is none. Rays in float32: keep coordinates near the origin."""
+    """Height (P,) of the top surface over (P,2), NaN where none is; in float32, near the origin."""
     import open3d as o3d
 
     places = check_array("places", places, (None, 2))

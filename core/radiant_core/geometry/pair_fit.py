@@ -1,11 +1,10 @@
-"""The similarity between two models from pairs of 3D points with covariances. Once per pair of
-neighbouring models and round.
+"""The similarity between two models from pairs of 3D points. Once per pair of models and round.
 
-    min Σ_i ρ(r_iᵀ C_i⁻¹ r_i),   r_i = a_i − S b_i,   C_i = A_i + s² R B_i Rᵀ,   ρ Geman–McClure, by reweighted Gauss–Newton
-in the seven unknowns ξ = (shift m, rotation rad, ln scale) about the middle of the pairs. The pairs
-of one patch of ground err together, so the covariance is the cluster-robust one, H⁻¹ (Σ_c g_c g_cᵀ)
-H⁻¹ with the gradients g_c summed over patches c, never under a floor. Sources: Umeyama, PAMI 13
-(1991); Liang and Zeger, Biometrika 73 (1986).
+    min Σ_i ρ(r_iᵀ C_i⁻¹ r_i),   r_i = a_i − S b_i,   C_i = A_i + s² R B_i Rᵀ,   ρ Geman–McClure
+by reweighted Gauss–Newton in ξ = (shift m, rotation rad, ln scale) about the middle of the pairs.
+Pairs of one patch of ground err together, so the covariance is the cluster-robust one, H⁻¹ (Σ_c g_c
+g_cᵀ) H⁻¹ with the gradients g_c summed over patches c, never under a floor. Sources: Umeyama, PAMI
+13 (1991); Liang and Zeger, Biometrika 73 (1986).
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ MIN_SIDE_SHARE = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointPairs:
-    """P pairs of one place in two models: a (P,3), b (P,3) m and their covariances (P,3,3) m²; empty where nothing matched."""
+    """P pairs of one place in two models: a, b (P,3) m and covariances (P,3,3) m²; may be empty."""
 
     a: FloatArray
     a_covariances: FloatArray
@@ -45,7 +44,8 @@ class PointPairs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PairFit:
-    """Similarity a ← b, covariance (7,7) of ξ about `center` (3,) in a's frame, how many pairs agree, their median distance in m."""
+    """Similarity a ← b, covariance (7,7) of ξ about `center` (3,) in a's frame, how many pairs
+    agree, their median distance in m."""
 
     a_from_b: Sim3
     center: FloatArray
@@ -61,7 +61,7 @@ def compose(outer: Sim3, inner: Sim3) -> Sim3:
 
 
 def similarity_about(center: FloatArray, xi: FloatArray) -> Sim3:
-    """The similarity that turns and grows about `center` (3,) and then shifts it: xi (7,) = shift m, rotation vector rad, ln scale."""
+    """Turns and grows about `center` (3,), then shifts; xi (7,): shift m, rotation, ln scale."""
     scale, rotation = float(np.exp(xi[6])), Rotation.from_rotvec(xi[3:6]).as_matrix()
     return Sim3(scale=scale, rotation=rotation, translation=center + xi[:3] - scale * rotation @ center)
 
@@ -73,11 +73,9 @@ def xi_about(center: FloatArray, similarity: Sim3) -> FloatArray:
 
 
 def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int = 0) -> tuple[Sim3, FloatArray] | None:
-    """The similarity a ← b through three random pairs that most of the pairs (P,3) agree with,
-    within tolerances (P,), and a mask (P,).
-
-    None under 3 pairs or where no three give a scale within 25 % of 1. Source: Fischler and Bolles,
-    RANSAC (1981).
+    """The similarity a ← b of three random pairs that most pairs (P,3) agree with to tolerances
+    (P,), and their mask (P,); None under 3 pairs or where no three give a scale within 25 % of 1.
+    Source: Fischler and Bolles, RANSAC (1981).
     """
     a, b = check_array("a", a, (None, 3)), check_array("b", b, (len(a), 3))
     if len(a) < 3:
@@ -88,8 +86,7 @@ def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int 
     for _ in range(NUM_TRIALS):
         picked = rng.choice(len(a), 3, replace=False)
         sides = [np.linalg.norm(points[picked] - points[np.roll(picked, 1)], axis=1) for points in (a, b)]
-        # Three pairs near each other fix no rotation; sides of another ratio are no similarity:
-        # both are cheaper to see here.
+        # Pairs near each other fix no rotation, sides of another ratio no similarity: cheaper here.
         if min(sides[0].min(), sides[1].min()) <= MIN_SIDE_SHARE * spread or (np.abs(np.log(sides[1] / sides[0])) > MAX_SCALE_CHANGE).any():
             continue
         fit = fit_sim3(b[picked], a[picked])
@@ -108,13 +105,13 @@ def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int 
 
 
 def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
-    """The robust fit from `start`; BadInput under 4 pairs or where they cannot fix seven unknowns (all in one place or on a line)."""
+    """The robust fit from `start`; BadInput under 4 pairs, or all in one place or on a line."""
     if len(pairs) < 4:
         raise BadInput(f"{len(pairs)} pairs of points cannot fix a similarity with its error: at least 4 are needed.")
     center = np.median(pairs.a, axis=0)
     fit = start
     for _ in range(NUM_ITERATIONS):
-        residuals, precision, jacobian, weights = _linearised(pairs, fit, center)
+        residuals, precision, jacobian, weights = _linearise(pairs, fit, center)
         H = np.einsum("n,nia,nij,njb->ab", weights, jacobian, precision, jacobian)
         diagonal = np.diag(H)
         if not (diagonal > 0).all() or np.linalg.cond(H / np.sqrt(np.outer(diagonal, diagonal))) > 1e10:
@@ -123,7 +120,7 @@ def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
         fit = compose(similarity_about(center, step), fit)
         if np.abs(step).max() < 1e-9:
             break
-    residuals, precision, jacobian, weights = _linearised(pairs, fit, center)
+    residuals, precision, jacobian, weights = _linearise(pairs, fit, center)
     gradients = np.einsum("n,nia,nij,nj->na", weights, jacobian, precision, residuals)
     inverse = np.linalg.inv(np.einsum("n,nia,nij,njb->ab", weights, jacobian, precision, jacobian))
     patch = _patches(pairs.a)
@@ -139,7 +136,7 @@ def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
     )
 
 
-def _linearised(pairs: PointPairs, fit: Sim3, center: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _linearise(pairs: PointPairs, fit: Sim3, center: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Residuals (P,3), precisions (P,3,3), ∂(S b)/∂ξ (P,3,7), weights (P,)."""
     moved = fit.apply(pairs.b)
     residuals = pairs.a - moved

@@ -1,8 +1,8 @@
 """A similarity applied to a model of 3D Gaussians. Once per model that changes its frame.
 
     x → s R x + t      q → q_R q      ln σ → ln σ + ln s      f_l → D_l(R) f_l per degree l,
-where D_l keeps every colour at its direction:  Y_l(R d) D_l f = Y_l(d) f  for all unit d. The (2l + 1)² entries of D_l are solved for in
-float64 from 64 directions spread over the sphere; D_l is orthogonal to 1e-14, since the basis is orthonormal.
+where D_l keeps every colour at its direction: Y_l(R d) D_l f = Y_l(d) f for all unit d, solved for
+in float64 from 64 directions over the sphere; orthogonal to 1e-14, as the basis is orthonormal.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ from radiant_core.splats import SH_BASES, Splats
 
 NUM_DIRECTIONS = 64
 SHORTEST_QUAT, LONGEST_QUAT = 1e-30, 1e30
-"""Lengths between which a quaternion keeps its own: shorter ones lose their direction in float32, longer ones overflow when turned."""
+"""Shorter quaternions lose their direction in float32, longer ones overflow when turned."""
 
 
 def move_splats(splats: Splats, similarity: Sim3) -> Splats:
-    """N Gaussians in the target frame of `similarity`; opacities stay, quaternions keep their
-    length, degree 0 to 3 its colours.
+    """N Gaussians in the target frame of `similarity`; opacities, quaternion lengths and colours
+    in their turned directions stay.
 
-    Computed in float64 and rounded to float32 once: colours in turned directions agree to 1e-6 of
-    the coefficients. A zero quaternion, which is drawn unturned, becomes the rotation itself.
-    Raises BadInput when a result leaves float32.
+    Computed in float64 and rounded to float32 once: colours in turned directions agree to 1e-6. A
+    zero quaternion, drawn unturned, becomes the rotation itself. BadInput beyond float32.
     """
     means = similarity.apply(splats.means)
     log_scales = splats.log_scales.astype(np.float64) + np.log(similarity.scale)
@@ -48,14 +47,14 @@ def move_splats(splats: Splats, similarity: Sim3) -> Splats:
     return replace(
         splats,
         means=means.astype(np.float32),
-        quats=_turned_quats(splats.quats, similarity.rotation).astype(np.float32),
+        quats=_turn_quats(splats.quats, similarity.rotation).astype(np.float32),
         log_scales=log_scales.astype(np.float32),
         shN=np.concatenate(moved, axis=1).astype(np.float32),
     )
 
 
 def sh_rotation(rotation: FloatArray, degree: int) -> FloatArray:
-    """D (2l+1,2l+1) that turns the coefficients of degree l by `rotation` (3,3), orthogonal: f' = D f."""
+    """D (2l+1,2l+1) that turns the coefficients of degree l by `rotation` (3,3): f' = D f."""
     directions = _spread_directions(NUM_DIRECTIONS)
     solved = np.linalg.lstsq(sh_basis(directions @ rotation.T, degree), sh_basis(directions, degree), rcond=None)[0]
     return np.asarray(solved, np.float64)
@@ -67,7 +66,7 @@ def sh_basis(directions: FloatArray, degree: int) -> FloatArray:
     return np.stack(sh_terms(x, y, z, degree)[degree**2 :], axis=1)
 
 
-def _turned_quats(quats: NDArray[np.float32], rotation: FloatArray) -> FloatArray:
+def _turn_quats(quats: NDArray[np.float32], rotation: FloatArray) -> FloatArray:
     """q_R q (N,4) wxyz with the lengths of `quats` (N,4)."""
     exact = quats.astype(np.float64)
     lengths = np.linalg.norm(exact, axis=1, keepdims=True)

@@ -1,13 +1,12 @@
-"""A model's surface: rendered depth of many cameras fused into a mesh, and the heights of that mesh
-as a grid. Once per surface model.
+"""A model's surface: rendered depth fused into a mesh, and its heights as a grid. Once per surface.
 
-    reach R = median over views of the median depth;  box = the cameras', R wider on each side;  depth counts up to `MAX_DEPTH` · R in it
+    reach R = median over views of the median depth
+    box = the cameras', R wider on each side, and in it depth up to `MAX_DEPTH` · R
     o' = 1 / (1 + exp(−4 (logit o − logit 0.3)))
-Rendered depth is a mean over all that a ray meets, haze before the surface included, so depth is
-rendered with opacities o' that are nearly 0 or 1: then it is that of the first surface. A pixel
-counts where the model is opaque and where depth does not jump: at an edge the mean lies between the
-surfaces, where there is none. C renders of `long_side_px`, then some 0.2 s of fusion each, in a
-process of its own.
+Rendered depth is a mean over all that a ray meets, haze included, so it is rendered with opacities
+o' that are nearly 0 or 1: then it is that of the first surface. A pixel counts where the model is
+opaque and where depth does not jump: at an edge the mean lies between the surfaces. C renders of
+`long_side_px`, then some 0.2 s of fusion each, in a process of its own.
 """
 
 from __future__ import annotations
@@ -32,12 +31,11 @@ from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
 
 SHARPENING, MIDDLE_OPACITY = 4.0, 0.3
-"""Of the demo's town, 320 px: median error of depth at its sparse points 0.35 % in 0.82 of the
-pixels; with opacities as they are 1.14 % in 0.82; without the Gaussians below 0.3 0.32 % in 0.41
-(docs/experiments/surface.md)."""
+"""Of the demo's town, 320 px: median error of depth 0.35 % in 0.82 of the pixels; with opacities as
+they are 1.14 % in 0.82; without those below 0.3 0.32 % in 0.41 (docs/experiments/surface.md)."""
 MIN_ALPHA = 0.5
 MAX_JUMP = 0.04
-"""Greatest range of depth among a pixel's neighbours, as a share of it: seen from straight above, 640 px in 60°, a slope of 85°."""
+"""Greatest range of depth among neighbours, as a share: a slope of 85° from above, 640 px, 60°."""
 MAX_DEPTH = 3.0
 MAX_CELLS, CELLS_AT_ONCE = 100_000_000, 1 << 22
 PIXELS_PER_CELL = 2.0
@@ -46,11 +44,9 @@ _REACH_VIEWS, _REACH_PX = 12, 96
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """The mesh in the model's frame; voxel, its resolution, in the model's unit; num_views that saw
-    something.
+    """The mesh in the model's frame, of num_views; voxel, its resolution, in the model's unit.
 
-    finest_voxel: what the photographs or the caller asked for, below `voxel` where that did not
-    fit; num_blocks of 16³ voxels it took.
+    finest_voxel: what was asked for, below `voxel` where that did not fit; num_blocks of 16³.
     """
 
     mesh: Mesh
@@ -61,7 +57,7 @@ class Surface:
 
     @property
     def most_covered(self) -> float:
-        """Most that the mesh can cover of its box on the map: the area of its triangles over that of the box, 1 at most."""
+        """Most of its box on the map that the mesh can cover: area over area, 1 at most."""
         corners = self.mesh.vertices[self.mesh.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         box = np.ptp(self.mesh.vertices[:, :2], axis=0)
@@ -79,12 +75,11 @@ def extract_surface(  # noqa: PLR0913
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> Surface:
     """The surface that C cameras see of a model; `resolution` by default two pixels on the ground
-    at the usual depth, or what is possible in `memory_bytes`. `scratch` is the folder for temporary
-    files, some 2 MB per camera.
+    at the usual depth, or what `memory_bytes` allow. `scratch` takes some 2 MB per camera. `report`
+    gets views done, rendered and then fused, and their total.
 
     Raises BadInput without cameras, for a resolution that is no positive number, finer than 2,000
-    voxels across the reach or more than fits, and where no camera sees the model. `report` gets
-    views done, rendered and then fused, and their total.
+    voxels across the reach or more than fits, and where no camera sees the model.
     """
     if not len(cameras):
         raise BadInput("there is no camera to look at the model from: give those of its scene.")
@@ -94,10 +89,9 @@ def extract_surface(  # noqa: PLR0913
     if not (np.isfinite(voxel) and voxel > reach / 2000):
         raise BadInput(f"a resolution of {voxel} was asked for, expected a number above {reach / 2000:.3g}: choose a coarser one.")
     centers = cameras.centers
-    # Open3D and the rasterizer keep float32: near the middle of the cameras steps are below a
-    # micrometre.
+    # Open3D and the rasterizer keep float32: near the middle its steps are below a micrometre.
     middle = np.round(centers.mean(axis=0))
-    local, moved = _moved(sharpen_opacities(splats), small, middle)
+    local, moved = _move(sharpen_opacities(splats), small, middle)
     low, high = (centers.min(axis=0) - middle - reach)[:2], (centers.max(axis=0) - middle + reach)[:2]
     seen = 0
 
@@ -117,7 +111,7 @@ def extract_surface(  # noqa: PLR0913
         max_blocks=MAX_BLOCKS if memory_bytes is None else blocks_within(memory_bytes),
     )
     fusion = fuse_apart(views(), settings, lambda done, total: report(len(moved) + len(moved) * done // total, 2 * len(moved)), scratch)
-    mesh = _cropped(fusion.mesh, low, high)
+    mesh = _crop(fusion.mesh, low, high)
     if not len(mesh.triangles):
         raise BadInput(
             f"none of {len(cameras)} cameras sees a surface of {fusion.voxel:.3g}: choose a coarser resolution, or a model that is trained."
@@ -127,7 +121,7 @@ def extract_surface(  # noqa: PLR0913
 
 
 def depth_in_box(depth: NDArray[np.float32], camera: Cameras, low: FloatArray, high: FloatArray) -> NDArray[np.float32]:
-    """Depth (H,W) of one camera, 0 where its pixel lies outside a box on the map: what would be cut off the mesh takes no memory then."""
+    """Depth (H,W) of one camera, 0 outside a box on the map, which then takes no memory."""
     height, width = depth.shape
     K, pose = camera.Ks[0], camera.cam_from_world[0]
     x, y = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0], (np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]
@@ -147,7 +141,7 @@ def sharpen_opacities(splats: Splats) -> Splats:
 
 
 def trusted_depth(view: RenderedView, max_depth: float) -> NDArray[np.float32]:
-    """Depth (H,W) of a rendered view, 0 where it is too far, where the model is not opaque, and where it jumps."""
+    """Depth (H,W) of a view, 0 where it is too far or jumps, or the model is not opaque."""
     depth = np.where((view.alpha >= MIN_ALPHA) & (view.depth < max_depth), view.depth, 0).astype(np.float32)
     kernel = np.ones((3, 3), np.uint8)
     jump = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)
@@ -157,9 +151,8 @@ def trusted_depth(view: RenderedView, max_depth: float) -> NDArray[np.float32]:
 def surface_grid(surface: Surface, frame: Frame, cell: float | None = None) -> HeightGrid:
     """Heights of the topmost surface over cells of `cell`, by default the surface's resolution.
 
-    With GPS the grid is the UTM zone's and heights are those of the photographs' GPS, above the
-    ellipsoid where it gives such; else both are the model's own. Raises BadInput where the grid
-    would have more than 100 million cells.
+    With GPS the grid is the UTM zone's and heights are those of the photographs' GPS; else both are
+    the model's own. Raises BadInput where the grid would have more than 100 million cells.
     """
     cell = surface.voxel if cell is None else cell
     mesh = surface.mesh
@@ -194,7 +187,7 @@ def surface_grid(surface: Surface, frame: Frame, cell: float | None = None) -> H
 
 
 def _local_places(places: FloatArray, epsg: int | None, frame: Frame, level: float) -> FloatArray:
-    """Where cells (P,2) of the grid lie in the model's frame (P,2), at the height `level` of its middle."""
+    """Where cells (P,2) of the grid lie in the model's frame (P,2), at the height `level`."""
     if epsg is None:
         return places
     lat_lon = geodetic_from_utm(places, epsg)
@@ -217,14 +210,14 @@ def _reach(splats: Splats, cameras: Cameras) -> float:
     return float(np.median(depths))
 
 
-def _moved(splats: Splats, cameras: Cameras, middle: FloatArray) -> tuple[Splats, Cameras]:
+def _move(splats: Splats, cameras: Cameras, middle: FloatArray) -> tuple[Splats, Cameras]:
     poses = cameras.cam_from_world.copy()
     poses[:, :3, 3] += poses[:, :3, :3] @ middle
     means = (splats.means.astype(np.float64) - middle).astype(np.float32)
     return replace(splats, means=means), replace(cameras, cam_from_world=poses)
 
 
-def _cropped(mesh: Mesh, low: FloatArray, high: FloatArray) -> Mesh:
+def _crop(mesh: Mesh, low: FloatArray, high: FloatArray) -> Mesh:
     """Triangles whose corners all lie within a box on the map."""
     inside = np.asarray(((mesh.vertices[:, :2] >= low) & (mesh.vertices[:, :2] <= high)).all(axis=1))
     kept = mesh.triangles[inside[mesh.triangles].all(axis=1)] if len(mesh.triangles) else mesh.triangles

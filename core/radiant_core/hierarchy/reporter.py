@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from radiant_core.decisions import Decision
+from radiant_core.render.contract import Backend
 from radiant_core.train.results import TrainProgress
 from radiant_core.train.trainer import Checkpoints, FitOptions, NoCheckpoints
 
@@ -67,10 +68,10 @@ class Machine:
     """What a training's seconds are measured by."""
 
 
-def fit_options(backend: str, reporter: Reporter, machine: Machine, key: Callable[[], str]) -> FitOptions:
+def fit_options(backend: Backend, reporter: Reporter, machine: Machine, key: Callable[[], str]) -> FitOptions:
     """How a node's training renders, reports and saves its state."""
 
     def report(progress: TrainProgress) -> None:
         reporter.progress(progress.step, progress.num_steps, f"loss {progress.loss:.4f}")
 
-    return FitOptions(backend=backend, report=report, checkpoints=machine.checkpoints(key), clock=machine.clock)  # pyright: ignore[reportArgumentType]
+    return FitOptions(backend=backend, report=report, checkpoints=machine.checkpoints(key), clock=machine.clock)

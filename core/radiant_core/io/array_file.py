@@ -1,7 +1,6 @@
-"""A file of arrays: safetensors with one entry of metadata that says schema, version and what else
-is known about the arrays.
+"""A file of arrays: safetensors with one entry of metadata that says schema, version and more.
 
-Strict when read: another schema, version, name or number type is refused. Runs once per file.
+Strict when read: another schema, version, name or number type is refused. Once per file.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ METADATA_NAME = "radiant"
 
 
 def save_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about: Mapping[str, Any]) -> None:
-    """Write `arrays` and what is said `about` them to `path`, atomically; raises as `write_atomic`."""
+    """Write `arrays` and what is said `about` them, atomically; raises as `write_atomic`."""
     write_atomic(path, save(dict(arrays), _metadata(schema, about)))
 
 
@@ -41,8 +40,7 @@ def stream_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about:
 
 
 def _metadata(schema: str, about: Mapping[str, Any]) -> dict[str, str]:
-    # One entry only: safetensors writes several in an order that differs from process to process,
-    # and keys hash these bytes.
+    # One entry only: safetensors writes several in any order, and keys hash these bytes.
     record = {"schema": schema, "version": VERSION, "about": dict(about)}
     return {METADATA_NAME: json.dumps(record, allow_nan=False, sort_keys=True)}
 
@@ -53,32 +51,32 @@ def _record(file: Any) -> Any:
 
 
 def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tuple[dict[str, NDArray], dict[str, Any]]:
-    """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes
-    are exactly these; None: any names.
+    """Arrays and "about" of a file of exactly this schema, version and dtypes; None: any names.
 
     Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
     """
-    with _opened(path) as file, name_file_in_errors(path):
+    with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
         require_schema(record, schema)
-        found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
+        found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
         if dtypes is not None and found != dtypes:
             raise BadInput(f"it holds the arrays {found}, expected {dict(dtypes)}: write it anew with this version.")
         return {name: file.get_tensor(name) for name in found}, record["about"]
 
 
 def schema_of(path: Path) -> str:
-    """The schema that a file of `save_arrays` says it has; "" where it says none. Raises StoreDamaged when it is missing or broken."""
-    with _opened(path) as file, name_file_in_errors(path):
+    """The schema of a file of `save_arrays`, "" where it says none; StoreDamaged when broken."""
+    with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
         return str(record.get("schema", "")) if isinstance(record, dict) else ""
 
 
 def header_of(path: Path) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]]:
-    """What a file of `save_arrays` says it is, and the shapes of its arrays, without reading them; raises as `schema_of`."""
-    with _opened(path) as file, name_file_in_errors(path):
+    """What a file of `save_arrays` says, and its arrays' shapes, unread; raises as `schema_of`."""
+    with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
-        shapes = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+        names = file.keys()
+        shapes = {key: tuple(file.get_slice(key).get_shape()) for key in names}
         return (record if isinstance(record, dict) else {}), shapes
 
 
@@ -104,7 +102,7 @@ def name_file_in_errors(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_arrays(path: Path) -> Iterator[Any]:
     if not Path(path).is_file():
         raise StoreDamaged(f"cannot read {path}: there is no such file: run the stage that writes it again.")
     require_layout(path)

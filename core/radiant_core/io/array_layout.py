@@ -1,7 +1,7 @@
-"""What the head of a safetensors file says, checked against the file's length before anything is
-allocated. Once per file.
+"""The head of a safetensors file, checked before anything is allocated. Once per file.
 
-    8 bytes: length of the header, little-endian; the header: JSON, name → {dtype, shape, data_offsets}; then the numbers
+    8 bytes: length of the header, little-endian
+    the header: JSON, name → {dtype, shape, data_offsets}; then the numbers
 
 The library checks much of this too; here the header is bounded, no name comes twice, and the arrays
 fill the file exactly. Layout: https://github.com/huggingface/safetensors#format
@@ -21,25 +21,12 @@ from radiant_core.io.run_store import open_without_waiting, parse_json
 MAX_HEADER_BYTES = 16 * 2**20
 """The names of 500,000 cameras fit."""
 MAX_DIMENSIONS = 8
-_DTYPE_BYTES = {
-    "BOOL": 1,
-    "U8": 1,
-    "I8": 1,
-    "F16": 2,
-    "BF16": 2,
-    "U16": 2,
-    "I16": 2,
-    "F32": 4,
-    "U32": 4,
-    "I32": 4,
-    "F64": 8,
-    "U64": 8,
-    "I64": 8,
-}
+_DTYPES_OF_BYTES = {1: "BOOL U8 I8", 2: "F16 BF16 U16 I16", 4: "F32 U32 I32", 8: "F64 U64 I64"}
+_DTYPE_BYTES = {dtype: num_bytes for num_bytes, dtypes in _DTYPES_OF_BYTES.items() for dtype in dtypes.split()}
 
 
 def require_layout(path: Path) -> None:
-    """Raise StoreDamaged unless `path` is a regular file whose header is bounded and well-formed and whose arrays fill it exactly."""
+    """Raise StoreDamaged unless `path` has a bounded, well-formed header and exactly its arrays."""
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
             status = os.fstat(file.fileno())
@@ -48,7 +35,7 @@ def require_layout(path: Path) -> None:
             num_header = int.from_bytes(file.read(8), "little")
             left = status.st_size - 8 - num_header
             if not (2 <= num_header <= MAX_HEADER_BYTES and left >= 0):
-                raise StoreDamaged(_broken(path, f"it says a header of {num_header} bytes and has {status.st_size} in all"))
+                raise StoreDamaged(_broken_sentence(path, f"it says a header of {num_header} bytes and has {status.st_size} in all"))
             header = file.read(num_header)
     except OSError as error:
         raise StoreDamaged(f"cannot read {path}: {error.strerror or error}: run the stage that writes it again.") from error
@@ -57,7 +44,7 @@ def require_layout(path: Path) -> None:
     except (ValueError, RecursionError) as error:
         problem = f"its header is not valid JSON ({str(error)[:80]})"
     if problem:
-        raise StoreDamaged(_broken(path, problem))
+        raise StoreDamaged(_broken_sentence(path, problem))
 
 
 def _problem(header: Any, num_bytes: int) -> str | None:
@@ -98,5 +85,5 @@ def _is_counts(value: Any) -> bool:
     return isinstance(value, list) and all(type(number) is int and 0 <= number < 2**63 for number in value)
 
 
-def _broken(path: Path, reason: str) -> str:
+def _broken_sentence(path: Path, reason: str) -> str:
     return f"{path} is not a whole safetensors file: {reason}: run the stage that writes it again."

@@ -1,5 +1,4 @@
-"""Cells of CSV that people open in spreadsheets: no name in them is a formula. Once per cell of
-text.
+"""Cells of CSV for spreadsheets: no name in them is a formula. Once per cell of text.
 
 A spreadsheet computes whatever begins with = + - or @, also behind a semicolon where that separates
 cells; a formula can start programs and send files away. One ' before it makes it text:

@@ -1,8 +1,8 @@
-"""The codec of messages: the only place that writes and reads what crosses between nodes. Once per
-node and message.
+"""The codec of messages: all that crosses between nodes is written and read here. Once per message.
 
     a task       task.json, and files of the arrays that its fields name (`in_file`)
-    DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json where its frame is uncertain
+    DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json
+                 where its frame is uncertain
     EdgeModel    the same with virtual_cameras.safetensors, virtual_views.safetensors
 
 Types and unknown keys are refused by pydantic in its strict mode: no number as text, nothing
@@ -39,7 +39,7 @@ Message = TypeVar("Message")
 Model = TypeVar("Model", DeviceModel, EdgeModel)
 TASK_NAME = "task.json"
 MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
-"""What a node keeps, and what it sends where that is not the same file. Where it arrives both are called by the first name."""
+"""What a node keeps, and what it sends where that differs; both arrive under the first name."""
 CAMERAS_NAME, FRAME_NAME, SUMMARY_NAME = "cameras.safetensors", "frame.json", "summary.json"
 VIRTUAL_CAMERAS, VIRTUAL_VIEWS = "virtual_cameras.safetensors", "virtual_views.safetensors"
 NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
@@ -71,18 +71,13 @@ def message_record(message: Any) -> dict[str, Any]:
 
 
 def message_of(kind: type[Message], record: Mapping[str, Any], name: str = "message") -> Message:
-    """The message of the dataclass `kind` that `message_record` wrote, for dataclasses without
-    files.
-
-    Raises:
-        BadInput: a field is missing, unknown or of another kind; `name` is what the sentence calls
-            the message.
-    """
-    return kind(**_parsed(kind, json.dumps(record).encode(), name))
+    """The message of the dataclass `kind`, without files, that `message_record` wrote; BadInput,
+    calling it `name`, where a field is missing, unknown or of another kind."""
+    return kind(**_parse(kind, json.dumps(record).encode(), name))
 
 
 def task_key(task: Any) -> dict[str, Any]:
-    """What of a task decides the bits of its result, as JSON's values; its files count by their bytes, elsewhere."""
+    """What of a task decides the bits of its result; its files count by their bytes, elsewhere."""
     record = message_record(task)
     return {field.name: record[field.name] for field in fields(task) if field.name in record and field.metadata.get("keyed", True)}
 
@@ -99,12 +94,8 @@ def save_task(folder: Path, task: Any) -> list[str]:
 
 
 def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
-    """The task that `save_task` wrote into a node's folder.
-
-    Raises:
-        BadInput: a file is missing, damaged, or no task of this kind; `name` is what the sentence
-            calls the task.
-    """
+    """The task that `save_task` wrote into a node's folder; BadInput, calling it `name`, where a
+    file is missing, damaged, or no task of this kind."""
     path = folder / TASK_NAME
     data = read_bounded(path, MAX_JSON_BYTES)
     try:
@@ -113,7 +104,7 @@ def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
         raise BadInput(f"{path} is not valid JSON ({error}): send the task again.") from error
     if not isinstance(found, dict):
         raise BadInput(f"{path} is no JSON object: send the task again.")
-    values = _parsed(kind, data, f"{path}: {name}")
+    values = _parse(kind, data, f"{path}: {name}")
     for field in fields(kind):  # pyright: ignore[reportArgumentType]
         if "file" in field.metadata:
             values[field.name] = load_scene(folder / field.metadata["file"])
@@ -124,29 +115,30 @@ def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
 
 
 def task_setting(folder: Path, name: str) -> Any:
-    """One setting of the task in a node's folder as JSON has it, whatever the task; None where there is none."""
+    """One setting of the task in a node's folder as JSON has it; None where there is none."""
     path = folder / TASK_NAME
     record = read_json(path) if path.is_file() else {}
     return record.get(name) if isinstance(record, dict) else None
 
 
-def _parsed(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
+def _parse(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
     try:
         parsed = _model(kind).model_validate_json(data)
     except ValidationError as error:
-        raise BadInput(f"{name}: {problem_sentence(error, 'message')}") from error
-    key = _left_out(parsed.model_dump(mode="json"), json.loads(data))
+        raise BadInput(f"{name}: {problem_sentence(error, 'message', given=json.loads(data))}") from error
+    key = _find_left_out(parsed.model_dump(mode="json"), json.loads(data))
     if key is not None:
         raise BadInput(f"{name}: {key} is missing: add it.")
     return {field: getattr(parsed, field) for field in _json_names(kind)}
 
 
-def _left_out(whole: Any, given: Any, place: str = "") -> str | None:
-    """The path of the first key that `given` leaves to a default: pydantic demands those of the message alone, not of its parts."""
+def _find_left_out(whole: Any, given: Any, place: str = "") -> str | None:
+    """The path of the first key that `given` leaves to a default: pydantic demands those of the
+    message alone, not of its parts."""
     parts = whole.items() if isinstance(whole, dict) else enumerate(whole) if isinstance(whole, list) else ()
     for key, value in parts:
         path = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
-        if (isinstance(given, dict) and key not in given) or (path := _left_out(value, given[key], path)):
+        if (isinstance(given, dict) and key not in given) or (path := _find_left_out(value, given[key], path)):
             return path
     return None
 
@@ -219,7 +211,7 @@ def load_device_model(place: Path) -> DeviceModel | str:
 
 
 def load_edge_model(place: Path, long_side_px: int) -> EdgeModel | str:
-    """The edge's model that arrived in a folder, its pictures of that long side, or why it cannot be used, one sentence."""
+    """The edge's model in a folder, its pictures of that long side, or why it cannot be used."""
     try:
         cameras = _cameras_in(place / VIRTUAL_CAMERAS)
         return EdgeModel(
@@ -259,11 +251,7 @@ def _hashes(place: Path) -> dict[str, str]:
 
 
 def load_uncertainty(place: Path) -> FrameUncertainty | None:
-    """How well the frame of a model is known; None where it is exact, or nothing says so.
-
-    Raises:
-        BadInput: the file says anything else.
-    """
+    """How well a model's frame is known; None where it is exact or unsaid. BadInput otherwise."""
     path = place / FRAME_NAME
     if not path.is_file():
         return None

@@ -4,7 +4,7 @@ Read once per scene. Layout: coordinates.pt {origin_drb (3,), pose_scale_factor}
 val each rgbs/NNNNNN.jpg and metadata/NNNNNN.pt {H, W, intrinsics (fx, fy, cx, cy), c2w (3,4)}. The
 world's axes are down, right, back; the camera's right, up, back; images are undistorted already, so
 `distortion` is not applied again. Hence
-    centre = pose_scale_factor · R · c2w[:, 3],   R the matrix with rows right, −back, −down: x right, y forward, z up.
+    centre = pose_scale_factor · R · c2w[:, 3],   R with rows right, −back, −down: z up
 The place of the middle, origin_drb, is left out: it has no latitude or longitude and only costs
 digits. Source: Turki et al., Mega-NeRF, CVPR 2022, and the layout of its published data.
 """
@@ -28,12 +28,10 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 def read_mill19(folder: Path) -> Cameras:
-    """The posed photographs of a Mill 19 folder, lengths in its own unit (published ones: metres),
-    z up, middle near the origin.
+    """The posed photographs of a Mill 19 folder in its own unit (published: metres), z up.
 
     Named by their path in the folder ("train/rgbs/000001.jpg"); `held_out_mask` selects those in
-    val/. Raises BadInput naming the file when one is missing, is no such file, or holds values that
-    make no camera.
+    val/. Raises BadInput naming the file when one is missing, no such file, or makes no camera.
     """
     coordinates_path = folder / "coordinates.pt"
     coordinates = _load(coordinates_path)
@@ -67,8 +65,7 @@ def _camera(path: Path, scale: float) -> tuple[FloatArray, FloatArray, tuple[int
     fx, fy, cx, cy = _numbers(metadata, "intrinsics", (4,), path)
     world_from_camera = _numbers(metadata, "c2w", (3, 4), path)
     rotation = _OPENGL_FROM_OPENCV @ world_from_camera[:, :3].T @ _WORLD_FROM_DRB.T
-    # float32 rotations are orthonormal to 1e-7 only; the nearest rotation keeps the rest of the
-    # pipeline exact.
+    # float32 rotations are orthonormal to 1e-7; the nearest rotation keeps what follows exact.
     U, singular, Vt = np.linalg.svd(rotation)
     if np.abs(singular - 1).max() > 1e-3 or round(np.linalg.det(U @ Vt)) != 1:
         raise BadInput(f"{path}: the first three columns of c2w are no rotation: export the metadata again.")
@@ -91,7 +88,8 @@ def _load(path: Path) -> dict[str, Any]:
         unpacked_bytes = _unpacked_bytes(path)
         if unpacked_bytes > MAX_METADATA_BYTES:
             raise BadInput(f"{path} unpacks to {unpacked_bytes} bytes, expected metadata of at most {MAX_METADATA_BYTES}.")
-        loaded = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251 a stranger's file, tensors only
+        # The file comes from elsewhere: tensors only.
+        loaded = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251
     except BadInput:
         raise
     except (RuntimeError, UnpicklingError, EOFError, ValueError, KeyError, OSError, BadZipFile) as error:
@@ -102,7 +100,7 @@ def _load(path: Path) -> dict[str, Any]:
 
 
 def _unpacked_bytes(path: Path) -> int:
-    """What all parts of a .pt file take, which may be deflated; 0 for the older form, whose storages are as long as the file is."""
+    """What all parts of a .pt file take unpacked; 0 for the older form, which is never deflated."""
     if not is_zipfile(path):
         return 0
     with ZipFile(path) as parts:
@@ -112,8 +110,7 @@ def _unpacked_bytes(path: Path) -> int:
 def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> FloatArray:
     """The finite numbers of `shape` under `key`."""
     found = tuple(getattr(loaded.get(key), "shape", shape))
-    # Asked before anything is converted: by its strides a tensor of a few bytes holds billions of
-    # numbers.
+    # Before any conversion: by its strides a tensor of a few bytes holds billions of numbers.
     if found != shape and (shape or any(side != 1 for side in found)):
         raise BadInput(f"{path}: {key!r} has shape {found}, expected {shape}.")
     try:
@@ -126,7 +123,7 @@ def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Pat
 
 
 def _of_shape(value: Any, shape: tuple[int, ...]) -> Any:
-    """A tensor, or nested lists after counting them: the same small list, named again and again, unfolds to any size."""
+    """A tensor, or counted nested lists: a small list named repeatedly unfolds to any size."""
     if not isinstance(value, list | tuple):
         return value
     if not shape or len(value) != shape[0]:

@@ -1,5 +1,4 @@
-"""Models as Open3D draws them and as it packs them into SPZ: the only module with its attribute
-names. Once per model.
+"""Models as Open3D draws them and packs them into SPZ. Once per model.
 
 SPZ (version 4) keeps a Gaussian in 20 bytes and one per harmonic and channel, then compresses them:
 centres in fixed point of 1/4096 within ±2048, log scales in steps of 1/16 within −10 … 5.9375,
@@ -36,18 +35,17 @@ SPZ_MAX_LOG_SCALE = 5.9375
 _SPZ_HEADER = struct.Struct("<4sIIBBBBI12x")
 _SPZ_STREAM = struct.Struct("<QQ")
 MAX_ZSTD_RATIO = 2**15
-"""A block of Zstandard is 128 KiB at most and 4 bytes or more: a stream that promises more is none, and nothing is allocated for it."""
+"""A block of Zstandard is 128 KiB at most and 4 bytes or more; nothing is allocated beyond."""
 _END_ALPHA = 0.25 / 255
-"""What the ends of the 8-bit opacities, 0 and 1, are read as: the middle of what was rounded to them, where the logit is finite."""
+"""The ends of the 8-bit opacities, 0 and 1, are read as the middle of what was rounded to them."""
 
 
 def open3d_point_cloud(splats: Splats, max_sh_degree: int = 2) -> o3d.t.geometry.PointCloud:
-    """N Gaussians as Open3D's tensor point cloud, as its shader "gaussianSplat" wants them.
+    """N Gaussians as Open3D's tensor point cloud for its shader "gaussianSplat".
 
     positions (N,3); scale (N,3) linear; rot (N,4) wxyz of length 1; opacity (N,1) logit; f_dc
-    (N,3); f_rest (N,K-1,3). Its shader draws spherical harmonics up to degree 2, so higher ones are
-    cut. Raises BadInput on a degree outside 0 to 3 or a scale that float32 cannot hold. Source: the
-    attributes that open3d 0.20 gives when it reads a 3DGS PLY.
+    (N,3); f_rest (N,K-1,3), cut to degree 2, all that is drawn. Raises BadInput on a degree outside
+    0 to 3 or a scale beyond float32. Source: what open3d 0.20 gives when it reads a 3DGS PLY.
     """
     import open3d as o3d
 
@@ -73,7 +71,7 @@ def open3d_point_cloud(splats: Splats, max_sh_degree: int = 2) -> o3d.t.geometry
 
 
 def spz_bytes(splats: Splats) -> bytes:
-    """At least one Gaussian as SPZ, whose limits the caller keeps; raises StageFailed when Open3D writes nothing."""
+    """At least one Gaussian as SPZ, within its limits; StageFailed when Open3D writes nothing."""
     import open3d as o3d
 
     cloud = open3d_point_cloud(splats, max_sh_degree=3)
@@ -85,11 +83,8 @@ def spz_bytes(splats: Splats) -> bytes:
 
 
 def splats_from_spz(data: bytes, num_splats: int, sh_degree: int) -> Splats:
-    """The model in `data`, which must be SPZ of exactly so many Gaussians; StoreDamaged when it is
-    not.
-
-    Opacities of 0 and 1 come from Open3D as infinite logits and become ±6.9.
-    """
+    """The model in `data`, SPZ of exactly so many Gaussians, or StoreDamaged; opacities of 0 and 1
+    come from Open3D as infinite logits and become ±6.9."""
     import open3d as o3d
 
     _require_spz(data, num_splats, sh_degree)
@@ -114,7 +109,7 @@ def splats_from_spz(data: bytes, num_splats: int, sh_degree: int) -> Splats:
 
 
 def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:
-    """Raise StoreDamaged unless header and table of streams say what is expected: Open3D accepts any count."""
+    """Raise StoreDamaged unless header and table of streams fit: Open3D accepts any count."""
     per_splat = (9, 1, 3, 3, 4, *([3 * (SH_BASES[sh_degree] - 1)] if sh_degree else []))
     start = _SPZ_HEADER.size + _SPZ_STREAM.size * len(per_splat)
     if len(data) >= start:
@@ -131,7 +126,7 @@ def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:
 
 @contextmanager
 def _log_instead_of_output() -> Iterator[None]:
-    """Open3D's SPZ reader tells of every file on standard output, where a command may be printing JSON: that goes to standard error."""
+    """Open3D reports SPZ files on standard output, where JSON may go: on standard error here."""
     sys.stdout.flush()
     kept = os.dup(1)
     os.dup2(2, 1)

@@ -1,4 +1,4 @@
-"""What a plan says of footprints, as plain values for plan.json: the forecast of every border, and the buffer captures. Once per plan."""
+"""A plan's footprints as plain values for plan.json: borders and buffer captures. Once per plan."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ GROUND_KEY = "ground_m"
 
 
 def content_record(forecasts: Sequence[BorderForecast], buffers: Sequence[EdgeBuffer], assumed: str) -> dict[str, Any]:
-    """`forecast` (what was assumed of cameras and ground, and the borders) and, where any were planned, `buffers`."""
+    """`forecast` (what was `assumed`, and the borders) and, where any were planned, `buffers`."""
     record: dict[str, Any] = {"forecast": {"assumed": assumed, "borders": [border_record(forecast) for forecast in forecasts]}}
     if buffers:
         record["buffers"] = [

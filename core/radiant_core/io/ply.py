@@ -1,11 +1,9 @@
-"""Models as PLY files in the layout of the original 3D Gaussian Splatting code, which most viewers
-open.
+"""Models as PLY files in the layout of the original 3DGS code. Once per model.
 
 One binary little-endian float32 record per Gaussian: x y z, nx ny nz (zero), f_dc_0..2, f_rest_*
 (all bases of red, then of green, then of blue), opacity (logit), scale_0..2 (ln m), rot_0..3
 (wxyz). The comment "antialiased" says that the model is so. Layout: Kerbl et al., 3D Gaussian
-Splatting (2023), its published models. The reader is strict, because PLY files come from strangers.
-Runs once per model.
+Splatting (2023), its published models. The reader is strict: PLY files come from strangers.
 """
 
 from __future__ import annotations
@@ -59,10 +57,9 @@ def save_ply(path: Path, splats: Splats) -> None:
 
 
 def load_ply(path: Path) -> Splats:
-    """The Gaussians of a 3DGS PLY file; properties it does not need are skipped when they are
-    scalars.
+    """The Gaussians of a 3DGS PLY file; other scalar properties are skipped.
 
-    Raises BadInput naming the file when it is missing, not such a file, shorter or longer than its
+    Raises BadInput naming the file when it is missing, no such file, of another length than its
     header says, or not finite.
     """
     try:
@@ -93,7 +90,7 @@ def _rows(splats: Splats) -> NDArray[np.float32]:
 
 
 def _read_header(file: IO[bytes]) -> tuple[int, np.dtype, bool]:
-    """Number of Gaussians, the type of one record, and whether the model is antialiased; the file stands behind the header."""
+    """Count of Gaussians, type of a record, antialiased or not; the file stands behind it."""
     if _header_words(file) != ["ply"] or _header_words(file) != ["format", "binary_little_endian", "1.0"]:
         raise BadInput("it does not begin as a binary little-endian PLY file of version 1.0")
     count: int | None = None
@@ -144,11 +141,10 @@ def _splats(rows: NDArray[np.void], antialiased: bool) -> Splats:
 
 
 def _columns(rows: NDArray[np.void], names: Sequence[str]) -> NDArray[np.float32]:
-    """The named properties as an array (N,len(names)); a double beyond float32 becomes infinite and is refused with the NaNs."""
+    """The named properties as (N,len(names)); a double beyond float32 is refused as infinite."""
     columns = np.empty((len(rows), len(names)), np.float32)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        # Rows that fit the cache: property after property of all of them would read the whole file
-        # once for each.
+        # Rows that fit the cache: property after property would read the whole file for each.
         for start in range(0, len(rows), CACHED_ROWS):
             part = slice(start, start + CACHED_ROWS)
             for column, name in zip(columns[part].T, names, strict=True):

@@ -1,8 +1,7 @@
-"""What flows between stages, as files: arrays as safetensors, plans as readable JSON; no pickle,
-nothing lost.
+"""What flows between stages, as files: arrays as safetensors, plans as JSON. Once per stage.
 
-Every file says in its metadata which schema and version it is. Reading takes no more memory than
-the file is long. Runs once per stage.
+Every file says in its metadata which schema and version it is. No pickle, nothing lost; reading
+takes no more memory than the file is long.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ def save_splats(path: Path, splats: Splats) -> None:
 
 
 def load_splats(path: Path) -> Splats:
-    """The model that `save_splats` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    """The model of `save_splats`; StoreDamaged when broken, BadInput when something else."""
     arrays, about = load_arrays(path, "radiant.splats", SPLATS_DTYPES)
     with name_file_in_errors(path):
         return Splats(**arrays, antialiased=about.get("antialiased") is True)
@@ -57,16 +56,15 @@ def save_cameras(path: Path, cameras: Cameras) -> None:
 
 
 def load_cameras(path: Path) -> Cameras:
-    """The cameras that `save_cameras` wrote; StoreDamaged when the file is broken, BadInput when it
-    holds something else, a name that would lead a reader or writer out of its folder, or a camera
-    that is larger than any photograph."""
+    """The cameras of `save_cameras`; StoreDamaged when broken, BadInput when something else, a name
+    that leads out of a folder, or a camera larger than any photograph."""
     arrays, about = load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
     with name_file_in_errors(path):
         return _cameras(about["names"], arrays)
 
 
 def save_scene(path: Path, scene: SfmScene) -> None:
-    """Write cameras, points, colours, observations and frame to `path`, atomically; raises as `write_atomic`."""
+    """Write cameras, points, observations and frame, atomically; raises as `write_atomic`."""
     arrays = {
         **_camera_arrays(scene.cameras),
         "points": scene.points,
@@ -109,10 +107,9 @@ def save_plan(  # noqa: PLR0913
     warnings: Sequence[str] = (),
     content: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera
-    indices point into where it was made from some, what slacks would buy where it was computed,
-    what its predictions are to be taken with, and what `content_record` says of footprints;
-    BadInput when their number is another, else raises as `write_atomic`."""
+    """Write both levels of a plan as JSON, atomically, with the waypoints that its indices point
+    into, what slacks would buy, its warnings, and what `content_record` says of footprints;
+    BadInput when the waypoints' number is another, else raises as `write_atomic`."""
     record = plan_record(cloud, edges)
     if slack_curve:
         record["slack_curve"] = [asdict(point) for point in slack_curve]
@@ -136,19 +133,19 @@ def save_plan(  # noqa: PLR0913
 
 def plan_record(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> dict[str, Any]:
     """Both levels of a plan as JSON's values, for a file that holds more than a plan."""
-    return {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
+    return {"cloud": _plan_values(cloud), "edges": [_plan_values(edge) for edge in edges]}
 
 
 def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """What `plan_record` was made of, bit for bit; BadInput, KeyError or TypeError for anything else (see `name_file_in_errors`)."""
+    """What `plan_record` was made of, bit for bit; BadInput, KeyError or TypeError otherwise."""
     cloud = CloudPlan(**_plan_fields(CloudPlan, record["cloud"]))
     return cloud, tuple(EdgePlan(**_plan_fields(EdgePlan, edge)) for edge in record["edges"])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanFile:
-    """What a plan's file holds for those that draw it: both levels, the waypoints it was made from,
-    and the altitude of the ground (m) that their altitudes count with, where it was given."""
+    """Both levels of a plan, the waypoints it was made from, and the altitude of the ground (m)
+    that their altitudes count with, where it was given."""
 
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
@@ -157,13 +154,13 @@ class PlanFile:
 
 
 def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The plan that `save_plan` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    """The plan of `save_plan`; StoreDamaged when broken, BadInput when something else."""
     found = load_plan_file(path)
     return found.cloud, found.edges
 
 
 def load_plan_waypoints(path: Path) -> Waypoints | None:
-    """The waypoints that a plan was made from, one per camera of it; None where it was made from a scene. Raises as `load_plan`."""
+    """The waypoints of a plan, one per camera; None for one of a scene. Raises as `load_plan`."""
     return load_plan_file(path).waypoints
 
 
@@ -205,7 +202,7 @@ def _texts(values: Any) -> tuple[str, ...]:
 
 
 def _cameras(names: Any, arrays: Mapping[str, NDArray]) -> Cameras:
-    """The cameras of a file: names are paths inside whatever folder they are read from or written to, and sizes those of photographs."""
+    """The cameras of a file, names being paths inside a folder, sizes those of photographs."""
     cameras = Cameras(names=_texts(names), **{name: arrays[name] for name in CAMERAS_DTYPES})
     outside = next((name for name in cameras.names if not is_image_name(name)), None)
     if outside is not None:
@@ -226,13 +223,13 @@ def _ids(values: Any) -> tuple[str, ...]:
     return ids
 
 
-def _jsonable(plan: CloudPlan | EdgePlan) -> dict[str, Any]:
-    return {field.name: _plain(getattr(plan, field.name)) for field in fields(plan)}
+def _plan_values(plan: CloudPlan | EdgePlan) -> dict[str, Any]:
+    return {field.name: _plain_value(getattr(plan, field.name)) for field in fields(plan)}
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+        return [_plain_value(item) for item in value]
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -241,11 +238,11 @@ def _plan_fields(plan_type: type[CloudPlan | EdgePlan], record: Any) -> dict[str
     needed = {field.name for field in fields(plan_type) if field.default is MISSING}
     if not isinstance(record, dict) or not needed <= set(record) <= names:
         raise BadInput(f"a part of it is no {plan_type.__name__}, which has exactly {sorted(names)}: plan again.")
-    return {name: _parsed(name, value) for name, value in record.items()}
+    return {name: _parse_field(name, value) for name, value in record.items()}
 
 
-def _parsed(name: str, value: Any) -> Any:
-    """A field of a plan from JSON; arrays stay lists for the plan's own checks, empty polygons regain their two columns."""
+def _parse_field(name: str, value: Any) -> Any:
+    """A field of a plan from JSON; arrays stay lists for its checks, empty polygons are (0,2)."""
     if name in ("edge_ids", "device_ids"):
         return _ids(value)
     if name == "constrained":

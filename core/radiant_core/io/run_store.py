@@ -1,8 +1,7 @@
 """Files of a run: written whole or not at all, sealed by hashes, held by one writer at a time.
 
 A stage writes its files, then `seal` records its key (hash of all it was made from) and the SHA-256
-of every file; a later run skips the stage when `is_sealed` says that key and bytes are still the
-same. Runs once per stage and file, never per step.
+of every file; a later run skips it where `is_sealed` holds. Once per stage and file.
 """
 
 from __future__ import annotations
@@ -32,7 +31,8 @@ LOCK_NAME = ".lock"
 MAX_JSON_BYTES = 64 * 2**20
 """Default limit of a JSON file: a plan of 100,000 cameras takes some 2 MB."""
 FULL_BYTES = 1 << 20
-"""With less than this left a disk counts as full: libraries that write there end their process, or half a file, without a word."""
+"""With less than this left a disk counts as full: libraries that write there end their
+process, or half a file, without a word."""
 
 
 def disk_is_full(folder: Path) -> bool:
@@ -41,19 +41,17 @@ def disk_is_full(folder: Path) -> bool:
 
 
 def require_room(folder: Path) -> None:
-    """Raise CannotWrite where the disk of a folder is full, after a library wrote there that would not say so."""
+    """Raise CannotWrite on a full disk, after a library wrote there that does not report it."""
     if disk_is_full(folder):
         raise CannotWrite(f"the disk of {folder} is full: free space or choose another output folder.")
 
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A name beside `path` for a library that writes files itself; what it wrote takes the place of
-    `path` when the block ends well.
+    """A name beside `path` for a library that writes itself; its file becomes `path` in the end.
 
     Temporary file in the same folder, fsync, replace, fsync of the folder: after a power cut the
-    old or the new file is there. Raises CannotWrite when the system refuses (disk full, no such
-    folder, not allowed); the old file is then untouched.
+    old or the new file is there. Raises CannotWrite when the system refuses; the old file stays.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
@@ -71,7 +69,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_writer(path: Path) -> Iterator[IO[bytes]]:
-    """A binary file that takes the place of `path` when the block ends well, and vanishes when it does not; raises as `atomic_path`."""
+    """A binary file that becomes `path` when the block ends well; raises as `atomic_path`."""
     with atomic_path(path) as temporary, temporary.open("xb") as file:
         yield file
 
@@ -83,7 +81,7 @@ def write_atomic(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, obj: Any) -> None:
-    """Write `obj` as indented UTF-8 JSON with sorted keys; BadInput when a number is not finite or a value is not JSON's."""
+    """Write `obj` as indented UTF-8 JSON with sorted keys; BadInput unless finite and JSON's."""
     try:
         text = json.dumps(obj, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
         data = (text + "\n").encode()
@@ -93,12 +91,12 @@ def write_json(path: Path, obj: Any) -> None:
 
 
 def open_without_waiting(path: str, flags: int) -> int:
-    """Opener for `open`: without O_NONBLOCK a pipe in a stranger's folder would hold the reader for ever."""
+    """Opener for `open`: without O_NONBLOCK a pipe in a foreign folder would block the reader."""
     return os.open(path, flags | os.O_NONBLOCK)
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:
-    """The bytes of a regular file of at most `max_bytes`; StoreDamaged when it is missing, no file, or larger."""
+    """The bytes of a regular file of at most `max_bytes`; else, or missing, StoreDamaged."""
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
             status = os.fstat(file.fileno())
@@ -113,8 +111,7 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
 
 
 def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BYTES) -> Any:
-    """The value of a JSON file of at most `max_bytes`; an object that has all `keys` where some are
-    named.
+    """The value of a JSON file of at most `max_bytes`, an object with all `keys` if any are given.
 
     Raises StoreDamaged when it is missing, larger, malformed, has a number that is not finite, a
     key twice or one too few.
@@ -130,7 +127,8 @@ def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BY
 
 
 def parse_json(data: bytes | str) -> Any:
-    """The value of a JSON text; ValueError (or RecursionError) where it is malformed, a number not finite, or a key there twice."""
+    """The value of a JSON text; ValueError or RecursionError where it is malformed, a number
+    not finite, or a key there twice."""
     return json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
 
 
@@ -147,8 +145,7 @@ def file_sha256(path: Path) -> str:
 
 
 def content_key(*parts: Any) -> str:
-    """Stable SHA-256 (64 hexadecimal digits) of what a stage is made from, equal in every process
-    and on every machine.
+    """Stable SHA-256 (64 hexadecimal digits) of what a stage is made from, equal on every machine.
 
     Takes None, bool, int, float, str, bytes, lists, tuples, mappings with text keys (order does not
     matter), numpy arrays, dataclasses, and Paths: a file counts by its bytes, a folder by the names
@@ -159,7 +156,7 @@ def content_key(*parts: Any) -> str:
 
 def key_of_files(sha256_of: Mapping[str, str]) -> str:
     """`content_key` of a folder that holds files with these hashes, by their paths inside it."""
-    return _digest_of(chain(_tagged("list", b"1"), _tagged("path", b""), _canonical_bytes(sha256_of)))
+    return _digest_of(chain(_tag("list", b"1"), _tag("path", b""), _canonical_bytes(sha256_of)))
 
 
 def _digest_of(pieces: Iterable[bytes]) -> str:
@@ -170,11 +167,10 @@ def _digest_of(pieces: Iterable[bytes]) -> str:
 
 
 def seal(folder: Path, key: str, names: Sequence[str]) -> None:
-    """Write folder/done.json: `key` and the SHA-256 of each file `names` (relative, "/" between
-    parts), all forced to disk.
+    """Write folder/done.json: `key` and the SHA-256 of each file `names` (relative, with "/").
 
     Raises StoreDamaged when a file is missing, BadInput when a name leaves the folder, CannotWrite
-    when done.json cannot be written.
+    when something cannot be forced to disk.
     """
     folder = Path(folder)
     for name in names:
@@ -190,7 +186,7 @@ def seal(folder: Path, key: str, names: Sequence[str]) -> None:
 
 
 def seal_problem(folder: Path, key: str) -> str | None:
-    """Why `folder` is not sealed under `key`, one sentence, or None when key and the hash of every file are right."""
+    """Why `folder` is not sealed under `key`, one sentence; None when key and hashes are right."""
     folder = Path(folder)
     if not (folder / SEAL_NAME).is_file():
         return f"{folder} is not finished: there is no {SEAL_NAME}."
@@ -214,11 +210,8 @@ def is_sealed(folder: Path, key: str) -> bool:
 
 
 class RunLock:
-    """Held by the one process that writes a run folder: `with RunLock(folder): ...`.
-
-    The kernel frees it when the process ends, however it ends. Raises BadInput when another process
-    holds it.
-    """
+    """Held by the one process that writes a run folder: `with RunLock(folder): ...`. The kernel
+    frees it however the process ends. Raises BadInput when another one holds it."""
 
     def __init__(self, folder: Path) -> None:
         self.path = Path(folder) / LOCK_NAME
@@ -252,32 +245,32 @@ class RunLock:
 
 
 def _canonical_bytes(value: Any) -> Iterator[bytes]:
-    """Bytes that differ for different values: every piece says its type and length before its content."""
+    """Bytes that differ for different values: type and length stand before each content."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, np.ndarray):
         array = np.ascontiguousarray(value)
         if array.dtype.hasobject:
             raise TypeError("content_key got an array of Python objects: pass numbers.")
-        yield from _tagged("array", f"{array.dtype.newbyteorder('<').str}{value.shape}".encode())
+        yield from _tag("array", f"{array.dtype.newbyteorder('<').str}{value.shape}".encode())
         yield np.asarray(array, array.dtype.newbyteorder("<")).tobytes()
     elif isinstance(value, Path):
-        yield from _tagged("path", b"")
+        yield from _tag("path", b"")
         yield from _canonical_bytes(_folder_hashes(value) if value.is_dir() else file_sha256(value))
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        yield from _tagged("dataclass", type(value).__name__.encode())
+        yield from _tag("dataclass", type(value).__name__.encode())
         yield from _canonical_bytes({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
     elif isinstance(value, Mapping):
-        yield from _tagged("mapping", str(len(value)).encode())
+        yield from _tag("mapping", str(len(value)).encode())
         for key in sorted(value):
-            yield from _tagged("key", key.encode())
+            yield from _tag("key", key.encode())
             yield from _canonical_bytes(value[key])
     elif isinstance(value, list | tuple):
-        yield from _tagged("list", str(len(value)).encode())
+        yield from _tag("list", str(len(value)).encode())
         for item in value:
             yield from _canonical_bytes(item)
     else:
-        yield from _tagged(type(value).__name__, _scalar_bytes(value))
+        yield from _tag(type(value).__name__, _scalar_bytes(value))
 
 
 def _scalar_bytes(value: Any) -> bytes:
@@ -290,7 +283,7 @@ def _scalar_bytes(value: Any) -> bytes:
     raise TypeError(f"content_key got a {type(value).__name__}: pass numbers, text, arrays, dataclasses or paths.")
 
 
-def _tagged(tag: str, content: bytes) -> Iterator[bytes]:
+def _tag(tag: str, content: bytes) -> Iterator[bytes]:
     yield f"{tag}:{len(content)}:".encode()
     yield content
 

@@ -1,7 +1,7 @@
 """Synthetic views on disk. Once per view.
 
-`save_view`: one view, lossless, for who works beside: image and weight as the four channels of one
-PNG inside a file of arrays. 400 × 300 px: 275 kB instead of 480, 10 ms to write and 4 ms to read
+`save_view`: one view, lossless, for processes beside: image and weight as the four channels of a
+PNG in a file of arrays. 400 × 300 px: 275 kB instead of 480, 10 ms to write and 4 ms to read
 where rendering took 28 (docs/experiments/uploads.md).
 
 `save_views`: all views of an edge, on their way up, not lossless: images as JPEG, weights in 16
@@ -29,7 +29,7 @@ _VIEWS_DTYPES = {"images": "U8", "image_ends": "I64", "weights": "U8", "weight_e
 
 
 def save_view(path: Path, image: NDArray[np.uint8], weight: NDArray[np.uint8]) -> None:
-    """Write image (H,W,3) and weight (H,W), atomically; BadInput for another shape or type, else raises as `write_atomic`."""
+    """Write image (H,W,3) and weight (H,W) uint8, atomically; raises as `write_atomic`."""
     if image.dtype != np.uint8 or weight.dtype != np.uint8 or image.shape != (*weight.shape, 3) or not weight.size:
         raise BadInput(
             f"a view has image {image.shape} {image.dtype} and weight {weight.shape} {weight.dtype}, expected (H,W,3), (H,W) uint8."
@@ -41,11 +41,8 @@ def save_view(path: Path, image: NDArray[np.uint8], weight: NDArray[np.uint8]) -
 
 
 def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Image (H,W,3) and weight (H,W) that `save_view` wrote.
-
-    Raises StoreDamaged when the file is broken, BadInput when it holds something else or a view of
-    another size.
-    """
+    """Image (H,W,3) and weight (H,W) that `save_view` wrote; StoreDamaged when broken, BadInput
+    when it holds something else or a view of another size."""
     arrays, about = load_arrays(path, SCHEMA, {"png": "U8"})
     with name_file_in_errors(path):
         # Before decoding, so that no more memory is taken than the view is expected to need.
@@ -60,26 +57,25 @@ def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], N
 
 
 def save_views(path: Path, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> None:
-    """Write images (H,W,3) and weights (H,W) of V views, both not lossless, atomically; raises as `write_atomic`."""
-    images = [_encoded(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]) for image, _ in views]
+    """Write images (H,W,3), weights (H,W) of V views, with loss; raises as `write_atomic`."""
+    images = [_encode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]) for image, _ in views]
     coarse = [(np.rint(weight / WEIGHT_STEP) * WEIGHT_STEP).astype(np.uint8) for _, weight in views]
-    weights = [_encoded(".png", weight, [cv2.IMWRITE_PNG_COMPRESSION, 6]) for weight in coarse]
-    arrays = {"images": _chained(images), "image_ends": _ends(images), "weights": _chained(weights), "weight_ends": _ends(weights)}
+    weights = [_encode(".png", weight, [cv2.IMWRITE_PNG_COMPRESSION, 6]) for weight in coarse]
+    arrays = {"images": _chain(images), "image_ends": _ends(images), "weights": _chain(weights), "weight_ends": _ends(weights)}
     save_arrays(path, VIEWS_SCHEMA, arrays, {})
 
 
 def load_views(path: Path, sizes_wh: Sequence[tuple[int, int]]) -> list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    """The V views that `save_views` wrote, of these sizes; none where it wrote none. Raises as `load_view`."""
+    """The V views that `save_views` wrote, of these sizes, or none. Raises as `load_view`."""
     arrays, _ = load_arrays(path, VIEWS_SCHEMA, _VIEWS_DTYPES)
     with name_file_in_errors(path):
         if not arrays["image_ends"].size:
             return []
-        images, weights = (_unchained(arrays[f"{name}s"], arrays[f"{name}_ends"], len(sizes_wh)) for name in ("image", "weight"))
+        images, weights = (_split_chain(arrays[f"{name}s"], arrays[f"{name}_ends"], len(sizes_wh)) for name in ("image", "weight"))
         views = []
         for image, weight, (width, height) in zip(images, weights, sizes_wh, strict=True):
             for data in (image, weight):
-                # Before decoding, so that no more memory is taken than the view is expected to
-                # need.
+                # Before decoding: no more memory is taken than the view is expected to need.
                 if read_size_wh(data) != (width, height):
                     raise BadInput(f"it has a view of {read_size_wh(data)} px, expected {width} × {height}: send it anew.")
             pixels = decode_image(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -90,13 +86,13 @@ def load_views(path: Path, sizes_wh: Sequence[tuple[int, int]]) -> list[tuple[ND
     return views
 
 
-def _encoded(kind: str, pixels: NDArray[np.uint8], settings: list[int]) -> NDArray[np.uint8]:
+def _encode(kind: str, pixels: NDArray[np.uint8], settings: list[int]) -> NDArray[np.uint8]:
     encoded, data = cv2.imencode(kind, np.ascontiguousarray(pixels), settings)
     assert encoded
     return np.asarray(data, np.uint8).ravel()
 
 
-def _chained(parts: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+def _chain(parts: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     return np.concatenate([np.zeros(0, np.uint8), *parts])
 
 
@@ -104,8 +100,8 @@ def _ends(parts: Sequence[NDArray[np.uint8]]) -> NDArray[np.int64]:
     return np.cumsum([len(part) for part in parts], dtype=np.int64)
 
 
-def _unchained(data: NDArray[np.uint8], ends: NDArray[np.int64], count: int) -> list[bytes]:
-    """The parts of what `_chained` and `_ends` made; BadInput for another count, or ends that do not fit."""
+def _split_chain(data: NDArray[np.uint8], ends: NDArray[np.int64], count: int) -> list[bytes]:
+    """The parts of what `_chain` and `_ends` made; BadInput where count or ends do not fit."""
     if data.ndim != 1 or ends.shape != (count,):
         raise BadInput(f"it holds {ends.shape} views, expected {count}: send it anew.")
     starts = np.concatenate([[0], ends])

@@ -1,5 +1,4 @@
-// The Python border of the native kernels: checks every array, lets go of the interpreter lock,
-// calls the kernel.
+// The Python border of the native kernels: checks arrays, releases the interpreter lock, calls.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -93,7 +92,7 @@ NB_MODULE(_native, module) {
              "Cell (C,) int32 of each of positions (C,2) m: argmin_e |x - P_e|^2 - w_e over sites P (E,2) m and weights w (E,) m^2.\n\n"
              "Ties go to the smallest index. Raises ValueError naming the array for a wrong shape, for values that are not finite\n"
              "(how many, and the first index), for no site at all, and for positions so far away that squared distances overflow.");
-  // Renderings may live in graphs that torch only lets go of at exit: nothing to warn about.
+  // Renderings may live in graphs that torch only releases at exit: nothing to warn about.
   nb::set_leak_warnings(false);
   radiant::bind_raster(module);
   bind_plan(module);

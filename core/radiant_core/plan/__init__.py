@@ -1,1 +1,1 @@
-"""Who captures and trains what: regions per edge (ARP), quotas per device (RTP). numpy and scipy only, never torch."""
+"""Regions per edge (ARP) and quotas per device (RTP), by numpy and scipy only, never torch."""

@@ -2,12 +2,11 @@
 
     paper          Alg. 1 on power weights with a fixed d, stopped where it cycles (`paper_arp`)
     paper-halved   the same, d halved whenever an edge's border turns back
-    paper-literal  Alg. 1 as written: half-planes move by d, T_thres in seconds; regions may overlap (the first edge has the
-                   camera) or leave cameras in none, which are counted
-    even           as many cameras for every device, as `region_plan`
-    voronoi        as `region_plan`
+    paper-literal  Alg. 1 as written: half-planes move by d, T_thres in seconds; regions may
+                   overlap (the first edge has the camera) or leave cameras in none: orphans
+    even, voronoi  as `region_plan`
     kd             halves of equal counts across the longer side, edges halved along with them
-    content        the same halves of equal content (what LoBE-style splits balance), a weight per camera; only where it is known
+    content        halves of equal content (as LoBE-style splits) where it is given by camera
 
 Each runs once per comparison; the iterated ones O(C E) per iteration.
 """
@@ -35,7 +34,7 @@ NOBODY = -1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComparedPlan:
-    """One method: edge_of_camera (C,), −1 for a camera in no region; history: max|T − T̄| / T̄ before each iteration and at the end."""
+    """edge_of_camera (C,), −1: no region; history: max|T − T̄| / T̄ per iteration, then at last."""
 
     method: str
     edge_of_camera: Indices
@@ -43,9 +42,8 @@ class ComparedPlan:
     """(E,), of the cameras in each region."""
     makespan_s: float
     over_bound: float
-    """Makespan over the geography-free bound, of all cameras; below 1 only where cameras were left
-    out, or where equal shares happen to send fewer bytes than those that train fastest, which the
-    bound does not look for."""
+    """Makespan over the geography-free bound of all cameras; below 1 only where cameras are left
+    out, or where equal shares send fewer bytes than the fastest, which the bound ignores."""
     num_orphans: int
     squared_distance_m2: float
     """Σ ‖camera − edge‖² over cameras that have an edge."""
@@ -55,7 +53,7 @@ class ComparedPlan:
 def compare(
     positions: ArrayLike, system: System, *, content: ArrayLike | None = None, max_iterations: int = 300
 ) -> tuple[ComparedPlan, ...]:
-    """All methods on cameras (C,2) m and edges with positions; content (C,) ≥ 0 weighs cameras for `content`, which is left out without."""
+    """All methods on cameras (C,2) m, edges with positions; content (C,) ≥ 0, for `content`."""
     positions = check_array("positions", positions, (None, 2))
     weights = None if content is None else check_array("content", content, (len(positions),))
     if not len(positions) or (weights is not None and weights.min() < 0):
@@ -88,13 +86,13 @@ def compare(
         return even.edge_time_s if name == "even" else estimated_times_s(tables, np.bincount(cells[cells >= 0], minlength=len(tables)))
 
     return tuple(
-        _compared(name, _squared_distance_m2(local, sites, cells), times_s(name, cells), bound_s, cells, history)
+        _compare(name, _squared_distance_m2(local, sites, cells), times_s(name, cells), bound_s, cells, history)
         for name, cells, history in dealt
     )
 
 
 def kd_split(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> Indices:
-    """Edge (C,) of each camera: the land is halved across its longer side, edges in order along it, equal weight per edge."""
+    """Edge (C,) per camera: land is halved across its longer side, equal weight per edge."""
     edge_of_camera = np.zeros(len(positions), np.int64)
     parts = [(np.arange(len(positions)), np.arange(len(sites)))]
     while parts:
@@ -115,7 +113,7 @@ def kd_split(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> I
 def _power_weights(
     positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], step_m: float, halved: bool, max_iterations: int
 ) -> tuple[Indices, tuple[float, ...]]:
-    """Alg. 1 with weight changes ∓ 2 d ‖P_m − P_nearest‖, to 5 % of the mean; the last partition, as the algorithm returns it."""
+    """Alg. 1 with weight changes ∓ 2 d ‖P_m − P_nearest‖, to 5 % of the mean; last state."""
     apart = np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0))
     np.fill_diagonal(apart, np.inf)
     unit = 2 * step_m * np.where(np.isfinite(apart.min(axis=1)), apart.min(axis=1), 0.0)
@@ -123,13 +121,13 @@ def _power_weights(
     def cells(offsets: FloatArray) -> Indices:
         return assign(positions, sites, offsets * unit)
 
-    return _moved(cells, tables, lambda times_s: 0.05 * float(times_s.mean()), halved, max_iterations)
+    return _move_borders(cells, tables, lambda times_s: 0.05 * float(times_s.mean()), halved, max_iterations)
 
 
 def _half_planes(
     positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], step_m: float, threshold_s: float, max_iterations: int
 ) -> tuple[Indices, tuple[float, ...]]:
-    """Alg. 1 with every border of an edge's Voronoi cell moved along its normal, whatever the neighbour does."""
+    """Alg. 1 with an edge's Voronoi borders moved along their normals, neighbours regardless."""
     squared = np.sum((positions[:, None] - sites) ** 2, axis=-1)
     apart = np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0))
     beyond_m = np.full(squared.shape, -np.inf)
@@ -142,17 +140,17 @@ def _half_planes(
         inside = beyond_m <= offsets * step_m
         return np.where(inside.any(axis=1), inside.argmax(axis=1), NOBODY)
 
-    return _moved(cells, tables, lambda _: threshold_s, False, max_iterations)
+    return _move_borders(cells, tables, lambda _: threshold_s, False, max_iterations)
 
 
-def _moved(
+def _move_borders(
     cells: Callable[[FloatArray], Indices],
     tables: Sequence[EdgeTable],
     threshold_s: Callable[[FloatArray], float],
     halved: bool,
     max_iterations: int,
 ) -> tuple[Indices, tuple[float, ...]]:
-    """Lines 5–11 of Alg. 1 on offsets (E,) in steps, until the threshold, a state that was there before, or the limit."""
+    """Lines 5–11 of Alg. 1 on offsets (E,) in steps, to threshold, known state or limit."""
     offsets, length, last_turn = np.zeros(len(tables)), 1.0, np.zeros(len(tables))
     history: list[float] = []
     seen: set[bytes] = set()
@@ -179,7 +177,7 @@ def _squared_distance_m2(positions: FloatArray, sites: FloatArray, edge_of_camer
     return float(np.sum((positions[owned] - sites[edge_of_camera[owned]]) ** 2))
 
 
-def _compared(
+def _compare(
     method: str, squared_distance_m2: float, times_s: FloatArray, bound_s: float, edge_of_camera: Indices, history: tuple[float, ...]
 ) -> ComparedPlan:
     mean_s = float(times_s.mean())

@@ -1,4 +1,4 @@
-"""`CloudPlan` and `EdgePlan`: what the planner hands on. E edges, D devices of one edge, C cameras."""
+"""`CloudPlan` and `EdgePlan`, the planner's results. E edges, D devices of one edge, C cameras."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from radiant_core.numerics import FloatArray, check_array
 
 PlanStatus = Literal["optimal", "converged", "stopped", "infeasible", "slack", "constrained"]
 """optimal: equals the lower bound with a certificate; converged: within the threshold; stopped:
-iteration limit; infeasible: the devices cannot hold all cameras; slack: least distance for a
-makespan that may be longer, with a certificate; constrained: least makespan and distance around
-what was fixed, locked or pinned."""
+iteration limit; infeasible: not all cameras fit; slack: least distance for a longer makespan, with
+a certificate; constrained: least makespan and distance around decisions."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,7 +24,7 @@ class CloudPlan:
 
     sites (E,2) m; weights (E,) m²: camera x belongs to argmin ‖x − sites_e‖² − weights_e; borders:
     per edge a convex polygon (V,2) m, counter-clockwise, clipped to the scene; empty (0,2) for an
-    empty cell; edge_of_camera (C,); edge_time_s (E,); lower_bound_s: the best makespan any
+    empty cell; edge_of_camera (C,); edge_time_s (E,); lower_bound_s: the best makespan that any
     assignment of these counts can reach; history: makespan in seconds after each iteration.
     """
 
@@ -42,7 +41,7 @@ class CloudPlan:
     """Whether every camera was found to lie in its own power cell."""
     history: tuple[float, ...] = ()
     slack: float | None = None
-    """Factor on the lower bound that the makespan was allowed to reach; None where the bound alone decided."""
+    """Factor by which the makespan could exceed the bound; None where the bound alone decided."""
     constrained: tuple[str, ...] = ()
     """What was fixed, locked or pinned, one sentence each."""
     num_outside: int = 0
@@ -77,12 +76,9 @@ class CloudPlan:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EdgePlan:
-    """One edge's cameras dealt to its devices by RTP (paper Sec. III-C).
-
-    camera_indices (K,) into the scene's cameras; device_of_camera (K,) into `device_ids`; strips:
-    per device a polygon (V,2) m inside the edge's border, empty (0,2) without cameras;
-    device_time_s (D,).
-    """
+    """One edge's cameras dealt to its devices by RTP (paper Sec. III-C): camera_indices (K,) into
+    the scene's cameras; device_of_camera (K,) into `device_ids`; strips: per device a polygon (V,2)
+    m inside the edge's border, empty (0,2) without cameras; device_time_s (D,)."""
 
     edge_id: str
     device_ids: tuple[str, ...]
@@ -91,7 +87,7 @@ class EdgePlan:
     strips: tuple[FloatArray, ...]
     device_time_s: FloatArray
     dealt: bool = True
-    """False where the edge is known by its curve alone: no devices, device_of_camera −1; the edge deals its cameras itself, later."""
+    """False for an edge without known devices, device_of_camera −1: it deals its cameras later."""
 
     def __post_init__(self) -> None:
         count = len(self.device_ids)

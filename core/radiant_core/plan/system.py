@@ -17,7 +17,7 @@ _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A machine that holds photographs and trains (paper: device n with G, F_n, H, B^n and |C^n_max|)."""
+    """A machine that holds photographs and trains (paper: device n; G, F_n, H, B^n, |C^n_max|)."""
 
     id: str
     """Letters, digits, - and _; names the device's folder."""
@@ -34,7 +34,7 @@ class Device:
     memory_bytes: float | None = None
     """What its training may hold, which limits its Gaussians; None without a limit."""
     speed: float | None = None
-    """Share of one core, at most 1, when the system is emulated; what that means for the curves above is theirs to say."""
+    """Share of one core, at most 1, in emulation; whether the curves include it is theirs."""
     profile: Profile | None = None
     """What the three curves come from; None where they were spelt out."""
     costs_from: str | None = None
@@ -42,7 +42,7 @@ class Device:
 
     @property
     def origin(self) -> str | None:
-        """Kind and name of the profile that the curves are or were copied from, None where they were spelt out."""
+        """Kind and name of the profile that the curves are from, None where they were spelt out."""
         return _origin(self.profile, self.costs_from)
 
     def __post_init__(self) -> None:
@@ -56,24 +56,20 @@ class Device:
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """A machine that owns a region and joins its devices' models (paper: edge m at P^m with F_m and
-    B^m).
-
-    To the cloud it may be known by `time_s` and `max_cameras` alone: then it has no devices here
-    and deals its cameras itself, later.
+    """A machine that owns a region and joins its devices' models (paper: edge m at P^m, F_m, B^m).
+    The cloud may have only its `time_s` and `max_cameras`: then it has no devices here.
     """
 
     id: str
     """Letters, digits, - and _; names the edge's folder."""
     position: tuple[float, float] | None
-    """x east, y north in the scene's frame, metres; None: placed by `seeded_positions` when the scene is known."""
+    """x east, y north in the scene's frame, metres; None: placed by `seeded_positions` later."""
     lat_lon_deg: tuple[float, float] | None = None
-    """Latitude and longitude instead of `position`; turned into metres when the scene's origin is known."""
+    """Latitude and longitude instead of `position`, turned into metres about the scene's origin."""
     aggregate_s: CostCurve
     """F_m: seconds to aggregate against cameras. An edge whose cameras several devices share takes
     a + b · views whatever the cut, as it retrains on every view, or pools and makes a picture per
-    view; were only views at the borders shown, it would depend on where these run, and makespan
-    over bound could only be reported for this model."""
+    view; if only views at borders were shown, it would depend on where these run."""
     uplink_bytes_per_s: float
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]
@@ -81,13 +77,13 @@ class Edge:
     speed: float | None = None
     """As a device's."""
     aggregate_alone_s: CostCurve | None = None
-    """F_m where one device has all the edge's cameras and nothing is joined, at most `aggregate_s`; None: the same."""
+    """F_m where one device has all cameras and nothing is joined; by default `aggregate_s`."""
     profile: Profile | None = None
     """What the curves of aggregation come from; None where they were spelt out."""
     costs_from: str | None = None
     """As a device's."""
     time_s: CostCurve | None = None
-    """T^m, seconds against cameras from the first photograph to the model sent, instead of devices."""
+    """T^m, seconds against cameras until the model is sent, in place of devices."""
     max_cameras: int | None = None
     """How many cameras its devices can hold together; only with `time_s`."""
     memory_bytes: float | None = None
@@ -128,7 +124,7 @@ class Edge:
 
     @property
     def workers(self) -> tuple[Device, ...]:
-        """What the cost model reckons with: the devices, or one in place of those that are not known."""
+        """What the cost model reckons with: the devices, or one in place of unknown ones."""
         if self.time_s is None:
             return self.devices
         nothing = CostCurve()
@@ -146,7 +142,7 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
-    """What the cloud can spend on joining the scene; None: no limit but the machine's memory. Beyond one, models are cut."""
+    """Limits of joining the scene, beyond which models are cut; None: the machine's memory."""
 
     memory_bytes: float | None = None
     """Memory of the cloud's process."""
@@ -164,7 +160,7 @@ class Cloud:
 
 @dataclass(frozen=True, kw_only=True)
 class System:
-    """All edges and the cloud. Raises BadInput without edges, or when an edge or device id comes twice."""
+    """All edges and the cloud. BadInput without edges, or when an edge or device id comes twice."""
 
     edges: tuple[Edge, ...]
     cloud: Cloud = Cloud()

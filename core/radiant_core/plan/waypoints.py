@@ -1,12 +1,11 @@
-"""`Waypoints`: where photographs will be taken, on the globe and in metres about their middle. P
-waypoints.
+"""`Waypoints`: where photographs will be taken, on the globe and in metres about their middle.
 
-The origin is the mean position, longitudes counted from the first waypoint so that sites across the
-180th meridian have one too. What can be detected of wrong positions: a latitude beyond 90° is
-certain; a waypoint more than 300 km from the median of all is on another site, and where exchanging
-its latitude and longitude brings it back, they were swapped. Where every waypoint is swapped and
-none exceeds 90° this cannot be detected: they make a plan of the same shape, mirrored, elsewhere.
-Made once per plan.
+P waypoints. The origin is the mean position, longitudes counted from the first waypoint so that
+sites across the 180th meridian have one too. Wrong positions that can be detected: a latitude
+beyond 90° is certain; a waypoint more than 300 km from the median of all is on another site, and
+where exchanging its latitude and longitude brings it back, they were swapped. Where every waypoint
+is swapped and none exceeds 90° this cannot be detected: they make a plan of the same shape,
+mirrored, elsewhere. Made once per plan.
 """
 
 from __future__ import annotations
@@ -26,24 +25,22 @@ from radiant_core.numerics import FloatArray, check_array
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 """From the deepest sea to the edge of space."""
 HIGHEST_FLIGHT_M = 500.0
-"""Drones are not allowed so high above the ground anywhere we know of, and flight planners take no
-more above take-off: larger altitudes are absolute."""
+"""Drones may not fly higher above ground, nor plan higher above take-off: it is absolute."""
 NO_ALTITUDES = "planned by horizontal positions alone, and the lists hold no height to fly at"
 MAX_NAME_CHARACTERS = 255
 SAME_SPOT_SCALE = np.array([1e8, 1e8, 1e3])
-"""Degrees, degrees and metres are rounded to these parts, about a millimetre each, before two waypoints are called one."""
+"""Parts of degrees, degrees and metres, about a mm each, to which equal waypoints agree."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Waypoints:
-    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres in whatever height
-    the pilot's tool uses.
+    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres above take-off, as
+    flight planners count, unless they are `absolute` or the ground lies at `ground_m` of them.
 
-    What that is: above take-off, as flight planners count, unless they are `absolute` or the ground
-    lies at `ground_m` of them. Raises BadInput, naming the first offender and how many there are,
-    for positions that are not finite, off the globe, probably swapped or more than 300 km from the
-    others, for no waypoint at all, and for names that are empty, come twice, or cannot be written.
+    BadInput, naming the first offender and how many there are, for positions that are not finite,
+    off the globe, probably swapped or more than 300 km from the others, for no waypoint at all, and
+    for names that are empty, come twice, or cannot be written.
     """
 
     names: tuple[str, ...]
@@ -54,7 +51,7 @@ class Waypoints:
     absolute: bool = False
     """Whether altitudes count from the sea or the ellipsoid, as those that GPS gives."""
     altitude_known: bool = True
-    """Whether altitudes count from anything on the globe: without, they are heights among themselves, or all 0."""
+    """Whether altitudes count from anything on the globe; else they are relative or all 0."""
     ground_m: float | None = None
     """Altitude of the ground, or of take-off, among them, where it is known."""
 
@@ -68,7 +65,7 @@ class Waypoints:
         _require_on_the_globe(self.names, self.lat_lon_alt)
         _require_one_site(self.names, self.lat_lon_alt)
         if self.heading_pitch_deg is not None:
-            object.__setattr__(self, "heading_pitch_deg", _checked_angles(self.names, self.heading_pitch_deg))
+            object.__setattr__(self, "heading_pitch_deg", _check_angles(self.names, self.heading_pitch_deg))
         if self.ground_m is not None and not np.isfinite(self.ground_m):
             raise BadInput(f"the altitude of the ground is {self.ground_m}, expected metres.")
 
@@ -80,8 +77,8 @@ class Waypoints:
         """Mean position (3,) [deg, deg, m], the origin of `positions_m`."""
         lat, lon, alt = self.lat_lon_alt.T
         first = lon[0]
-        mean_lon = first + _wrapped(lon - first).mean()
-        return np.array([lat.mean(), float(_wrapped(np.array([mean_lon]))[0]), alt.mean()])
+        mean_lon = first + _wrap(lon - first).mean()
+        return np.array([lat.mean(), float(_wrap(np.array([mean_lon]))[0]), alt.mean()])
 
     @property
     def positions_m(self) -> FloatArray:
@@ -90,14 +87,14 @@ class Waypoints:
 
     @property
     def heights_m(self) -> FloatArray | None:
-        """Heights (P,) above ground or take-off; None where nothing says how far the altitudes are above either."""
+        """Heights (P,) above ground or take-off; None where altitudes are known to neither."""
         altitudes = self.lat_lon_alt[:, 2]
         if self.ground_m is not None:
             return altitudes - self.ground_m
         return None if self.absolute or not self.altitude_known or altitudes.max() > HIGHEST_FLIGHT_M else altitudes
 
     def select(self, indices: ArrayLike) -> Waypoints:
-        """The waypoints at `indices` (K,) int or where a mask (P,) bool is true, in that order; BadInput when that is none."""
+        """The waypoints at `indices` (K,) int, or where a mask (P,) is true; BadInput for none."""
         chosen: NDArray[Any] = np.asarray(indices)
         picked: list[int] = np.arange(len(self))[chosen].tolist()
         angles = None if self.heading_pitch_deg is None else self.heading_pitch_deg[picked]
@@ -108,20 +105,17 @@ class Waypoints:
 def clean_waypoints(
     names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None, heading_pitch_deg: FloatArray | None = None
 ) -> tuple[Waypoints, tuple[str, ...]]:
-    """`Waypoints` as a surveyor would mend a list, with one warning per kind of repair; BadInput as
-    `Waypoints`.
-
-    A position that comes twice is planned once, under its first name; a name that comes twice or is
+    """`Waypoints` of a list that is mended, with one warning per kind of repair; else BadInput. A
+    position that comes twice is planned once, under its first name; a name that comes twice or is
     empty gets a number, without a warning where nothing has a name, as in a flight planner's file;
     where `no_altitude` (P,) bool is true the altitude becomes 0, which moves a plan by less than
-    0.1 % of its size up to 6,000 m; where it is true everywhere, altitudes are not known.
-    """
+    0.1 % of its size up to 6,000 m; where it is true everywhere, altitudes are not known."""
     positions = np.array(lat_lon_alt, dtype=np.float64)
     warnings: list[str] = []
     if no_altitude is not None and np.any(no_altitude):
         missing = np.flatnonzero(no_altitude)
         positions[missing, 2] = 0.0
-        some = f"{_count(len(missing), len(names))} without altitude, {_named(names, missing[0])} first: taken as 0 m."
+        some = f"{_count(len(missing), len(names))} without altitude, {_label(names, missing[0])} first: taken as 0 m."
         warnings.append(some if len(missing) < len(names) else f"None of {len(names)} waypoints has an altitude: {NO_ALTITUDES}.")
     given = any(names)
     names, numbered = _unique_names(names)
@@ -131,13 +125,13 @@ def clean_waypoints(
     waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg, altitude_known=known)
     kept, again = _first_of_each_spot(positions)
     if len(again):
-        warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_named(names, again[0])} first: planned once.")
+        warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_label(names, again[0])} first: planned once.")
         waypoints = waypoints.select(kept)
     return waypoints, tuple(warnings)
 
 
 def _unique_names(names: Sequence[str]) -> tuple[list[str], tuple[int, str] | None]:
-    """Names (P) with a number behind those that came before, and how many with the first of them; linear in P."""
+    """Names (P), numbered where they repeat, and how many do with the first of them."""
     taken = set(names)
     if len(taken) == len(names) and "" not in taken:
         return list(names), None
@@ -197,7 +191,7 @@ def _require_finite_rows(names: tuple[str, ...], lat_lon_alt: ArrayLike) -> None
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         if len(bad):
             raise BadInput(
-                f"{_count(len(bad), len(names))} with a position that is not finite, {_named(names, bad[0])} first: "
+                f"{_count(len(bad), len(names))} with a position that is not finite, {_label(names, bad[0])} first: "
                 "give latitude, longitude and altitude as numbers."
             )
 
@@ -214,18 +208,18 @@ def _require_on_the_globe(names: tuple[str, ...], lat_lon_alt: FloatArray) -> No
             else "give degrees in WGS84, not metres of a map projection"
         )
         raise BadInput(
-            f"{_count(len(off), len(names))} off the globe, {_named(names, first)} first with latitude {lat[first]:g}° and longitude "
+            f"{_count(len(off), len(names))} off the globe, {_label(names, first)} first with latitude {lat[first]:g}° and longitude "
             f"{lon[first]:g}°: {advice}."
         )
     high = np.flatnonzero((alt < MIN_ALTITUDE_M) | (alt > MAX_ALTITUDE_M))
     if len(high):
         raise BadInput(
-            f"{_count(len(high), len(names))} at an altitude nobody flies at, {_named(names, high[0])} first with {alt[high[0]]:g} m: "
+            f"{_count(len(high), len(names))} at an altitude nobody flies at, {_label(names, high[0])} first with {alt[high[0]]:g} m: "
             "give altitudes in metres."
         )
 
 
-def _checked_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> FloatArray:
+def _check_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> FloatArray:
     angles = np.array(heading_pitch_deg, dtype=np.float64)
     if angles.shape != (len(names), 2):
         raise BadInput(f"heading_pitch_deg has shape {angles.shape}, expected ({len(names)}, 2): give two angles per waypoint.")
@@ -234,7 +228,7 @@ def _checked_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> Flo
     if len(wrong):
         first = int(wrong[0])
         raise BadInput(
-            f"{_count(len(wrong), len(names))} looking nowhere, {_named(names, first)} first with heading {heading[first]:g}° and pitch "
+            f"{_count(len(wrong), len(names))} looking nowhere, {_label(names, first)} first with heading {heading[first]:g}° and pitch "
             f"{pitch[first]:g}°: give headings from north and pitches from −90 (down) to 90 in degrees."
         )
     angles.flags.writeable = False
@@ -242,8 +236,8 @@ def _checked_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> Flo
 
 
 def _require_one_site(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:
-    lat, lon = lat_lon_alt[:, 0], lat_lon_alt[0, 1] + _wrapped(lat_lon_alt[:, 1] - lat_lon_alt[0, 1])
-    middle = np.array([np.median(lat), float(_wrapped(np.array([np.median(lon)]))[0]), 0.0])
+    lat, lon = lat_lon_alt[:, 0], lat_lon_alt[0, 1] + _wrap(lat_lon_alt[:, 1] - lat_lon_alt[0, 1])
+    middle = np.array([np.median(lat), float(_wrap(np.array([np.median(lon)]))[0]), 0.0])
     level = np.array([1.0, 1.0, 0.0])
     away_m = np.linalg.norm(enu_from_geodetic(lat_lon_alt * level, middle), axis=1)
     far = np.flatnonzero(away_m > MAX_REACH_M)
@@ -251,7 +245,7 @@ def _require_one_site(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:
         return
     first = int(far[0])
     there = (
-        f"{_count(len(far), len(names))} more than {MAX_REACH_M / 1e3:.0f} km from the middle of all, {_named(names, first)} first with "
+        f"{_count(len(far), len(names))} more than {MAX_REACH_M / 1e3:.0f} km from the middle of all, {_label(names, first)} first with "
         f"{away_m[first] / 1e3:,.0f} km"
     )
     exchanged = np.array([[lat_lon_alt[first, 1], lat_lon_alt[first, 0], 0.0]])
@@ -260,7 +254,7 @@ def _require_one_site(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:
     raise BadInput(f"{there}: check whether its latitude and longitude are right and not swapped, or plan each site on its own.")
 
 
-def _wrapped(degrees: FloatArray) -> FloatArray:
+def _wrap(degrees: FloatArray) -> FloatArray:
     """Angles in [−180°, 180°]; those that are there already keep every digit."""
     return np.where(np.abs(degrees) <= 180, degrees, (degrees + 180) % 360 - 180)
 
@@ -269,5 +263,5 @@ def _count(some: int, of_all: int) -> str:
     return f"{some} of {of_all} waypoints"
 
 
-def _named(names: Sequence[str], index: int) -> str:
+def _label(names: Sequence[str], index: int) -> str:
     return f"{names[index]!r} (number {index + 1})"

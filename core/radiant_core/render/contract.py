@@ -1,11 +1,10 @@
-"""The contract of every rasterizer: what goes in, what comes out, which constants decide (EWA
-splatting, Zwicker 2002; 3DGS, Kerbl 2023).
+"""The contract of all rasterizers (EWA splatting, Zwicker 2002; 3DGS, Kerbl 2023).
 
-    image(p) = Σ_i c_i w_i + background · (1 − Σ_i w_i)        w_i = α_i Π_{k<i} (1 − α_k)              (paper Eqn. 2)
-    α_i = min(α_max, o_i exp(−½ (p − m_i)ᵀ Σ'_i⁻¹ (p − m_i))), Σ' = J W Σ Wᵀ Jᵀ + 0.3 px² I            (paper Eqns. 1, 3)
+    image(p) = Σ_i c_i w_i + background · (1 − Σ_i w_i)    w_i = α_i Π_{k<i} (1 − α_k)     (Eqn. 2)
+    α_i = min(α_max, o_i exp(−½ (p − m_i)ᵀ Σ'_i⁻¹ (p − m_i)))                           (Eqn. 1)
+    Σ' = J W Σ Wᵀ Jᵀ + 0.3 px² I                                                        (Eqn. 3)
 
-`rasterize.py` checks the arguments and chooses the backend. C cameras, N Gaussians, K SH bases, H W
-pixels.
+`rasterize.py` checks arguments, chooses the backend. C cameras, N Gaussians, K SH bases, H W px.
 """
 
 from __future__ import annotations
@@ -24,20 +23,19 @@ ALPHA_MIN = 1 / 255
 ALPHA_MAX = 0.999
 """α is capped here, so that gradients behind a Gaussian never vanish altogether."""
 DILATION_PX2 = 0.3
-"""Added to the diagonal of each 2D covariance: no Gaussian is narrower than a pixel's low-pass filter."""
+"""Added to the diagonal of each 2D covariance: no Gaussian is narrower than a low-pass filter."""
 TRANSMITTANCE_CUT = 1e-4
-"""A Gaussian that would bring a pixel's transmittance to this or below is not blended, nor is any behind it."""
+"""A Gaussian that would bring a pixel's transmittance to this is not blended, nor any behind."""
 
 Renderer = Literal["gsplat", "native", "reference"]
 Backend = Literal["auto", Renderer]
-"""auto: gsplat for tensors on CUDA, native on the CPU, reference where neither can be used. gsplat:
-CUDA kernels, an optional extra; native: C++ for float32 on the CPU; reference: plain PyTorch on any
-device in any type, the oracle."""
+"""auto: gsplat for tensors on CUDA, native on the CPU, else reference. gsplat: CUDA kernels, an
+extra; native: C++ for float32 on the CPU; reference: plain PyTorch in any type, the oracle."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SplatTensors:
-    """The torch twin of `Splats`, same names and shapes; leaves that may require gradients. Not validated: it is made inside."""
+    """The torch twin of `Splats`, same names and shapes, not validated: it is made inside."""
 
     means: Tensor
     quats: Tensor
@@ -68,7 +66,7 @@ class SplatTensors:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RenderOutput:
-    """What a rasterizer gives back, differentiable in all six tensors of the splats except for `radii_px`."""
+    """The pictures, differentiable in all six tensors of the splats except for `radii_px`."""
 
     images: Tensor
     """(C,H,W,3) colour over the background."""
@@ -77,17 +75,17 @@ class RenderOutput:
     depths: Tensor
     """(C,H,W) expected depth Σ w z / Σ w, metres; 0 where nothing was hit."""
     radii_px: Tensor
-    """(C,N) half the long side of the box in which a Gaussian reaches α_min; 0 where it is culled."""
+    """(C,N) half the long side of the box in which a Gaussian reaches α_min; 0 where culled."""
     means2d: Tensor
-    """(C,N,2) projected centres. Densification takes their gradient in pixels: `register_hook`, or `retain_grad`, which copies it."""
+    """(C,N,2) projected centres, for gradients in px: `register_hook`, or `retain_grad`, a copy."""
     absgrad: Tensor | None = None
-    """(C,N,2) Σ over pixels p of |∂loss_p/∂means2d|, where it was requested: the loss by way of
-    pixel p, so that nothing cancels (AbsGS, Ye 2024). Zeros until a backward pass through the
-    pictures, which overwrites it before the gradient of `means2d` comes to its hooks."""
+    """(C,N,2) Σ over pixels p of |∂loss_p/∂means2d|, where requested: the loss by way of p, so that
+    nothing cancels (AbsGS, Ye 2024). Zeros until a backward pass through the pictures, which
+    overwrites it before the gradient of `means2d` comes to its hooks."""
 
     @property
     def visible(self) -> Tensor:
-        """(N,) bool, the Gaussians that a camera sees. By numpy on the CPU: torch's threads would spin on after it (libgomp)."""
+        """(N,) bool, the Gaussians a camera sees. By numpy: torch's threads would spin on."""
         if self.radii_px.device.type == "cpu":
             return torch.from_numpy((self.radii_px.numpy() > 0).any(0))
         return (self.radii_px > 0).any(0)

@@ -1,8 +1,6 @@
-"""Finds values that are not finite in a tensor. Before every rendering and step of the optimizer,
-so it is one fast pass.
+"""Finds values that are not finite in one fast pass. Before every rendering and optimizer step.
 
-On the CPU by the native threads: torch's own would go on spinning after their part and take a core
-from the rasterizer's (libgomp).
+By native threads on the CPU: torch's would spin on and take a core from the rasterizer (libgomp).
 """
 
 from __future__ import annotations
@@ -16,11 +14,8 @@ from radiant_core import _native
 
 
 def not_finite(tensor: Tensor, visible: Tensor | None = None, runs: NDArray[np.int32] | None = None) -> tuple[int, tuple[int, ...]]:
-    """How many values are NaN or infinite and the index of the first; (0, ()) where none is.
-
-    `visible` (N,) limits this to its rows; `runs` are the same as (R,2) from
-    `_native.visible_runs`, needed on the CPU.
-    """
+    """How many values are NaN or infinite and the first's index; (0, ()) without. `visible` (N,)
+    limits this to its rows; `runs`, the same as (R,2) of `_native.visible_runs`, is for the CPU."""
     tensor = tensor.detach()
     if tensor.device.type == "cpu" and tensor.dtype == torch.float32 and tensor.ndim:
         count, *first = _native.find_not_finite(tensor.contiguous(), runs, torch.get_num_threads())

@@ -1,8 +1,7 @@
 """gsplat behind the contract: CUDA kernels for float32 (Ye et al. 2025), an optional extra.
 
-Its α_min, α_max, cut and low-pass filter are those of the contract. It culls a Gaussian by a box of
-its own, so pictures agree with the reference inside the frustum, up to pairs at a discrete
-decision. Once per image and training step.
+It culls a Gaussian by a box of its own, so pictures agree with the reference inside the frustum, up
+to pairs at a discrete decision. Once per image and training step.
 """
 
 from __future__ import annotations
@@ -22,13 +21,12 @@ INSTALL = "pip install -e '.[cuda]'"
 
 @functools.cache
 def missing_for_gsplat() -> str | None:
-    """What this machine lacks for gsplat, as the end of a sentence; None where it can be used. Asked once."""
+    """What gsplat lacks here, as the end of a sentence; None where it can be used. Asked once."""
     if not torch.cuda.is_available():
         return "no CUDA device that this PyTorch can use"
     if find_spec("gsplat") is None:
         return f"no package gsplat ({INSTALL})"
-    # gsplat builds its kernels when they are first imported, and keeps None in their place where it
-    # cannot.
+    # gsplat builds its kernels when first imported, and keeps None in their place on failure.
     from gsplat.cuda import _backend  # pyright: ignore[reportMissingImports]
 
     if getattr(_backend, "_C", None) is None:
@@ -42,11 +40,8 @@ def free_vram_bytes(backend: str) -> int | None:
 
 
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
-    """`rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient.
-
-    Raises BadInput where gsplat or CUDA is missing, for another type or device, and where the
-    cameras ask for gradients.
-    """
+    """`rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient. BadInput
+    where gsplat or CUDA is missing, for another type or device, and for cameras with gradients."""
     _check_gsplat(splats, viewmats, Ks)
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 
@@ -78,16 +73,15 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
         depths=pictures[..., 3],
         radii_px=meta["radii"].to(means.dtype).amax(-1),
         means2d=meta["means2d"],
-        absgrad=_absgrad(meta["means2d"]) if view.absgrad else None,
+        absgrad=_take_absgrad(meta["means2d"]) if view.absgrad else None,
     )
 
 
-def _absgrad(means2d: Tensor) -> Tensor:
-    """Zeros that take what gsplat sets as `means2d.absgrad` in its backward pass, just before the gradient of means2d arrives."""
+def _take_absgrad(means2d: Tensor) -> Tensor:
+    """Zeros that take `means2d.absgrad` of gsplat just before the gradient of means2d arrives."""
     absolute = torch.zeros_like(means2d, requires_grad=False)
     if means2d.requires_grad:
-        # A weak reference: a tensor that its own hook held would keep its graph until the next
-        # collection of garbage.
+        # A weak reference: a tensor held by its own hook would keep its graph until collection.
         reference = weakref.ref(means2d)
 
         def take(_: Tensor) -> None:

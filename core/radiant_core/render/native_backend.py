@@ -1,5 +1,4 @@
-"""The native rasterizer behind autograd: float32 on the CPU, C++ kernels for AVX-512, AVX2 or any
-CPU (`native/raster*`).
+"""The native rasterizer behind autograd: float32 on the CPU, C++ kernels (`native/raster*`).
 
 Two autograd steps, so that `means2d` lies on the way of the gradients as it does in the reference:
 
@@ -7,9 +6,10 @@ Two autograd steps, so that `means2d` lies on the way of the gradients as it doe
 
 The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend`
 yields ∂loss/∂means2d and, as gradient of `link`, the sums over pixels that all other gradients come
-from; so passes through one graph know nothing of each other. Once per image and training step.
+from; so passes through one graph are independent. Once per image and training step.
 """
 
+# pyright: reportIncompatibleMethodOverride=false
 from __future__ import annotations
 
 import atexit
@@ -35,12 +35,8 @@ def instruction_sets() -> tuple[str, ...]:
 
 class _FreeViews:
     """Rendered views whose memory waits for the next call: a model of 500,000 Gaussians would touch
-    60,000 fresh pages each time.
-
-    The longest unused comes first, so that each in its turn finds out when it has become too large.
-    No lock, which a forked child might inherit locked: each operation of a deque is one step for
-    all threads.
-    """
+    60,000 fresh pages each time. The longest unused comes first, so that each is found too large in
+    turn. No lock, which a forked child might inherit locked: deque operations are atomic."""
 
     def __init__(self, most: int) -> None:
         self._views = deque[_native.RenderedView](maxlen=most)
@@ -55,7 +51,7 @@ class _FreeViews:
         self._views.append(view)
 
     def close(self) -> None:
-        """Keep none from now on: at exit they must be gone before the native module is."""
+        """Keep none from now on, as at exit the native module is destroyed."""
         self._views = deque(maxlen=0)
 
 
@@ -64,7 +60,7 @@ atexit.register(_FREE_VIEWS.close)
 
 
 class _Rendering:
-    """Native views of C cameras and their pictures; the views' memory returns to the pool when nothing refers to this any more."""
+    """Native views of C cameras; their memory returns to the pool with the last reference."""
 
     def __init__(self, num_cameras: int, threads: int) -> None:
         self.views = [_FREE_VIEWS.take() for _ in range(num_cameras)]
@@ -77,7 +73,7 @@ class _Rendering:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Call:
-    """What one call has besides tensors that carry gradients; pictures are filled in by `_Project`."""
+    """What one call has besides tensors that carry gradients; pictures come from `_Project`."""
 
     rendering: _Rendering
     viewmats: np.ndarray
@@ -96,13 +92,9 @@ class _Call:
 def rasterize_native(
     splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions, *, instruction_set: str = "", threads: int | None = None
 ) -> RenderOutput:
-    """`rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64 and get no
-    gradient.
-
-    `instruction_set` is one of `instruction_sets()`, the fastest by default; `threads` is
-    torch.get_num_threads() by default. Raises BadInput for another type or device, and where the
-    cameras ask for gradients.
-    """
+    """`rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64, without gradient.
+    `instruction_set`: one of `instruction_sets()`, by default the fastest; `threads`: by default
+    torch.get_num_threads(). BadInput for another type or device, and for cameras with gradients."""
     _check_native(splats, viewmats, Ks, instruction_set)
     cameras, count = viewmats.shape[0], len(splats)
     shape = (cameras, view.height, view.width)
@@ -114,10 +106,10 @@ def rasterize_native(
         background=view.background.detach().to(torch.float32).contiguous().numpy(),
         instruction_set=instruction_set,
         differentiable=torch.is_grad_enabled() and any(tensor.requires_grad for tensor in splats.tensors().values()),
-        images=_pooled(*shape, 3),
-        alphas=_pooled(*shape),
-        depths=_pooled(*shape),
-        radii_px=_pooled(cameras, count),
+        images=_take_pooled(*shape, 3),
+        alphas=_take_pooled(*shape),
+        depths=_take_pooled(*shape),
+        radii_px=_take_pooled(cameras, count),
         absgrad=torch.zeros(cameras, count, 2) if view.absgrad else None,
     )
     means2d, link = _Project.apply(call, *splats.tensors().values())
@@ -126,7 +118,7 @@ def rasterize_native(
 
 
 def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> int:
-    """Pixel–Gaussian pairs that a rendering of one camera goes through: 16 for each block of 4 × 4 px that a Gaussian reaches."""
+    """Pixel–Gaussian pairs of one rendering: 16 per block of 4 × 4 px that a Gaussian reaches."""
     shape, count, native = (height, width), len(splats), _native.RenderedView()
     image, alpha, depth = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
     native.forward(
@@ -153,8 +145,8 @@ def _float64(tensor: Tensor) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().cpu().to(torch.float64).numpy())
 
 
-def _pooled(*shape: int) -> Tensor:
-    """An uninitialised float32 tensor in memory that was touched before: fresh pages cost more than what is written into them."""
+def _take_pooled(*shape: int) -> Tensor:
+    """An uninitialised float32 tensor in used memory: fresh pages cost more than writing."""
     return torch.from_numpy(_native.pooled_array(list(shape)))
 
 
@@ -163,12 +155,12 @@ def _arrays(tensors: Sequence[Tensor]) -> list[np.ndarray]:
 
 
 class _Project(torch.autograd.Function):
-    """Six tensors → means2d (C,N,2) and link (C,N,M), zeros without memory that tie `_Blend` to the rendering."""
+    """Six tensors → means2d (C,N,2) and link (C,N,M), zeros without memory that tie `_Blend`."""
 
     @staticmethod
-    def forward(ctx: Any, call: _Call, *tensors: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, call: _Call, *tensors: Tensor) -> tuple[Tensor, Tensor]:
         arrays, view = _arrays(tensors), call.view
-        means2d = _pooled(len(call.rendering.views), tensors[0].shape[0], 2)
+        means2d = _take_pooled(len(call.rendering.views), tensors[0].shape[0], 2)
         for index, native in enumerate(call.rendering.views):
             native.forward(
                 call.instruction_set, arrays, call.viewmats[index], call.Ks[index], view.width, view.height, view.sh_degree,
@@ -183,8 +175,8 @@ class _Project(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, means2d: Tensor | None, sums: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        tensors = ctx.saved_tensors  # refused where one was changed since, so that ctx.arrays are what was rendered
+    def backward(ctx: Any, means2d: Tensor | None, sums: Tensor | None) -> tuple[Tensor | None, ...]:
+        tensors = ctx.saved_tensors  # raises where one, and so ctx.arrays, was changed since
         wanted = ctx.needs_input_grad[1:]
         gradients = [_native.pooled_array(list(tensor.shape)) if needed else None for tensor, needed in zip(tensors, wanted, strict=True)]
         shape = (len(ctx.rendering.views), len(tensors[0]))
@@ -199,7 +191,7 @@ class _Blend(torch.autograd.Function):
     """means2d and link → pictures, which `_Project` has already drawn."""
 
     @staticmethod
-    def forward(ctx: Any, call: _Call, means2d: Tensor, link: Tensor, background: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, call: _Call, means2d: Tensor, link: Tensor, background: Tensor) -> tuple[Tensor, ...]:
         ctx.rendering, ctx.shape, ctx.background_like, ctx.absgrad = call.rendering, means2d.shape, background, call.absgrad
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(call.alphas, call.depths)
@@ -207,14 +199,12 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx: Any, images: Tensor | None, alphas: Tensor | None, depths: Tensor | None
-    ) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, images: Tensor | None, alphas: Tensor | None, depths: Tensor | None) -> tuple[Tensor | None, ...]:
         out_alphas, out_depths = ctx.saved_tensors
         by_images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
         means2d = sums = None
         if ctx.needs_input_grad[1]:
-            means2d, sums = _pooled(*ctx.shape), _pooled(*ctx.shape[:2], _native.NUM_MOMENTS)
+            means2d, sums = _take_pooled(*ctx.shape), _take_pooled(*ctx.shape[:2], _native.NUM_MOMENTS)
             _blend_backward(ctx.rendering, by_images, (alphas, depths), (out_alphas, out_depths), (means2d, sums, ctx.absgrad))
         background = None
         if ctx.needs_input_grad[3]:
@@ -229,11 +219,8 @@ def _blend_backward(
     outputs: tuple[Tensor, Tensor],
     into: tuple[Tensor, Tensor, Tensor | None],
 ) -> None:
-    """∂loss/∂means2d (C,N,2), the sums (C,N,M) and absgrad (C,N,2) `into` three tensors from
-    gradients of the pictures.
-
-    `outputs` are the alphas and depths that were rendered.
-    """
+    """∂loss/∂means2d (C,N,2), sums (C,N,M), absgrad (C,N,2) `into` three tensors from gradients of
+    the pictures; `outputs`: the alphas and depths that were rendered."""
     by_alphas, by_depths = (None if part is None else part.contiguous() for part in alphas_depths)
     means2d, sums, absgrad = into
     for index, native in enumerate(rendering.views):

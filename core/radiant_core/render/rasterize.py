@@ -1,4 +1,4 @@
-"""`rasterize`: the one call that renders Gaussians, and the choice of its backend. Once per image and training step."""
+"""`rasterize`: renders Gaussians by the backend it chooses. Once per image and training step."""
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ def rasterize(
     absgrad: bool = False,
     backend: Backend = "auto",
 ) -> RenderOutput:
-    """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background
-    (3) or None for black.
+    """Render C cameras: viewmats (C,4,4) cam_from_world in metres, Ks (C,3,3) px, background (3).
 
     Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree;
     antialiased, by default as the model says, scales opacities by √(det Σ / det Σ'), Σ before and
@@ -45,10 +44,9 @@ def rasterize(
     asks for `RenderOutput.absgrad`. Tensors and pictures are of one floating type, viewmats and Ks
     may be of a finer one; cameras and background may lie on another device than the splats.
 
-    Raises BadInput that names the tensor, how many values and the first index where one is not
-    finite, and for a wrong shape or type, for no camera, for one that is not rigid or no pinhole,
-    for pictures without pixels or wider or higher than 1,000,000 px, for a degree without bases,
-    for near_m and far_m out of order, and for what `backend` cannot do.
+    BadInput naming tensor, count and first index of values that are not finite, and for a wrong
+    shape or type, no camera, one that is not rigid or no pinhole, pictures without pixels or a side
+    above 1,000,000 px, a degree without bases, near_m ≥ far_m, and what `backend` lacks.
     """
     if backend not in get_args(Backend):
         raise BadInput(f"backend {backend!r} is unknown: use {', '.join(map(repr, get_args(Backend)))}.")
@@ -73,12 +71,12 @@ def rasterize(
 
 
 def resolve_backend(backend: Backend) -> Renderer:
-    """The backend that `auto` stands for with float32 models on this machine: gsplat where it can be used, else native."""
+    """What `auto` means for float32 models on this machine: gsplat where usable, else native."""
     return ("native" if missing_for_gsplat() else "gsplat") if backend == "auto" else backend
 
 
 def device_of(backend: str) -> str:
-    """Where the tensors of a model lie that `backend` is to render: "cuda" for gsplat, else "cpu"."""
+    """Device of the tensors that `backend` renders: "cuda" for gsplat, else "cpu"."""
     return "cuda" if backend == "gsplat" else "cpu"
 
 
@@ -135,7 +133,7 @@ def _check_tensor(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
 
 
 def _is_rigid(pose: list[float]) -> bool:
-    """Whether 16 numbers row by row are a rotation, to what float32 poses of files keep, and a translation."""
+    """Whether 16 numbers are a rotation, to float32 of files, and a translation."""
     x, y, z = pose[0:3], pose[4:7], pose[8:11]
     cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
     products = [sum(a * b for a, b in zip(*rows, strict=True)) for rows in ((x, x), (y, y), (x, y))]

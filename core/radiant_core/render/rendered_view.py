@@ -1,4 +1,4 @@
-"""One rendered picture as numpy, without gradients: for synthetic views, evaluation and the command line. Once per picture."""
+"""One picture as numpy, for synthetic views, evaluation, command line. Once per picture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from radiant_core.splats import Splats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RenderedView:
-    """image (H,W,3) in 0..1, alpha (H,W) in 0..1, depth (H,W) m, 0 where nothing was hit; float32."""
+    """image (H,W,3) in 0..1, alpha (H,W) in 0..1, depth (H,W) m, 0 where nothing is; float32."""
 
     name: str
     image: NDArray[np.float32]

@@ -1,11 +1,11 @@
-"""The reference rasterizer: plain PyTorch in any floating type, no early termination, gradients by
-autograd. The oracle.
+"""The reference rasterizer and oracle: plain PyTorch, no early termination, autograd's gradients.
 
 Per image: project all Gaussians (O(N)), list for each 8×8 tile the Gaussians whose box touches it
 in order of depth, then blend groups of tiles with lists of similar length as one dense block (tiles
 × pixels × list). Cost: pairs of pixel and Gaussian.
 """
 
+# pyright: reportIncompatibleMethodOverride=false
 from __future__ import annotations
 
 import math
@@ -23,14 +23,13 @@ TILE_PX = 8
 MAX_HALF_AXIS_PX = 1e9
 """Gaussians larger than this in the image are culled: their determinant leaves float32."""
 PAIRS_PER_BLOCK = 2_000_000
-"""Upper bound of pixel–Gaussian pairs blended at once, unless one tile alone has more: bounds memory."""
+"""Pixel–Gaussian pairs blended at once at most, unless one tile has more: bounds memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Projection:
     """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), log_opacities
-    (N,), extents (N,2) px, depths (N,) m, visible (N,); absolute (N,2), where it is requested:
-    zeros whose gradient is `RenderOutput.absgrad`."""
+    (N,), extents (N,2) px, depths (N,) m, visible (N,); absolute (N,2): zeros for `absgrad`."""
 
     means2d: Tensor
     conics: Tensor
@@ -66,28 +65,28 @@ class _WithAbsolute(torch.autograd.Function):
     """means2d as it is, and zeros whose gradient is written into `absgrad`."""
 
     @staticmethod
-    def forward(ctx: Any, means2d: Tensor, absgrad: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, means2d: Tensor, absgrad: Tensor) -> tuple[Tensor, Tensor]:
         ctx.absgrad = absgrad
         return means2d.view_as(means2d), torch.zeros_like(means2d)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, means2d: Tensor, absolute: Tensor) -> tuple[Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, means2d: Tensor, absolute: Tensor) -> tuple[Tensor, None]:
         ctx.absgrad.copy_(absolute)
         return means2d, None
 
 
 class _Watched(torch.autograd.Function):
-    """ln α (tiles,K,P) as it is; `absolute` (tiles,K,2) gets as gradient Σ_p |∂loss/∂ln α · slopes|, slopes (tiles,K,P,2) = ∂ln α/∂m."""
+    """ln α (tiles,K,P); `absolute` (tiles,K,2) gets the gradient Σ_p |∂loss/∂ln α · ∂ln α/∂m|."""
 
     @staticmethod
-    def forward(ctx: Any, log_alphas: Tensor, absolute: Tensor, slopes: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, log_alphas: Tensor, absolute: Tensor, slopes: Tensor) -> Tensor:
         ctx.save_for_backward(slopes)
         return log_alphas.view_as(log_alphas)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, log_alphas: Tensor) -> tuple[Tensor, Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, log_alphas: Tensor) -> tuple[Tensor, Tensor, None]:
         (slopes,) = ctx.saved_tensors
         return log_alphas, (log_alphas[..., None] * slopes).abs().sum(2), None
 
@@ -105,7 +104,7 @@ def _shade(splats: SplatTensors, viewmat: Tensor, projection: _Projection, view:
 
 
 def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions) -> _Projection:
-    """EWA projection (Zwicker 2002). Where the Jacobian is clamped it is differentiated as it is computed: see `_jacobians`."""
+    """EWA projection (Zwicker 2002); a clamped Jacobian is differentiated, see `_jacobians`."""
     in_camera = splats.means @ viewmat[:3, :3].T + viewmat[:3, 3]
     depths = in_camera[:, 2]
     in_range = (depths > view.near_m) & (depths < view.far_m)
@@ -126,14 +125,12 @@ def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions
 
 
 def _jacobians(K: Tensor, x_over_z: Tensor, y_over_z: Tensor, z: Tensor, view: ViewOptions) -> Tensor:
-    """Jacobians (N,2,3) px/m of the projection at points clamped to a window 1.3 times the image, K
-    of any principal point.
+    """Jacobians (N,2,3) px/m at points clamped to a window 1.3 times the image.
 
-    Beyond it the linear projection of EWA is far from the true one and would smear a Gaussian over
-    the picture. Clamped are x/z and y/z, not x and y: J_xz = −fx clamp(x/z) / z still depends on z,
-    and autograd follows it. The kernel of 3DGS holds the clamped x fixed there, so that its
-    gradient of J_xz by z is twice the picture's; and its window lies evenly about the optical axis
-    for any principal point.
+    Beyond it EWA's linear projection would smear a Gaussian over the picture. Clamped are x/z and
+    y/z, not x and y: J_xz = −fx clamp(x/z) / z still depends on z, and autograd follows it. The
+    kernel of 3DGS holds the clamped x fixed, so that its gradient of J_xz by z is twice the
+    picture's; and its window lies evenly about the optical axis for any principal point.
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     margin_x, margin_y = 0.15 * view.width / fx, 0.15 * view.height / fy
@@ -144,18 +141,17 @@ def _jacobians(K: Tensor, x_over_z: Tensor, y_over_z: Tensor, z: Tensor, view: V
 
 
 def _covariances_2d(splats: SplatTensors, viewmat: Tensor, jacobians: Tensor) -> tuple[Tensor, Tensor]:
-    """(N,3) xx, xy, yy of J W R S Sᵀ Rᵀ Wᵀ Jᵀ, before dilation, and whether it is within bounds (N,)."""
+    """(N,3) xx, xy, yy of J W R S Sᵀ Rᵀ Wᵀ Jᵀ, before dilation, and whether in bounds (N,)."""
     scaled_axes = _rotations(splats.quats) * torch.exp(splats.log_scales)[:, None, :]
     half = jacobians @ viewmat[:3, :3] @ scaled_axes
-    # Zeroed before it is squared: an overflow there would turn into NaN on the way back, even if it
-    # is culled later.
+    # Zeroed before it is squared: an overflow would become NaN going back, even if culled later.
     bounded = half.detach().abs().amax((1, 2)) < MAX_HALF_AXIS_PX
     row_x, row_y = torch.where(bounded[:, None, None], half, 0.0).unbind(1)
     return torch.stack([(row_x * row_x).sum(-1), (row_x * row_y).sum(-1), (row_y * row_y).sum(-1)], dim=-1), bounded
 
 
 def _rotations(quats: Tensor) -> Tensor:
-    """Rotation matrices (N,3,3) of quaternions wxyz (N,4) of any length; scaled by the largest entry first, so that none overflows."""
+    """Rotation matrices (N,3,3) of quaternions wxyz (N,4); scaled first: no overflow."""
     largest = quats.detach().abs().amax(-1, keepdim=True)
     identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
     safe = torch.where(largest > 0, quats / torch.where(largest > 0, largest, 1.0), identity)
@@ -169,11 +165,10 @@ def _rotations(quats: Tensor) -> Tensor:
 
 
 def _invert_dilated(cov2d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Inverse (N,3) of the dilated covariance, the opacity compensation √(det Σ / det Σ') (N,), and whether it is usable (N,)."""
+    """Inverse (N,3) of the dilated covariance, √(det Σ / det Σ') (N,), and whether it is usable."""
     xx, xy, yy = cov2d.unbind(-1)
     dilated_xx, dilated_yy = xx + DILATION_PX2, yy + DILATION_PX2
-    # det(Σ + sI) = det Σ + s·tr Σ + s²: written out, since xx·yy − xy² alone cancels for long thin
-    # Gaussians.
+    # det(Σ + sI) = det Σ + s·tr Σ + s², as xx·yy − xy² cancels for long thin Gaussians.
     determinant = (xx * yy - xy * xy).clamp_min(0.0)
     dilated = determinant + DILATION_PX2 * (xx + yy) + DILATION_PX2**2
     usable = torch.isfinite(dilated) & torch.isfinite(1 / dilated)
@@ -185,14 +180,13 @@ def _invert_dilated(cov2d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _extents(cov2d: Tensor, log_opacities: Tensor) -> Tensor:
-    """Half sides (N,2) px of the box in which α ≥ α_min: √(2 (ln o − ln α_min) Σ'_ii); 0 where it never is."""
+    """Half sides (N,2) px of the box where α ≥ α_min: √(2 (ln o − ln α_min) Σ'_ii), else 0."""
     reach = 2 * (log_opacities.detach() - math.log(ALPHA_MIN)).clamp_min(0.0)
     variances = cov2d.detach()[:, [0, 2]] + DILATION_PX2
     return torch.sqrt(reach[:, None] * variances)
 
 
 def _blend(projection: _Projection, features: Tensor, view: ViewOptions) -> Tensor:
-    """Alpha-blend features (N,F) into (H,W,F)."""
     tiles_x, tiles_y = -(-view.width // TILE_PX), -(-view.height // TILE_PX)
     lists, starts, counts = _tile_lists(projection, tiles_x, tiles_y)
     tile_order = torch.argsort(counts, descending=True)
@@ -212,7 +206,7 @@ def _blend(projection: _Projection, features: Tensor, view: ViewOptions) -> Tens
 
 
 def _tile_lists(projection: _Projection, tiles_x: int, tiles_y: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Gaussian indices by tile, front to back, with start and count per tile. Equal depths keep the order of the input."""
+    """Gaussian indices by tile, front to back, start and count per tile; ties in input order."""
     visible = projection.visible.nonzero().squeeze(-1)
     order = visible[torch.argsort(projection.depths.detach()[visible], stable=True)]
     means2d, extents = projection.means2d.detach()[order], projection.extents[order]
@@ -233,7 +227,7 @@ def _tile_lists(projection: _Projection, tiles_x: int, tiles_y: int) -> tuple[Te
 
 
 def _blocks_of_tiles(tile_order: Tensor, counts: Tensor) -> list[Tensor]:
-    """Cut tiles, longest list first, so that a block pads no list to more than 1.5 times and stays under the pair limit."""
+    """Blocks of tiles, longest list first: at most 1.5 times padding, and the limit of pairs."""
     lengths = counts[tile_order].tolist()
     blocks, start = [], 0
     for stop in range(1, len(lengths) + 1):
@@ -245,11 +239,8 @@ def _blocks_of_tiles(tile_order: Tensor, counts: Tensor) -> list[Tensor]:
 
 
 def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, starts: Tensor, counts: Tensor, centres: Tensor) -> Tensor:
-    """Blend lists of Gaussians into tiles around `centres` (tiles, 2) px: (tiles, P, F).
-
-    ln α is a quadratic polynomial of the pixel, so all pairs of a block come from one matrix
-    product of coefficients and monomials.
-    """
+    """Blend lists of Gaussians into tiles around `centres` (tiles,2) px: (tiles,P,F). ln α is
+    quadratic in the pixel: all pairs come from one product of coefficients and monomials."""
     slots = torch.arange(int(counts.max()))
     present = slots < counts[:, None]
     chosen = lists[torch.where(present, starts[:, None] + slots, starts[:, None])]
@@ -266,7 +257,7 @@ def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, start
 
 
 def _log_alpha_coefficients(projection: _Projection, chosen: Tensor, centres: Tensor, present: Tensor) -> Tensor:
-    """Coefficients (tiles, K, 6) of 1, u, v, u², uv, v² in ln α, with (u, v) the pixel relative to its tile's centre."""
+    """Coefficients (tiles,K,6) of 1, u, v, u², uv, v² in ln α; (u, v): pixel − tile's centre."""
     x, y = (projection.means2d[chosen] - centres[:, None]).unbind(-1)
     xx, xy, yy = projection.conics[chosen].unbind(-1)
     constant = projection.log_opacities[chosen] - 0.5 * (xx * x * x + yy * y * y) - xy * x * y
@@ -293,5 +284,4 @@ def _monomials(like: Tensor) -> Tensor:
 
 
 def _tile_centres(tiles: Tensor, tiles_x: int, like: Tensor) -> Tensor:
-    """Centres (tiles, 2) px."""
     return (torch.stack([tiles % tiles_x, tiles // tiles_x], dim=-1).to(like) + 0.5) * TILE_PX

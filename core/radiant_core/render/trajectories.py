@@ -1,9 +1,8 @@
-"""Camera flights for films: an orbit, along a border, and smooth paths through keyframes. Pure
-geometry, once per film; V frames.
+"""Camera flights for films: an orbit, along a border, smooth paths through keyframes. V frames.
 
-Every frame looks from a position at a target with z up; where it looks straight down, north is up.
-Positions and targets between keyframes follow Akima's modified splines, which do not overshoot as
-cubic ones do (Akima, J. ACM 17, 1970).
+Every frame looks from a position at a target with z up; straight down, north is up. Between
+keyframes positions and targets follow Akima's modified splines, which do not overshoot as cubic
+ones do (Akima, J. ACM 17, 1970). Pure geometry, once per film.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class Lens:
 
 
 def cameras_looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> Cameras:
-    """Cameras at positions (V,3) that look at targets (V,3), named frame_00000 and so on; BadInput where both coincide, or for no frame."""
+    """Cameras at positions (V,3) looking at targets (V,3), frame_00000 …; BadInput if equal."""
     positions = check_array("positions", positions, (None, 3))
     targets = check_array("targets", targets, (len(positions), 3))
     if not 1 <= len(positions) <= MAX_FRAMES:
@@ -72,22 +71,19 @@ def cameras_looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> 
 
 
 def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: int, lens: Lens) -> Cameras:
-    """Once around `center` (3,) at a distance, seen from `elevation_deg` above the horizon; the last frame ends before the first begins."""
+    """Once around `center` (3,), seen from `elevation_deg` above the horizon, without a repeat."""
     if not (np.isfinite(radius) and radius > 0 and -89 <= elevation_deg <= 89):
         raise BadInput(f"an orbit of radius {radius} at {elevation_deg}° was asked for, expected a positive radius and −89° to 89°.")
     center = check_array("center", center, (3,))
-    turn, rise = np.linspace(0, 2 * np.pi, _checked_count(num_frames), endpoint=False), np.radians(elevation_deg)
+    turn, rise = np.linspace(0, 2 * np.pi, _check_count(num_frames), endpoint=False), np.radians(elevation_deg)
     offsets = np.column_stack([np.cos(rise) * np.sin(turn), np.cos(rise) * np.cos(turn), np.full(len(turn), np.sin(rise))])
     return cameras_looking_at(center + radius * offsets, np.tile(center, (len(turn), 1)), lens)
 
 
 def middle_box(points: ArrayLike) -> FloatArray:
     """Lower and upper corner (2,3) of where most of points (N,3) lie: median ± twice the median
-    distance from it, axis by axis.
-
-    Of points spread evenly that is all of them; a third of them far away, as sky and haze are,
-    moves it little. BadInput without points.
-    """
+    distance from it, by axis; all of them where they spread evenly, hardly moved by a third that is
+    far away, such as sky and haze. BadInput without points."""
     points = check_array("points", points, (None, 3))
     if not len(points):
         raise BadInput("there is no point to look at: give a model that holds some.")
@@ -102,20 +98,20 @@ def box_corners(box: FloatArray) -> FloatArray:
 
 
 def along_border(ends: ArrayLike, ground: float, height: float, num_frames: int, lens: Lens) -> Cameras:
-    """Along the line between `ends` (2,2), `height` above the ground, looking ahead and 45° down onto it."""
+    """Along the line `ends` (2,2), `height` above the ground, looking ahead and 45° down."""
     ends = check_array("ends", ends, (2, 2))
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if not (length > 0 and np.isfinite(height) and height > 0):
         raise BadInput(f"a flight over a border of length {length} at height {height} was asked for, expected both above zero.")
     ahead = (ends[1] - ends[0]) / length
     # The target moves from end to end; the camera follows as far behind as it is high.
-    targets = ends[0] + np.linspace(0, length, _checked_count(num_frames))[:, None] * ahead
+    targets = ends[0] + np.linspace(0, length, _check_count(num_frames))[:, None] * ahead
     positions = np.column_stack([targets - height * ahead, np.full(len(targets), ground + height)])
     return cameras_looking_at(positions, np.column_stack([targets, np.full(len(targets), ground)]), lens)
 
 
 def through_keyframes(times_s: ArrayLike, positions: ArrayLike, targets: ArrayLike, fps: float, lens: Lens) -> Cameras:
-    """A path through K ≥ 2 positions and targets (K,3) at rising times (K,), `fps` frames a second, first and last included."""
+    """A path through K ≥ 2 positions, targets (K,3) at rising times (K,), both ends included."""
     from scipy.interpolate import Akima1DInterpolator
 
     times = check_array("times_s", times_s, (None,))
@@ -124,12 +120,12 @@ def through_keyframes(times_s: ArrayLike, positions: ArrayLike, targets: ArrayLi
     if not 0 < fps <= 240:
         raise BadInput(f"{fps} frames a second were asked for, expected above 0, at most 240.")
     points = np.hstack([check_array(name, value, (len(times), 3)) for name, value in (("positions", positions), ("targets", targets))])
-    count = _checked_count(round((times[-1] - times[0]) * fps) + 1)
+    count = _check_count(round((times[-1] - times[0]) * fps) + 1)
     path = np.asarray(Akima1DInterpolator(times, points, method="makima")(np.linspace(times[0], times[-1], count)))
     return cameras_looking_at(path[:, :3], path[:, 3:], lens)
 
 
-def _checked_count(num_frames: int) -> int:
+def _check_count(num_frames: int) -> int:
     if not 1 <= num_frames <= MAX_FRAMES:
         raise BadInput(f"{num_frames} frames were asked for, expected 1 to {MAX_FRAMES:,}.")
     return num_frames

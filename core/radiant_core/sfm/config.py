@@ -15,7 +15,7 @@ from radiant_core.errors import BadInput
 from radiant_core.scene import SfmScene
 
 Mapper = Literal["auto", "incremental", "global"]
-"""auto: incremental, then the global mapper where more than a tenth stays unregistered; the others: that one alone."""
+"""auto: incremental, then the global mapper where more than a tenth is unregistered."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,24 +33,18 @@ class SfmConfig:
     mapper: Mapper = "auto"
     """Which mapper estimates the poses: auto, incremental or global."""
     two_view_points: bool = False
-    """Whether points that only two photographs see are kept: where few overlap they are as many as all others."""
+    """Whether points that only two photographs see are kept: with little overlap, half of all."""
     num_threads: int = 0
     """Threads, 0 for all cores."""
     seed: int = 0
-    """Seed of every random choice; with more than one thread results still differ in the last digits."""
+    """Seed of every random choice; with several threads results differ in the last digits."""
     memory_bytes: float | None = None
-    """What it may hold: fewer threads, then smaller photographs, while finding features; fewer features to map. None without a limit."""
+    """Memory limit: fewer threads, smaller photographs, fewer features to map; None: none."""
 
     def __post_init__(self) -> None:
         if self.memory_bytes is not None and not 0 < self.memory_bytes < math.inf:
             raise BadInput(f"sfm.memory_bytes is {self.memory_bytes!r}, expected a positive number of bytes.")
-        for name, least in (
-            ("max_image_size_px", 64),
-            ("max_num_features", 64),
-            ("num_neighbors", 1),
-            ("num_threads", 0),
-            ("seed", 0),
-        ):
+        for name, least in (("max_image_size_px", 64), ("max_num_features", 64), ("num_neighbors", 1), ("num_threads", 0), ("seed", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise BadInput(f"sfm.{name} is {value!r}, expected a whole number of at least {least}.")
@@ -83,13 +77,13 @@ Report = Callable[[SfmProgress], None]
 
 
 def number_phases(report: Report, phases: Sequence[Phase]) -> Report:
-    """A report that says which of the job's `phases` each one is; a phase that comes twice has its number twice."""
+    """A report that numbers the job's `phases`; a phase that comes twice has its number twice."""
     return lambda progress: report(replace(progress, step=phases.index(progress.phase) + 1, num_steps=len(phases)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SfmResult:
-    """The scene, where its undistorted photographs are (same names), which photographs are not in it, and what was decided on the way."""
+    """The scene, its undistorted photographs, the photographs not in it, and the decisions."""
 
     scene: SfmScene
     undistorted_folder: Path
@@ -98,6 +92,6 @@ class SfmResult:
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...]
     unnamed_warnings: tuple[str, ...] = ()
-    """Of `reconstruct`: the same with numbers of photographs in place of their names, for receivers that must not learn them."""
+    """Of `reconstruct`: the same without names, for receivers that must not learn them."""
     masks_folder: Path | None = None
-    """Masks of the undistorted photographs, see `radiant_core.io.photos.masks`; None without any."""
+    """Masks of the undistorted photographs (`radiant_core.io.photos.masks`); None without any."""

@@ -1,9 +1,7 @@
-"""Photographs that show another one's picture from its place: copies that were saved anew, renamed,
-rotated in their EXIF. Once per scene.
+"""Photographs that show another's picture from its place, saved anew or turned. Once per scene.
 
-Whatever scores a model leaves some photographs out of its training; a copy of one of them in the
-training part would be trained on what is scored. So they go before anything is split. Pictures are
-read only where two cameras stand in one place and look in one direction.
+A copy of a photograph that scores a model would be trained on what is scored, so copies go before
+anything is split. Pictures are read only where two cameras stand in one place and look alike.
 """
 
 from __future__ import annotations
@@ -27,9 +25,9 @@ SAME_PLACE = 2e-3
 """Distance of two centres, in distances to what they see, under which they are one place."""
 SAME_DIRECTION_RAD = 2e-3
 SAME_LENS = 1e-2
-"""Relative difference of focal lengths and principal points, in widths and heights of the picture: a copy may be smaller."""
+"""Difference of focal lengths and principal points, in picture sizes: a copy may be smaller."""
 SAME_PICTURE = 4.0
-"""Mean difference, in steps of 8 bits, of two pictures at `THUMBNAIL_PX` under which they are one."""
+"""Mean difference, in steps of 8 bits, of two pictures at `THUMBNAIL_PX` that are one."""
 THUMBNAIL_PX = 128
 
 Picture = NDArray[np.uint8]
@@ -37,11 +35,7 @@ Picture = NDArray[np.uint8]
 
 def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int], Picture]) -> dict[int, int]:
     """Repeat → the camera whose picture it shows from its place, as indices of C cameras above
-    points (P,3).
-
-    `picture_of` gives the picture (H,W,3) of a camera, of any size; it is called once for each
-    camera that has another at its place.
-    """
+    points (P,3). `picture_of`: a camera's picture (H,W,3), of any size, if needed."""
     centers, axes = cameras.centers, cameras.cam_from_world[:, :3, :3]
     lenses = cameras.Ks[:, :2] / cameras.sizes_wh[:, :, None]
     distance = float(np.median(KDTree(centers).query(points)[0])) if len(points) else 0.0
@@ -56,14 +50,14 @@ def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int
             continue
         for index in {first, second} - thumbnails.keys():
             scale = min(1.0, THUMBNAIL_PX / int(cameras.sizes_wh[index].max()))
-            thumbnails[index] = _reduced(picture_of(index), np.maximum(1, np.round(scale * cameras.sizes_wh[index])))
+            thumbnails[index] = _reduce(picture_of(index), np.maximum(1, np.round(scale * cameras.sizes_wh[index])))
         if _difference(thumbnails[first], thumbnails[second]) < SAME_PICTURE:
             repeated[second] = first
     return repeated
 
 
 def without_repeats(scene: SfmScene, images: Path) -> tuple[SfmScene, tuple[str, ...]]:
-    """The scene without cameras that repeat another, whose photographs lie in `images`, and the warnings about them."""
+    """The scene without cameras that repeat another of those in `images`, and warnings."""
     cameras, warnings = cameras_without_repeats(scene.cameras, scene.points, images)
     if not warnings:
         return scene, ()
@@ -82,8 +76,8 @@ def cameras_without_repeats(cameras: Cameras, points: FloatArray, images: Path) 
 def _difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
     """Mean difference of two pictures at the size of the smaller."""
     size_wh = np.minimum(first.shape[1::-1], second.shape[1::-1])
-    return float(np.abs(_reduced(first, size_wh) - _reduced(second, size_wh)).mean())
+    return float(np.abs(_reduce(first, size_wh) - _reduce(second, size_wh)).mean())
 
 
-def _reduced(picture: NDArray[Any], size_wh: NDArray[Any]) -> NDArray[np.float32]:
+def _reduce(picture: NDArray[Any], size_wh: NDArray[Any]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(picture, (int(size_wh[0]), int(size_wh[1])), interpolation=cv2.INTER_AREA), np.float32)

@@ -1,5 +1,4 @@
-"""Poses that come with the photographs: a COLMAP model, or a Mill 19 folder. Read once per run,
-dealt to each device in part.
+"""Poses that come with the photographs: a COLMAP model, or a Mill 19 folder. Once per run.
 
 The world is that of the poses, as it is; z must be up for a plan of the ground.
 """
@@ -25,12 +24,12 @@ from radiant_core.sfm.world_frame.up import roll_deg
 
 NO_POINTS_2D, NO_IDS = np.zeros((0, 2)), np.zeros(0, np.int64)
 MAX_ROLL_DEG = 30.0
-"""A photograph is taken level or looking down: where its x axes are farther from the horizontal than this, z is not up."""
+"""Photographs are level or look down: with x axes farther from the horizontal, z is not up."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GivenPoses:
-    """Poses of photographs in `photos`. `model` where they came as a COLMAP model, whose lenses may distort."""
+    """Poses of photographs in `photos`; `model`: their COLMAP model, whose lenses may distort."""
 
     cameras: Cameras
     """Centres and rotations; the calibration is right only where `model` is None."""
@@ -38,7 +37,7 @@ class GivenPoses:
     model: ColmapModel | None
 
     def deal(self, names: Sequence[str], folder: Path) -> bool:
-        """Write the poses of these photographs into `folder`: poses/, a COLMAP model, or poses.safetensors; True for the former."""
+        """Write these poses into `folder`: poses/, a COLMAP model (True), or a safetensors file."""
         if self.model is None:
             save_cameras(folder / "poses.safetensors", self.cameras.named(names))
             return False
@@ -52,17 +51,15 @@ class GivenPoses:
 
 
 def read_given_poses(source: Path, model_folder: Path | None) -> GivenPoses:
-    """The poses in `model_folder`, or else those that lie beside the photographs of `source`.
-
-    Raises BadInput where there are none, or where z is not up in them.
-    """
+    """The poses in `model_folder`, or else those beside the photographs of `source`. BadInput where
+    there are none, or where z is not up in them."""
     if model_folder is None and (source / "train" / "metadata").is_dir():
         return GivenPoses(cameras=read_mill19(source), photos=source, model=None)
     folder = model_folder or next((place for place in (source / "sparse" / "0", source / "sparse") if place.is_dir()), None)
     if folder is None:
         raise BadInput(f"{source} has no poses beside its photographs (sparse/ or a Mill 19 folder): give a COLMAP model with --poses.")
     model = read_model(folder)
-    cameras = _posed(model)
+    cameras = _cameras_of(model)
     if len(cameras) < 2:
         raise BadInput(f"{folder} has {len(cameras)} poses, expected those of all photographs.")
     rolled_deg = roll_deg(cameras, np.array([0.0, 0.0, 1.0]))
@@ -75,7 +72,7 @@ def read_given_poses(source: Path, model_folder: Path | None) -> GivenPoses:
     return GivenPoses(cameras=cameras, photos=photos, model=model)
 
 
-def _posed(model: ColmapModel) -> Cameras:
+def _cameras_of(model: ColmapModel) -> Cameras:
     """Names, poses and sizes of a model; calibrations that any lens may have."""
     sizes_wh = np.array([model.cameras[image.camera_id].size_wh for image in model.images], np.int64).reshape(-1, 2)
     Ks = np.tile(np.eye(3), (len(sizes_wh), 1, 1))

@@ -1,4 +1,4 @@
-"""Photographs whose GPS is far from where the finished scene has them: the fit leaves them aside, with a warning. Once per scene."""
+"""Photographs whose GPS is far from their place in the finished scene. Once per scene."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ LEAST_M = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class GpsOutliers:
-    """Photographs whose GPS is `away_m` from where the scene has them, the farthest first, of so many with GPS."""
+    """Photographs whose GPS is `away_m` from their place, the farthest first, of so many."""
 
     names: tuple[str, ...]
     away_m: tuple[float, ...]
     num_gps: int
 
     def warning(self, *, named: bool = True) -> tuple[str, ...]:
-        """The warning about them in one sentence; without names where those are private; none where there are none."""
+        """The warning in one sentence, without names where those are private; none without any."""
         if not self.names:
             return ()
         away = f"up to {self.away_m[0] / 1e3:,.1f} km" if self.away_m[0] >= 1e3 else f"up to {self.away_m[0]:,.0f} m"
@@ -36,7 +36,7 @@ class GpsOutliers:
 
 
 def gps_outliers(scene: SfmScene, photographs: tuple[Photograph, ...]) -> GpsOutliers:
-    """The outliers among the photographs of a scene, by horizontal distance; none in a scene whose frame is not of GPS."""
+    """A scene's outliers by horizontal distance; none where its frame is not of GPS."""
     by_name = {photo.name: photo for photo in photographs}
     placed = [by_name[name] for name in scene.cameras.names]
     if scene.frame.kind != "metric":

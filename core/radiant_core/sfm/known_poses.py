@@ -1,8 +1,7 @@
-"""Sparse points for photographs whose poses are known: features, neighbours by position,
-triangulation; poses stay.
+"""Sparse points for photographs of known poses: features, neighbours by position, triangulation.
 
-Once per scene, for folders that come with poses and without points (Mill 19). Triangulation and the
-clean-up of points are COLMAP's; camera poses and intrinsics are not touched.
+Once per scene, for folders with poses and without points (Mill 19). Triangulation and the clean-up
+of points are COLMAP's; camera poses and intrinsics are not touched.
 """
 
 from __future__ import annotations
@@ -50,12 +49,8 @@ NO_POINTS = ColmapPoints(
 def scene_from_mill19(
     folder: Path, work_folder: Path, report: Report, config: SfmConfig = DEFAULT_CONFIG, masks: Path | None = None
 ) -> SfmResult:
-    """The scene of a Mill 19 / Mega-NeRF folder: its poses, and points triangulated from its
-    photographs.
-
-    Raises BadInput when the folder is not in that layout, or an image or a mask in `masks` cannot
-    be used.
-    """
+    """The scene of a Mill 19 / Mega-NeRF folder: its poses, points triangulated from its
+    photographs. BadInput for another layout, or an image or a mask that is unusable."""
     cameras, copied = without_copies(read_mill19(folder), folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
     scene, repeats = without_repeats(scene, folder)
@@ -82,7 +77,7 @@ def scene_from_mill19(
 def pinhole_photographs(
     model_folder: Path, photo_folder: Path, work_folder: Path, num_threads: int, report: Report
 ) -> tuple[Cameras, Path]:
-    """The cameras of a COLMAP model of any lens and its photographs, undistorted into `work_folder` where the lens distorts."""
+    """The cameras of a COLMAP model and its photographs, undistorted where the lens distorts."""
     model = read_model(model_folder)
     if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):
         undistorted = undistort(model_folder, photo_folder, work_folder, num_threads, report)
@@ -93,13 +88,9 @@ def pinhole_photographs(
 def scene_from_poses(
     cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None
 ) -> SfmScene:
-    """Points for C pinhole cameras with known poses and the photographs of the same names in
-    `photo_folder`.
-
-    `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are
-    0. Raises BadInput when a photograph is missing, has another size than its camera, or when no
-    point can be triangulated.
-    """
+    """Points for C pinhole cameras with known poses and the photographs of their names; outside
+    `masks`, which become masks/ in `work_folder`. BadInput when a photograph is missing or not of
+    its camera's size, or without any point."""
     report = number_phases(report, ("checking photographs", "features", "matching", "triangulating"))
     photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
     config, _ = limit_to_memory(config, [photo.size_wh for photo in photographs])
@@ -126,11 +117,8 @@ def scene_from_poses(
 
 
 def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras without those whose photograph in `photo_folder` holds the same bytes as
-    another's, and the warnings about them.
-
-    Raises BadInput where they are all copies of one.
-    """
+    """The cameras without those whose photograph holds the same bytes as another's, and warnings.
+    BadInput where they are all copies of one."""
     copies = file_copies({name: photo_folder / name for name in cameras.names})
     if 0 < len(copies) == len(cameras) - 1:
         raise BadInput(f"all {len(cameras)} photographs are copies of one another: at least 2 that overlap are needed.")
@@ -138,7 +126,7 @@ def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple
 
 
 def triangulate(model: pycolmap.Reconstruction, database: Path, photo_folder: Path, model_folder: Path, config: SfmConfig) -> None:
-    """Points from the matches in `database` for the poses of `model`, which stay; writes the model to `model_folder`."""
+    """Points from matches for the poses of `model`, which stay; writes it to `model_folder`."""
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = config.threads
     options.random_seed = config.seed
@@ -172,7 +160,7 @@ def _photographs_of(cameras: Cameras, photographs: tuple[Photograph, ...]) -> tu
 
 
 def _posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Reconstruction:
-    """The known poses as a model without points, with the numbers of the database; the calibrations go into the database too."""
+    """The known poses as a model without points, numbered and calibrated as in the database."""
     index_of = {name: index for index, name in enumerate(cameras.names)}
     intrinsics: dict[int, ColmapCamera] = {}
     images = []
@@ -202,8 +190,7 @@ def _posed_image(image: pycolmap.Image, cam_from_world: FloatArray) -> ColmapIma
     x, y, z, w = Rotation.from_matrix(cam_from_world[:3, :3]).as_quat()
     return ColmapImage(
         image_id=image.image_id,
-        # COLMAP's text reader cuts a name at its first space: numbers now, the real names once it
-        # is read.
+        # COLMAP's text reader cuts a name at its first space: real names once it is read.
         name=str(image.image_id),
         camera_id=image.camera_id,
         quat_wxyz=np.array([w, x, y, z]),

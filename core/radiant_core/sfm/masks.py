@@ -1,8 +1,7 @@
-"""Masks on their way through structure from motion: checked, kept from features, undistorted as
-their photographs are. Once per scene.
+"""Masks in structure from motion: checked, kept from features, undistorted. Once per scene.
 
-work/masks.given/a/b.jpg.png      masks of the photographs as they were taken; gone at the end
-work/masks/a/b.jpg.png            masks of the scene's photographs, the result
+work/masks.given/a/b.jpg.png      of the photographs as they were taken; gone at the end
+work/masks/a/b.jpg.png            of the scene's photographs, the result
 """
 
 from __future__ import annotations
@@ -25,11 +24,8 @@ GIVEN, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
 
 
 def take_masks(folder: Path | None, photographs: Sequence[Photograph], work_folder: Path) -> Path | None:
-    """Copy the masks of `photographs`, checked, to where COLMAP looks for them; None without any.
-    BadInput as `load_mask`.
-
-    A photograph without a file in `folder` takes its mask from its alpha channel, where it has one.
-    """
+    """Copy the masks of `photographs`, or else their alpha channels, checked, to where COLMAP looks
+    for them; None without any. BadInput as `load_mask`."""
     given = work_folder / GIVEN
     shutil.rmtree(given, ignore_errors=True)
     found = {} if folder is None else find_masks(folder, [photo.name for photo in photographs])
@@ -50,7 +46,7 @@ def keep_masks(given: Path | None, work_folder: Path) -> Path | None:
 
 
 def undistort_masks(given: Path | None, model_folder: Path, work_folder: Path, num_threads: int) -> Path | None:
-    """The taken masks without the distortion of the model's lenses; a pixel that half or more of is used stays used."""
+    """The masks without lens distortion; a pixel that half or more of is used stays used."""
     if given is None:
         return None
     part, renamed = work_folder / UNDISTORTING, work_folder / UNDISTORTING / "model"
@@ -75,7 +71,7 @@ def undistort_masks(given: Path | None, model_folder: Path, work_folder: Path, n
 
 
 def without_masked_points(scene: SfmScene, masks: Path | None) -> SfmScene:
-    """The scene without observations in ignored pixels and without the points that have no other."""
+    """The scene without observations in ignored pixels and points that have no other."""
     weights = pixel_weights(masks, scene.cameras)
     if weights is None:
         return scene

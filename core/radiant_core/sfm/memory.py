@@ -1,19 +1,19 @@
-"""How structure from motion keeps to a limit of memory: fewer threads, then smaller photographs,
-and fewer features. Once per scene.
+"""Structure from motion in limited memory: fewer threads, smaller photographs, fewer features.
 
-    finding features   180 MB + t · 330 p + 7 q  bytes, t threads, p pixels of the largest photograph, reduced to `max_image_size_px`
-    undistorting       180 MB + u · 7 q          q pixels as it is stored, u threads: as many of t as fit
-    mapping            180 MB + 1,000 n f      bytes, n photographs with `max_num_features` f each; by the global mapper 2,000 n f
+    finding features   180 MB + t · 330 p + 7 q  bytes, t threads, p pixels of the largest
+                       photograph, reduced to `max_image_size_px`
+    undistorting       180 MB + u · 7 q          q pixels as stored, u threads: those of t that fit
+    mapping            180 MB + 1,000 n f        n photographs with `max_num_features` f each; by
+                                                 the global mapper 2,000 n f
 
 Each thread holds the scale space of one photograph at twice its side; matching takes less. One
-photograph at a time is decoded whole for them, and each thread that undistorts holds one before and
-after: 12 photographs of 50 megapixels took 5.8 bytes a pixel to find features with one thread and
-with two, 6.0 to undistort with one and 5.9 with each of two. Mapping holds keypoints, and of each
-point who sees it and what bundle adjustment makes of that: 110 bytes a keypoint and 950 an
+photograph at a time is decoded whole, and each thread that undistorts holds one before and after:
+12 of 50 megapixels took 5.8 bytes a pixel to find features with one or two threads, 6.0 to
+undistort with one and 5.9 with each of two. Mapping takes 110 bytes a keypoint and 950 an
 observation. How many there will be is not known before; of each of 4,096 features asked for,
 brighton, lewis, caliterra and the town took 530 to 900 bytes, by the global mapper lewis and
 caliterra 1,030 and 1,780 (18 to 75 photographs; beyond that it is extrapolated). A mapper that
-would not fit is not tried. tests/stress/test_sfm_memory.py measures the whole.
+would not fit is not tried. tests/stress/test_sfm_memory.py measures the whole. Once per scene.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ LEAST_FEATURES, FEATURES_STEP = 512, 64
 
 
 def features_bytes(num_threads: int, side_px: float, sizes_wh: Sizes) -> float:
-    """Peak memory in bytes of finding features with so many threads in photographs of these sizes, reduced to a long side of `side_px`."""
+    """Peak bytes of finding features with so many threads at long sides of at most `side_px`."""
     reduced = any(max(size_wh) > side_px for size_wh in sizes_wh)
     pixels = [float(width * height) * min(1.0, side_px / max(width, height)) ** 2 for width, height in sizes_wh]
     whole = WHOLE_BYTES_PER_PX * _most_pixels(sizes_wh) if reduced else 0.0
@@ -47,12 +47,12 @@ def features_bytes(num_threads: int, side_px: float, sizes_wh: Sizes) -> float:
 
 
 def undistorting_bytes(num_threads: int, sizes_wh: Sizes) -> float:
-    """Peak memory in bytes of undistorting photographs of these sizes with so many threads; with one, of decoding the largest."""
+    """Peak bytes of undistorting with so many threads; with one, of decoding the largest."""
     return PROCESS_BYTES + num_threads * WHOLE_BYTES_PER_PX * _most_pixels(sizes_wh)
 
 
 def undistorting_threads(config: SfmConfig, sizes_wh: Sizes) -> int:
-    """How many of its threads may undistort photographs of these sizes within the `memory_bytes` of a configuration, at least one."""
+    """How many threads may undistort photographs of these sizes in `memory_bytes`, at least one."""
     threads = config.threads
     while config.memory_bytes is not None and threads > 1 and undistorting_bytes(threads, sizes_wh) > config.memory_bytes:
         threads -= 1
@@ -64,18 +64,15 @@ def _most_pixels(sizes_wh: Sizes) -> float:
 
 
 def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "incremental") -> float:
-    """Peak memory in bytes of mapping so many photographs with so many features asked of each; of auto: of all that it may try."""
+    """Peak bytes of mapping so many photographs and features each; of auto: of all it may try."""
     each = MAPPING_BYTES_PER_FEATURE if mapper == "incremental" else GLOBAL_BYTES_PER_FEATURE
     return PROCESS_BYTES + each * float(num_photographs) * num_features
 
 
 def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
     """The configuration within its `memory_bytes` for photographs of these sizes, and the decision
-    where there is a limit.
-
-    Raises BadInput where not even decoding one photograph fits, or one thread on photographs of 400
-    px, or mapping with 512 features each.
-    """
+    if there is a limit. BadInput where neither decoding one photograph fits, nor one thread at
+    `LEAST_SIDE_PX`, nor mapping with `LEAST_FEATURES` each."""
     if config.memory_bytes is None:
         return config, ()
     _require_decoding(config.memory_bytes, sizes_wh)
@@ -110,7 +107,7 @@ def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tupl
 
 
 def _require_decoding(limit_bytes: float, sizes_wh: Sizes) -> None:
-    """Raise BadInput where the largest photograph cannot be decoded and undistorted."""
+    """BadInput where the largest photograph cannot be decoded and undistorted."""
     needed = undistorting_bytes(1, sizes_wh)
     if needed > limit_bytes:
         width, height = max(sizes_wh, key=lambda size_wh: size_wh[0] * size_wh[1])
@@ -121,7 +118,7 @@ def _require_decoding(limit_bytes: float, sizes_wh: Sizes) -> None:
 
 
 def _features_within(limit_bytes: float, num_photographs: int, most: int, mapper: Mapper) -> int:
-    """The most features per photograph, at most `most`, whose mapping fits; BadInput where too few do."""
+    """The most features per photograph, up to `most`, whose mapping fits; BadInput if too few."""
     features = most
     while features > LEAST_FEATURES and mapping_bytes(num_photographs, features, mapper) > limit_bytes:
         features = max(LEAST_FEATURES, features - FEATURES_STEP)

@@ -1,5 +1,4 @@
-"""Structure from motion: a folder of photographs in, cameras and sparse points in one world frame
-out.
+"""Structure from motion: from a folder of photographs to cameras and points in one world frame.
 
 Once per scene: list and check the photographs, features, matches, poses (`database.py`,
 `mapping.py`, `refine.py`), undistort to pinhole (`undistort.py`), then the world frame
@@ -40,11 +39,10 @@ def reconstruct(
 ) -> SfmResult:
     """Cameras, points and undistorted photographs of the usable photographs in `photo_folder`.
 
-    `work_folder` gets undistorted/ and sparse/, whose COLMAP models are in the scene's frame, and,
-    where a folder of `masks` is given, masks/; of what an interrupted attempt left there features
-    and matches of the same photographs, masks and settings are used, all else is removed first.
-    Raises BadInput when fewer than two photographs can be used or they do not overlap, for masks
-    that do not fit, or for a `placement` that names other photographs.
+    `work_folder` gets undistorted/ and sparse/, whose COLMAP models are in the scene's frame, and
+    masks/ for a folder of `masks`; features and matches of an interrupted attempt with the same
+    photographs, masks and settings are used, all else there is removed. BadInput when fewer than
+    two photographs can be used or they do not overlap, or `masks` or `placement` do not fit.
     """
     report = number_phases(report, PHASES)
     listing = list_usable(photo_folder, report)
@@ -109,11 +107,9 @@ def scene_from_colmap(
     """The scene of an existing COLMAP model, binary or text, and its images.
 
     Pinhole images are used where they are; others are undistorted into `work_folder`, with a model
-    in the scene's frame. The frame comes from the images' GPS where they have it; images that
-    cannot be decoded are skipped and named. Points that are seen only where `masks` are 0 are left
-    out.
-    Raises BadInput when the model cannot be read, an image is missing or has another shape than its
-    camera, a mask does not fit, or `placement` names other images.
+    in the scene's frame. The frame comes from GPS where images have it; undecodable ones are
+    skipped and named. Points seen only where `masks` are 0 are left out. BadInput for an unreadable
+    model, an image that is missing or not of its camera's shape, or arguments that do not fit.
     """
     model = read_model(model_folder)
     placement.check_names((image.name for image in model.images), of_model=True)
@@ -156,7 +152,7 @@ def scene_from_colmap(
 
 
 def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Path) -> None:
-    """BadInput unless every image of the model is there, in the shape of its camera, and in its size where it has to be undistorted."""
+    """BadInput unless every image is there, in its camera's shape, if distorted in its size."""
     sizes = {photo.name: photo.size_wh for photo in listing.photographs}
     lost = [image.name for image in model.images if image.name not in sizes]
     if lost:
@@ -164,8 +160,7 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
     for image in model.images:
         camera = model.cameras[image.camera_id]
         width, height = (side / of_camera for side, of_camera in zip(sizes[image.name], camera.size_wh, strict=True))
-        # A reduced pinhole image may be off by a pixel of rounding; points of a distorted one are
-        # undistorted in its own pixels.
+        # Reduced pinhole images may be off by a pixel; distorted ones need their own pixels.
         fits = abs(width - height) <= 0.01 * max(width, height) if camera.is_pinhole else width == height == 1
         if not fits:
             raise BadInput(

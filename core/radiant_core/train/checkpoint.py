@@ -1,12 +1,11 @@
-"""Checkpoints of a training: a kill loses only the seconds since the last one, and the resumed run
-ends with the same bits.
+"""Checkpoints of a training: a killed run loses seconds, and resumed ends with the same bits.
 
-    checkpoints/step-00001200.safetensors   `TrainState`: its arrays, and in the metadata its numbers and the key of its run
-    checkpoints/step-00001200.json          step, key and SHA-256 of that file; written last, so that a whole record names a whole file
+    checkpoints/step-00001200.safetensors   `TrainState`: its arrays; numbers and key as metadata
+    checkpoints/step-00001200.json          step, key and SHA-256 of that file, written last: a
+                                            whole record names a whole file
 
-Once every `every_s` seconds, less often where writing takes long: after a checkpoint that took t
-seconds none is written for 19 t, so that writing takes at most 5 % of the time. Each file is
-written under a temporary name, forced to disk and renamed.
+Once every `every_s` seconds; after a checkpoint that took t seconds none is written for 19 t, at
+most 5 % of the time. Each file is written under a temporary name, forced to disk and renamed.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ MAX_SHARE = 0.05
 
 
 def training_key(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> str:
-    """Hash of all that determines the bits of a training: settings, first model, views with their pixels, renderer, software version."""
+    """Hash of all that determines the bits: settings, first model, views, renderer, version."""
     shown = [None if part is None else [part.cameras, *map(_hashes, (part.images, part.weights))] for part in (views, options.validation)]
     return content_key(__version__, config, options.steps, resolve_backend(options.backend), initial.arrays(), shown)
 
@@ -59,7 +58,7 @@ class _Saved:
         return int(self.record.stem.removeprefix("step-"))
 
     def load(self) -> tuple[str, TrainState]:
-        """Key of its run and its state; raises StoreDamaged or BadInput where anything is not what was written."""
+        """Key of its run and its state; StoreDamaged or BadInput where it is not as written."""
         record = read_json(self.record, ("step", "key", "sha256"))
         if record["sha256"] != file_sha256(self.arrays):
             raise BadInput(f"{self.arrays} is not what was written: its hash differs.")
@@ -76,7 +75,7 @@ class _Saved:
 
 
 class CheckpointFolder:
-    """The newest two states of one run in a folder of their own, which is made when the first is saved."""
+    """The newest two states of one run in its own folder, made when the first is saved."""
 
     def __init__(
         self,
@@ -87,7 +86,7 @@ class CheckpointFolder:
         clock: Callable[[], float] = time.monotonic,
         warn: Callable[[str], None] = lambda message: None,
     ) -> None:
-        """`key` identifies the run (`training_key`); `warn` receives one sentence for each damaged or unwritten checkpoint."""
+        """`key` of the run (`training_key`); `warn` receives a sentence per damaged or lost one."""
         if not every_s > 0:
             raise BadInput(f"checkpoints every {every_s} s: give a positive number of seconds.")
         self.folder = Path(folder)
@@ -95,13 +94,10 @@ class CheckpointFolder:
         self._due_s = clock() + every_s
 
     def load(self) -> TrainState | None:
-        """The newest whole state; None where there is none. A damaged one is removed with a
-        warning, and the one before is taken.
-
-        Raises BadInput where the newest whole one is of another run.
-        """
+        """The newest whole state, None without; a damaged one is removed with a warning. BadInput
+        where the newest whole one is of another run."""
         self._clean()
-        for saved in self._saved():
+        for saved in self._list_saved():
             try:
                 key, state = saved.load()
             except RadiantError as error:
@@ -118,7 +114,7 @@ class CheckpointFolder:
         return None
 
     def offer(self, step: int, state: Callable[[], TrainState]) -> None:
-        """Save the state after `step` steps where one is due. Where it cannot be written, training goes on and the last one stays."""
+        """Save the state after `step` steps where one is due; a failure to write is a warning."""
         begun_s = self._clock()
         if begun_s < self._due_s:
             return
@@ -131,7 +127,7 @@ class CheckpointFolder:
 
     def remove(self) -> None:
         """Remove all checkpoints: the run is finished."""
-        for saved in self._saved():
+        for saved in self._list_saved():
             saved.remove()
         self._clean()
         if self.folder.is_dir() and not any(self.folder.iterdir()):
@@ -139,7 +135,7 @@ class CheckpointFolder:
 
     def remove_foreign(self) -> None:
         """Remove the checkpoints of other runs, and those whose record is damaged."""
-        for saved in self._saved():
+        for saved in self._list_saved():
             try:
                 own = read_json(saved.record, ("key",))["key"] == self._key
             except RadiantError:
@@ -155,17 +151,17 @@ class CheckpointFolder:
         saved = _Saved(record=self.folder / f"step-{step:08d}.json")
         stream_arrays(saved.arrays, SCHEMA, state.arrays, {"step": step, "key": self._key, "numbers": state.numbers})
         write_json(saved.record, {"step": step, "key": self._key, "sha256": file_sha256(saved.arrays)})
-        for old in self._saved()[NUM_KEPT:]:
+        for old in self._list_saved()[NUM_KEPT:]:
             old.remove()
 
-    def _saved(self) -> list[_Saved]:
+    def _list_saved(self) -> list[_Saved]:
         """What has a record, the newest first."""
         found = [_Saved(record=path) for path in self.folder.glob("step-*.json") if path.stem.removeprefix("step-").isdecimal()]
         return sorted(found, key=lambda saved: saved.step, reverse=True)
 
     def _clean(self) -> None:
         """Remove what a kill left half-written: temporary files, and arrays without a record."""
-        records = {saved.arrays.name for saved in self._saved()}
+        records = {saved.arrays.name for saved in self._list_saved()}
         for path in [*self.folder.glob(".*"), *self.folder.glob("step-*.safetensors")]:
             if path.name not in records and path.is_file():
                 path.unlink(missing_ok=True)

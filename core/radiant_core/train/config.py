@@ -1,4 +1,4 @@
-"""`TrainConfig`: every knob of training, the presets, and settings by path. A sentence under a field is also its help text."""
+"""`TrainConfig`: every knob of training, presets, settings by path; docstrings are help texts."""
 
 from __future__ import annotations
 
@@ -28,18 +28,17 @@ NEVER = 10**9
 """Steps that no schedule reaches."""
 Preset = Literal["draft", "default", "standard", "paper"]
 """draft: a quick look; default: our best; standard: plain 3DGS with its 30,000 steps; paper: plain
-3DGS with the paper's 20,000 steps, densified from step 500 to 15,000 every 100 (its Sec. IV-B), not
-reduced on a CPU."""
+3DGS with the paper's 20,000 steps, densified as in its Sec. IV-B, not reduced on a CPU."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """How one model is fitted to one set of views. Learning rates are those of 3DGS (Kerbl 2023) unless said otherwise."""
+    """How one model is fitted to views. Learning rates are those of 3DGS unless said otherwise."""
 
     num_steps: int = 7_000
     """Optimisation steps, one image each; schedules are scaled to this number."""
     max_epochs: int | None = None
-    """A longer run, by steps or by time, ends after so many steps per photograph, but not before 1,500; None: never."""
+    """A longer run ends after so many steps per photograph, but not before 1,500; None: never."""
     long_side_px: int = 1_152
     """Photographs are reduced until their long side is at most this."""
     max_num_splats: int = 1_000_000
@@ -50,18 +49,16 @@ class TrainConfig:
     """λ of (1 − λ) L1 + λ (1 − SSIM) (paper Eqn. 4)."""
     max_scale_per_distance: float | None = 1 / 3
     """A Gaussian's axes stay below this share of its distance to the nearest camera; None for no
-    limit. A larger Gaussian is constrained only by the cameras in front of its centre, and appears
-    as haze in views from elsewhere."""
+    limit. A larger one is constrained only by cameras in front of it and is haze in other views."""
     max_elongation: float | None = 10.0
-    """A Gaussian's longest axis stays below this many times its second longest, so that there are no needles; None for no limit."""
+    """A Gaussian's longest axis stays below this many times its second longest: no needles."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the cameras' extent."""
     means_lr_end: float = 0.01
     """Share of `means_lr` to which it falls over the run, exponentially."""
     settle_epochs: int | None = None
     """A run of more steps per photograph than this, and of more than 700, ends with smaller
-    learning rates, except for those of centres and exposures (`trainer.settled_rate_share`); None:
-    rates keep their size."""
+    learning rates, except for centres and exposures; None: rates keep their size."""
     scales_lr: float = 5e-3
     """Learning rate of the logarithmic scales."""
     quats_lr: float = 1e-3
@@ -71,21 +68,21 @@ class TrainConfig:
     sh0_lr: float = 2.5e-3
     """Learning rate of the base colour; the higher harmonics get a twentieth."""
     adam: Literal["visible", "dense"] = "visible"
-    """visible: a step moves the Gaussians that its image shows; dense: all of them by their moments, as in 3DGS."""
+    """visible: a step moves the Gaussians that its image shows; dense: all of them, as in 3DGS."""
     sh_degree_every: int = 0
-    """Steps after which the next degree of colour is added, as in 3DGS; 0: all degrees from the start."""
+    """Steps after which the next degree of colour is added, as in 3DGS; 0: all from the start."""
     density: Densification = field(default_factory=NoDensification)
-    """How the number of Gaussians changes during training, with the knobs of that policy (`densification.py`)."""
+    """How the number of Gaussians changes during training, with the knobs of that policy."""
     schedule_steps: int = 30_000
-    """Length of the run for which the steps of `density` and `sh_degree_every` are meant; a run of another length scales them."""
+    """Length of the run that the steps of `density` and `sh_degree_every` are meant for."""
     budget_s: float | None = None
-    """Seconds of training after which the run ends, if the steps have not ended it; every schedule follows whichever is spent faster."""
+    """Seconds after which a run of more steps ends; schedules follow whichever is spent faster."""
     start_scale: float = 1.0
     """Share of the image size that training begins with."""
     full_size_from: float = 0.4
     """Share of the run from which images have their full size."""
     exposure: Literal["none", "affine", "auto"] = "none"
-    """affine: each photograph has its own affine map of colours, learnt with the model; auto: the same, where exposures differ."""
+    """affine: a learnt affine map of colours per photograph; auto: where exposures differ."""
     exposure_lr: float = 1e-3
     """Learning rate of the exposures at the start; it falls to a tenth."""
     num_looks: int = 6
@@ -93,13 +90,13 @@ class TrainConfig:
     sky: bool = True
     """Whether Gaussians on a far half sphere are added where photographs look above the horizon."""
     antialiased: bool = False
-    """Whether opacities fade where a Gaussian is smaller than a pixel (Mip-Splatting): for views from distances that differ."""
+    """Whether opacities fade where a Gaussian is smaller than a pixel (Mip-Splatting)."""
     background: Literal["black", "random"] = "black"
-    """The colour behind the Gaussians during training; random: another one at each step, which no half-transparent Gaussian can imitate."""
+    """Colour behind the Gaussians; random: another at each step, which no haze imitates."""
     fill_in: bool = True
     """Whether places that structure from motion left empty get starting points."""
     skip_images: Literal["none", "auto"] = "none"
-    """auto: photographs that repeat another one, and blurred ones of which others show the same, are left out."""
+    """auto: repeated photographs are left out, and blurred ones of which others show the same."""
     reduce_on_cpu: bool = True
     """Whether size, steps and Gaussians are reduced so that a CPU finishes in minutes."""
     seed: int = 0
@@ -155,9 +152,8 @@ _PRESETS: dict[str, TrainConfig] = {
     "draft": replace(_SHORT, num_steps=2_000, long_side_px=576),
     "default": _SHORT,
     "standard": replace(_PLAIN, num_steps=30_000),
-    # The paper's own numbers at its 20,000 steps; 3DGS would reach a hundredth of the rate at
-    # 30,000. No limit of Gaussians is named there: this one keeps a mistaken run from filling the
-    # memory, 236 bytes times four for Adam and gradients each.
+    # The paper's numbers at its 20,000 steps; 3DGS would reach a hundredth of the rate at 30,000.
+    # It names no limit of Gaussians: this one keeps a mistaken run from filling the memory.
     "paper": replace(
         _PLAIN, num_steps=20_000, schedule_steps=20_000, means_lr_end=0.01 ** (2 / 3), max_num_splats=5_000_000, reduce_on_cpu=False
     ),
@@ -173,7 +169,7 @@ def train_preset(name: str) -> TrainConfig:
 
 @cache
 def setting_types() -> Mapping[str, Any]:
-    """The type of every setting by its path, "sh_degree" or "density.min_gradient"; those of all policies of densification."""
+    """The type of every setting by its path, as "density.min_gradient"; of all policies."""
     types = {name: hint for name, hint in get_type_hints(TrainConfig).items() if name != "density"}
     for policy in POLICIES.values():
         types |= {f"density.{name}": hint for name, hint in get_type_hints(policy).items()}
@@ -182,11 +178,7 @@ def setting_types() -> Mapping[str, Any]:
 
 def parse_setting(path: str, value: Any) -> Any:
     """The value of a setting: a text is read by the setting's type, "none" as None where that is
-    one of its values.
-
-    Raises:
-        BadInput: there is no such setting, or the value is of another kind.
-    """
+    one of its values. BadInput where there is no such setting, or for a value of another kind."""
     if path not in setting_types():
         raise BadInput(f"{path} is no setting of training: expected one of {', '.join(setting_types())}.")
     hint = setting_types()[path]
@@ -203,12 +195,9 @@ def with_settings(config: TrainConfig, settings: Mapping[str, Any]) -> TrainConf
     """The configuration with other values, texts or typed, by the paths of their settings.
 
     Another "density.kind" keeps the knobs that the two policies share, and takes the defaults of
-    the others:
+    the others. BadInput as `parse_setting`, for a value out of range, or an unknown knob:
 
         with_settings(config, {"sh_degree": "2", "density.kind": "mcmc", "density.every": "50"})
-
-    Raises:
-        BadInput: as `parse_setting`, a value out of range, or a knob that the policy does not have.
     """
     values = {path: parse_setting(path, value) for path, value in settings.items()}
     density = densification_of(values.pop("density.kind", config.density.kind), config.density)

@@ -1,12 +1,11 @@
-"""Exposure of each photograph: an affine map of the rendered colours that is learnt with the model.
-Once per step of its view.
+"""Exposure of each photograph: an affine map of rendered colours, learnt with the model.
 
     c' = (I + A_v) c + b_v,   with the gauge  mean over v of A_v and b_v = 0
-so that the model itself keeps the mean exposure of all photographs, in which new views are
-rendered. The rate falls from `exposure_lr` to a tenth, as in the code of 3DGS (Kerbl 2023), whose
-maps have no gauge.
+so that the model keeps the mean exposure of all photographs, for new views. The rate falls from
+`exposure_lr` to a tenth, as in 3DGS, whose maps have no gauge. Once per step of its view.
 """
 
+# pyright: reportIncompatibleMethodOverride=false
 from __future__ import annotations
 
 from dataclasses import replace
@@ -28,10 +27,10 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
 
 class _NativeExposure(torch.autograd.Function):
-    """The map by the native module: torch's own threads would spin on after each of its operations."""
+    """The map by the native module: torch's own threads would spin on after each operation."""
 
     @staticmethod
-    def forward(ctx: Any, image: Tensor, map_: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(ctx: Any, image: Tensor, map_: Tensor) -> Tensor:
         image, map_ = image.detach().contiguous(), map_.detach()
         shown = torch.empty_like(image)
         _native.apply_exposure(image, map_, shown, torch.get_num_threads())
@@ -40,7 +39,7 @@ class _NativeExposure(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor]:
         image, map_ = ctx.saved_tensors
         image_gradient, map_gradient = torch.empty_like(image), torch.empty_like(map_)
         _native.apply_exposure_backward(image, map_, grads[0].contiguous(), image_gradient, map_gradient, torch.get_num_threads())
@@ -48,7 +47,7 @@ class _NativeExposure(torch.autograd.Function):
 
 
 class Exposures(Part):
-    """The maps (V,3,4) of V views, A beside b, and their Adam; a view's moments and count change in the steps that fit it."""
+    """The maps (V,3,4) of V views, A beside b, and Adam; only the fitted view's moments change."""
 
     name = "exposure"
 
@@ -64,7 +63,7 @@ class Exposures(Part):
         return float(self._maps[:, :, :3].diagonal(dim1=1, dim2=2).abs().max()) if len(self._maps) else 0.0
 
     def show(self, moment: Moment, image: Tensor) -> Tensor:
-        """The rendered image (H,W,3) mapped by the exposure of the step's view, whose gradient `after_update` uses."""
+        """The image (H,W,3) mapped by its view's exposure, which `after_update` then steps."""
         self._shown = self._maps[moment.view].clone().requires_grad_()
         if image.device.type == "cpu" and image.dtype == torch.float32:
             shown: Tensor = _NativeExposure.apply(image, self._shown)

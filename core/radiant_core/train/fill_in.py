@@ -2,8 +2,7 @@
 
 Each training image is cut into cells; a cell below the horizon in which no sparse point is seen
 gets one on the ray through its middle, where it comes down to the height of the nearest observed
-points, in the cell's mean colour. Without these points such places start empty, and a short
-training does not fill them: on an aerial set the woods stayed black.
+points, in the cell's mean colour. Else a short training leaves such places black.
 """
 
 from __future__ import annotations
@@ -43,11 +42,8 @@ class AddedPoints:
 
 
 def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
-    """One point per empty image cell, each apart from the scene's and from those of the images
-    before.
-
-    `views.cameras` are the scene's in the same order, at any resolution.
-    """
+    """One point per empty image cell, apart from the scene's and from those of images before.
+    `views.cameras` are the scene's in the same order, at any resolution."""
     known, first_new = scene.points, len(scene.points)
     colors = [np.zeros((0, 3), np.uint8)]
     for index in range(len(views)):
@@ -68,7 +64,7 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Cells:
-    """Middles (F,2) px and mean colours (F,3) of the cells of one image, and which count (F,): half or more of their pixels do."""
+    """Middles (F,2) px and mean colours (F,3) of an image's cells; which count (F,), by pixels."""
 
     middles: NDArray[np.floating]
     colors: NDArray[np.uint8]
@@ -103,9 +99,8 @@ def _block_means(image: FloatArray, columns: int, rows: int) -> FloatArray:
 
 
 def _place(cameras: Cameras, index: int, seen: FloatArray, cells: _Cells) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
-    """Points (F,3) of the cells, their spacing (F,) in world units, and which lie below the horizon
-    without an observed point in them (F,); None when the image sees too few points to tell a
-    depth."""
+    """Points (F,3) of the cells, spacings (F,) in world units, and which are below the horizon
+    without an observed point (F,); None when too few points are seen to tell a depth."""
     pose, K = cameras.cam_from_world[index], cameras.Ks[index]
     in_camera = seen @ pose[:3, :3].T + pose[:3, 3]
     visible, in_camera = seen[in_camera[:, 2] > 0], in_camera[in_camera[:, 2] > 0]
@@ -125,11 +120,8 @@ def _place(cameras: Cameras, index: int, seen: FloatArray, cells: _Cells) -> tup
 
 def _depths_at_height(rays: FloatArray, center: FloatArray, nearby: FloatArray, weights: FloatArray, neighbours: FloatArray) -> FloatArray:
     """Depths (F,) at which the rays (F,3) come down to the mean height of their neighbours (F,K,3);
-    `nearby`, the mean depth of these, where they lie no lower than the camera. At most `FARTHEST`
-    times that: towards the horizon a ray comes down nowhere.
-
-    The mean depth alone would hang the far ground of an oblique view in mid-air.
-    """
+    `nearby`, their mean depth, where they are no lower than the camera. At most `FARTHEST` times
+    that. The mean depth alone would hang the far ground of an oblique view in mid-air."""
     drops = (weights * neighbours[..., 2]).sum(axis=1) - center[2]
     downwards = (drops < 0) & (rays[:, 2] < 0)
     depths = np.divide(drops, rays[:, 2], out=nearby.copy(), where=downwards)

@@ -1,4 +1,4 @@
-"""Gaussians that are rendered and never change: their values are restored after each step, bit for bit. Once per step."""
+"""Gaussians that are rendered and never change: restored bit for bit. Once per step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from radiant_core.train.parts import Part
 
 
 class HeldRows(Part):
-    """The Gaussians that a mask (N,) selects, with the values that they have when this is made."""
+    """The Gaussians that a mask (N,) selects, with the values that they have at the start."""
 
     name = "held"
 

@@ -1,4 +1,4 @@
-"""The first Gaussians: one per sparse point, as wide as its neighbours are far (Kerbl 2023, Sec. 5.1), and a sky. Once per model."""
+"""First Gaussians: sparse points as wide as neighbours are far, and a sky. Once per model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from radiant_core.train.views import TrainingViews
 INITIAL_OPACITY = 0.1
 NUM_SKY = 400
 SKY_OPACITY = 0.9
-"""The sky occludes nothing. Where no photograph of a device shows it, it keeps its initial opacity; a low one would look dark."""
+"""The sky occludes nothing. It keeps this where no photograph shows it; less would look dark."""
 SKY_RGB = (0.75, 0.75, 0.75)
 """Colour of the sky where no photographs are given."""
 MIN_CAMERA_SHARE = 1e-3
@@ -38,15 +38,10 @@ def initial_splats(
     sh_degree: int,
     sky_rgb: ArrayLike | None = SKY_RGB,
 ) -> Splats:
-    """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour where cameras look
-    above the horizon.
-
-    At most `max_num_splats`, of which up to a quarter are sky, none where `sky_rgb` is None.
-    Duplicate points are merged, those at a camera's centre left out; too many points are thinned
-    out evenly along x, their sorted order.
-
-    Raises BadInput with fewer than 4 different points.
-    """
+    """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour above the horizon:
+    at most `max_num_splats`, up to a quarter of them sky, none where `sky_rgb` is None. Duplicate
+    points are merged, those at a camera's centre left out; too many are thinned out evenly along x,
+    their sorted order. BadInput with fewer than 4 different points."""
     points, first = np.unique(np.asarray(points, np.float64), axis=0, return_index=True)
     colors = np.asarray(colors)[first]
     away = _away_from_cameras(points, cameras)
@@ -74,7 +69,7 @@ def initial_splats(
 
 
 def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_]:
-    """Which points (P,) lie at no camera's centre: a wrong match is triangulated there and would cover that camera's picture."""
+    """Points (P,) at no camera's centre, where wrong matches would cover that camera's picture."""
     if not (len(points) and len(cameras)):
         return np.ones(len(points), bool)
     distances = KDTree(cameras.centers).query(points)[0]
@@ -83,11 +78,8 @@ def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_
 
 def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:
     """The Gaussians that training starts from: sparse points and, by `config`, fill-in points and a
-    sky; and how many were filled in.
-
-    `views.cameras` are those of the scene in the same order. Fill-in gets what the limit leaves, at
-    least a quarter of it.
-    """
+    sky; and how many were filled in: what the limit leaves, at least a quarter of it.
+    `views.cameras` are those of the scene in the same order."""
     limit = config.max_num_splats
     fill = fill_in_points(scene, views).thin(max(limit - len(scene.points), limit // 4) if config.fill_in else 0)
     kept = np.linspace(0, len(scene.points) - 1, min(len(scene.points), max(1, limit - len(fill.points)))).astype(np.int64)
@@ -103,12 +95,12 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
 
 
 def sky_share(cameras: Cameras) -> float:
-    """Share above the horizon (z up) of the image that has most of it, estimated from a 9×9 grid of pixels per camera."""
+    """Largest share of an image above the horizon (z up), from a 9×9 grid of pixels per camera."""
     return float(_above_horizon(cameras)[1].mean(axis=1).max(initial=0.0))
 
 
 def _above_horizon(cameras: Cameras) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """A 9×9 grid of pixels per camera (C,81,2) px and whether each looks above the horizon (C,81)."""
+    """A 9×9 grid of pixels per camera (C,81,2) px; which look above the horizon (C,81)."""
     steps = (np.arange(9) + 0.5) / 9
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     pixels = grid[None] * cameras.sizes_wh[:, None]
@@ -118,7 +110,7 @@ def _above_horizon(cameras: Cameras) -> tuple[FloatArray, NDArray[np.bool_]]:
 
 
 def _sky_rgb(views: TrainingViews) -> FloatArray:
-    """Median colour (3,) in 0..1 of the pixels above the horizon, of a 9×9 grid per photograph; `SKY_RGB` without any."""
+    """Median colour (3,) in 0..1 of pixels above the horizon, of 9×9 each; else `SKY_RGB`."""
     pixels, above = _above_horizon(views.cameras)
     found = np.zeros((0, 3), np.uint8)
     for index, (image, grid, up) in enumerate(zip(views.images, pixels.astype(np.int64), above, strict=True)):
@@ -129,22 +121,21 @@ def _sky_rgb(views: TrainingViews) -> FloatArray:
 
 
 def camera_extent(cameras: Cameras) -> float:
-    """1.1 × the largest distance of a camera from the mean of all centres (3DGS's scene extent), at least 1e-6."""
+    """1.1 × the largest distance of a camera from their mean (3DGS's extent), at least 1e-6."""
     centers = cameras.centers
     return max(1e-6, 1.1 * float(np.linalg.norm(centers - centers.mean(0), axis=1).max()))
 
 
 def _neighbour_distance(points: FloatArray) -> FloatArray:
-    """Root mean square distance (P,) to the 3 nearest neighbours. Lone points, often wrong ones,
-    get no more than 3 times the 90th percentile: without this limit they cover the image, and a
-    step took 8 times as long."""
+    """Root mean square distance (P,) to the 3 nearest neighbours, at most 3 times the 90th
+    percentile: lone points, often wrong, would cover the image; a step took 8 times as long."""
     distances, _ = KDTree(points).query(points, k=4)
     spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
     return np.clip(spacing, 1e-7, 3 * np.quantile(spacing, 0.9))
 
 
 def _sky_points(points: FloatArray, cameras: Cameras, count: int) -> FloatArray:
-    """Points (count,3) on a half sphere far around everything; none when less than `MIN_SKY_SHARE` of every image looks up."""
+    """Points (count,3) on a far half sphere; none if less than `MIN_SKY_SHARE` looks up."""
     if sky_share(cameras) < MIN_SKY_SHARE:
         return np.zeros((0, 3))
     everything = np.concatenate([points, cameras.centers])

@@ -1,7 +1,6 @@
 """The training loss (1 − λ) L1 + λ (1 − SSIM) (paper Eqn. 4), each pixel weighted. Once per step.
 
-SSIM after Wang et al. 2004: 11×11 Gaussian window with σ = 1.5, C1 = 0.01², C2 = 0.03², zero
-padding as 3DGS has it.
+SSIM as in Wang et al. 2004: Gaussian window 11×11, σ = 1.5, C1 = 0.01², C2 = 0.03², zero padding.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ _SIGMA_PX, _RADIUS_PX = 1.5, 5
 
 
 def weighted_loss(image: Tensor, target: Tensor, weights: Tensor | None, ssim_weight: float) -> Tensor:
-    """Scalar loss of image and target (H,W,3) in 0..1; weights (H,W) in 0..1 or None for ones. All weights zero give 0."""
+    """Scalar loss of image and target (H,W,3), weights (H,W) or ones; 0 without weight."""
     errors = (1 - ssim_weight) * (image - target).abs().mean(-1)
     if ssim_weight > 0:
         errors = errors + ssim_weight * (1 - ssim_map(image, target).mean(-1))

@@ -1,17 +1,15 @@
-"""How many Gaussians a training may grow to within a limit of memory. Once per model, before the
-photographs are loaded.
+"""How many Gaussians a training may grow to within a limit of memory. Once per model.
 
-    memory(N) = base + (3 + m) Σ_v p_v (1 + s²) + kept + 100 max_v p_v + N (C · 4 (11 + 3 K) + 600)        bytes
+    memory(N) = base + (3 + m) Σ_v p_v (1 + s²) + kept + 100 max_v p_v
+                + N (C · 4 (11 + 3 K) + 600)        bytes
 
-base: what the process holds before, and BASE_BYTES that come with the first step; p_v pixels of
-view v, kept as bytes, and again at the share s of its side that training begins with; m: 1 where
-photographs have masks, of a byte a pixel, else 0; kept: the loss' statistics, 36 bytes a pixel
-where there is room; 100: a step on the largest view. N Gaussians of K bases have 11 + 3 K float32
-each, C times: parameters, gradients, two moments, what an edit or a checkpoint copies; 600 bytes
-each are the rasterizer's and an edit's.
-
-The constants are set so that tests/stress/test_train_memory.py holds on the sample town with
-planned growth: allowed 0.6, 1 and 2 GB, it peaked at 0.62, 1.00 and 2.14 GB.
+base: what the process holds before, and BASE_BYTES of the first step; p_v pixels of view v, kept as
+bytes, and again at the share s of its side that training begins with; m: 1 where photographs have
+masks, a byte a pixel, else 0; kept: the loss' statistics, 36 bytes a pixel where there is room;
+100: a step on the largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times:
+parameters, gradients, two moments, copies of an edit or a checkpoint; 600 bytes are the
+rasterizer's and an edit's. Set so that tests/stress/test_train_memory.py holds on the sample town
+with planned growth: allowed 0.6, 1 and 2 GB, it peaked at 0.62, 1.00 and 2.14 GB.
 """
 
 from __future__ import annotations
@@ -31,11 +29,11 @@ COPIES = 7.0
 RASTERIZER_BYTES_PER_SPLAT = 600
 IMAGE_BYTES_PER_PX, MASK_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 1, 36, 100
 MAX_STATISTICS_SHARE = 0.25
-"""Of what photographs leave free, at most this much keeps statistics: they save time, Gaussians make the picture."""
+"""At most this share of what photographs leave free keeps statistics, which only save time."""
 VRAM_SHARE = 0.8
 """Of free GPU memory, for Gaussians and a step. Not measured: no CUDA device was at hand."""
 PROCESS_BYTES = 300_000_000
-"""What a device's process holds before its photographs, where it cannot be measured: 296 MB after importing its node and the trainer."""
+"""What a device's process holds, where it cannot be measured: 296 MB with its imports."""
 MIN_SPLATS = 1_000
 """A limit that leaves room for fewer is refused."""
 
@@ -57,7 +55,7 @@ def bytes_per_splat(sh_degree: int, *, validated: bool = False) -> float:
 
 
 def fixed_bytes(config: TrainConfig, cameras: Cameras, base_bytes: int, *, masked: bool = False) -> int:
-    """What photographs, their masks if they have any, one step and the process take, without any Gaussians."""
+    """What photographs, any masks, one step and the process take, without Gaussians."""
     pixels = cameras.sizes_wh.prod(axis=1)
     masks = MASK_BYTES_PER_PX * _copies(config) * float(pixels.sum()) if masked else 0.0
     return round(_fixed_bytes(config, float(pixels.sum()), float(pixels.max(initial=0)), base_bytes) + masks)
@@ -73,12 +71,9 @@ def _copies(config: TrainConfig) -> float:
 
 def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:
     """How many of `num_cameras` photographs fit into memory together with the Gaussians `splats_of`
-    so many photographs (rising).
-
-    The model above on `PROCESS_BYTES`, without what the loss may keep; photographs of 4:3, since a
-    plan is made before there are any. At least `MIN_SPLATS` Gaussians are counted, at most the
-    configuration's limit. 0 where not even one photograph fits.
-    """
+    so many (rising), at least `MIN_SPLATS`, at most the configuration's limit. The model above on
+    `PROCESS_BYTES`, nothing kept; photographs of 4:3, as a plan precedes them. 0 where none
+    fits."""
     pixels = 0.75 * config.long_side_px**2
     each = bytes_per_splat(config.sh_degree)
 
@@ -97,11 +92,8 @@ def memory_plan(
     config: TrainConfig, cameras: Cameras, memory_bytes: int, base_bytes: int, *, validated: bool = False, masked: bool = False
 ) -> MemoryPlan:
     """The most Gaussians and the statistics that fit into `memory_bytes` with the photographs of
-    `cameras`, at their training size.
-
-    `base_bytes` is what the process holds before they are loaded. Raises BadInput where fewer than
-    1,000 fit, with what would do.
-    """
+    `cameras`, at their training size; `base_bytes`: held before they are loaded. BadInput where
+    fewer than `MIN_SPLATS` fit, with what would do."""
     fixed = fixed_bytes(config, cameras, base_bytes, masked=masked)
     each = bytes_per_splat(config.sh_degree, validated=validated)
     free = memory_bytes - fixed
@@ -118,12 +110,8 @@ def memory_plan(
 
 
 def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """The configuration whose Gaussians fit beside one step into what a CUDA device has free, and
-    the decision where that is fewer.
-
-    The same model as above without the photographs, which stay in main memory. Raises BadInput as
-    `memory_plan`.
-    """
+    """The configuration whose Gaussians fit with one step into free memory of a CUDA device, and
+    the decision where that is fewer; photographs stay in main memory. BadInput as `memory_plan`."""
     step = STEP_BYTES_PER_PX * float(cameras.sizes_wh.prod(axis=1).max(initial=0))
     count = int((VRAM_SHARE * free_bytes - step) // bytes_per_splat(config.sh_degree))
     if count >= config.max_num_splats:
@@ -145,7 +133,7 @@ def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: s
 
 
 def within_memory(config: TrainConfig, plan: MemoryPlan, memory_bytes: int, stage: str, asked: int | None) -> tuple[TrainConfig, Decision]:
-    """The configuration with the limit of Gaussians that a plan leaves, or the one `asked` for where that is lower, and the decision."""
+    """The configuration with the plan's limit of Gaussians, or `asked` where that is lower."""
     count = plan.max_num_splats if asked is None else min(asked, plan.max_num_splats)
     decision = Decision(
         stage=stage,

@@ -1,14 +1,14 @@
-"""The training loss in C++ for float32 on the CPU: value and gradient in one pass; `losses.py` in
-float64 is its plain twin.
+"""The training loss in C++ for float32 on the CPU; `losses.py` in float64 is its plain twin.
 
-    TargetStatistics: blur(y), blur(y²) − blur(y)²     once per target, or once per step for targets beyond the budget
-    target_loss:      (1 − λ) L1 + λ (1 − SSIM)        once per step; the gradient comes with the value and waits for backward
+    TargetStatistics: blur(y), blur(y²) − blur(y)²    once per target, beyond the budget per step
+    target_loss:      (1 − λ) L1 + λ (1 − SSIM)       once per step; with it the gradient
 
 SSIM is computed in differences d = x − y (native/loss_kernels.h), so its relative error stays at
 float32's rounding also where image and target nearly agree; from its usual five moments torch's
 float32 lost up to four digits of the gradient there.
 """
 
+# pyright: reportIncompatibleMethodOverride=false
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
@@ -25,12 +25,12 @@ from radiant_core.errors import BadInput
 from radiant_core.train.losses import weighted_loss
 
 STATISTICS_BUDGET_BYTES = 1 << 30
-"""Memory for kept statistics, 36 bytes a pixel, the float target's 12 among them; without them the loss takes 1.8 times as long."""
+"""Of kept statistics, 36 bytes a pixel; without them the loss takes 1.8 times as long."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TargetStatistics:
-    """A target (H,W,3) float32 in 0..1 with what SSIM needs of it, so that it is not blurred anew at every step."""
+    """A target (H,W,3) float32 in 0..1 with what SSIM needs of it, blurred once for all steps."""
 
     target: Tensor
     """(H,W,3)."""
@@ -41,11 +41,8 @@ class TargetStatistics:
 
     @staticmethod
     def of(target: Tensor) -> TargetStatistics:
-        """Statistics of a target on the CPU, taken to float32.
-
-        BadInput for a shape other than (H,W,3), for integers, and for values that are not finite or
-        beyond 2e18.
-        """
+        """Statistics of a target on the CPU, taken to float32. BadInput for a shape other than
+        (H,W,3), for integers, and for values that are not finite or beyond 2e18."""
         if not target.is_floating_point():
             raise BadInput(f"target is {target.dtype}, expected floating numbers in 0..1: divide bytes by 255.")
         target = target.detach().to(torch.float32).contiguous()
@@ -60,11 +57,8 @@ class TargetStatistics:
 
 
 class StatisticsCache:
-    """Statistics by view; the first that fit into the budget stay.
-
-    Views come in a new order every epoch, so dropping the oldest would drop each of them just
-    before its turn.
-    """
+    """Statistics by view; the first that fit into the budget stay: epochs come in new orders, so
+    dropping the oldest would drop each of them just before its turn."""
 
     def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES) -> None:
         self._free_bytes = budget_bytes
@@ -83,11 +77,8 @@ class StatisticsCache:
 
 def target_loss(image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float) -> Tensor:
     """`weighted_loss` of image and `statistics.target`, on the CPU in float32 by the native kernel,
-    else by torch.
-
-    Raises BadInput naming the tensor, the count and the first index of values that are not finite
-    or beyond 2e18 and of negative weights, and for an ssim_weight outside 0..1.
-    """
+    else by torch. BadInput naming tensor, count and first index of values that are not finite or
+    beyond 2e18 and of negative weights, and for an ssim_weight outside 0..1."""
     if not 0 <= ssim_weight <= 1:
         raise BadInput(f"ssim_weight is {ssim_weight}, expected 0 to 1: it is SSIM's share of the loss.")
     if image.device.type == "cpu" and image.dtype == torch.float32:
@@ -99,9 +90,7 @@ def target_loss(image: Tensor, statistics: TargetStatistics, weights: Tensor | N
 
 class _NativeLoss(torch.autograd.Function):
     @staticmethod
-    def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx: Any, image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float, wanted: bool
-    ) -> Tensor:
+    def forward(ctx: Any, image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float, wanted: bool) -> Tensor:
         image = image.detach().contiguous()
         gradient = torch.empty_like(image) if wanted else None
         weights = None if weights is None else weights.detach().contiguous()
@@ -115,7 +104,7 @@ class _NativeLoss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None, None]:
         (gradient,) = ctx.saved_tensors
         # Training calls backward on the loss itself: a pass over the image saved.
         return gradient if float(grads[0]) == 1.0 else gradient * grads[0], None, None, None, None
@@ -123,7 +112,6 @@ class _NativeLoss(torch.autograd.Function):
 
 @contextmanager
 def _as_bad_input() -> Iterator[None]:
-    """Raise BadInput for the native module's ValueError."""
     try:
         yield
     except ValueError as error:

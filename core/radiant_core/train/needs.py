@@ -1,9 +1,7 @@
-"""A training fitted to its machine and its photographs: reductions and choices as typed decisions.
-Once per run.
+"""A training fitted to its machine and photographs: reductions as typed decisions. Once per run.
 
-Without a GPU the presets are reduced to what finishes in minutes. CPU seconds of one step (render,
-loss, backward, Adam) on one core: `native` 0.02 for 13,000 Gaussians at 480×270; `reference`, plain
-PyTorch, 0.26 for 5,000 at 240×180.
+Without a GPU the presets are reduced to what finishes in minutes. CPU seconds of one step on one
+core: `native` 0.02 for 13,000 Gaussians at 480×270; `reference` 0.26 for 5,000 at 240×180.
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ _UNITS = {"long_side_px": "px", "num_steps": "steps", "max_num_splats": "Gaussia
 
 
 def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """The configuration reduced to what this backend finishes in minutes, and a decision for each number that differs from the preset."""
+    """The configuration reduced to what the backend finishes in minutes; a decision per change."""
     limits = _LIMITS.get(backend, Overrides()) if config.reduce_on_cpu else Overrides()
     decisions = [_setting_decision(config, name, value) for name, value in overrides.settings.items()]
     if overrides.num_steps is not None:
@@ -111,7 +109,7 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
 
 
 def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """What is "auto" in a configuration, decided by figures of the scene; `views.cameras` are the scene's in the same order."""
+    """What is "auto", decided by the scene; `views.cameras` are the scene's in the same order."""
     config, decisions = _fit_size(config, views)
     config, length = _fit_length(config, len(views))
     decisions += length
@@ -166,9 +164,8 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
 
 
 def exposure_spread(scene: SfmScene, views: TrainingViews) -> float:
-    """Standard deviation of the V photographs' gains, as a share: of each the median ratio of its
-    brightness at sparse points to what the other photographs show there on average. 0 where fewer
-    than two photographs can be compared."""
+    """Standard deviation of V photographs' gains, as a share: of each the median ratio of
+    brightness at sparse points to the others' mean there. 0 where fewer than two compare."""
     rows, pixels = views.observed_pixels(scene)
     point, view = scene.observations[rows].T
     # One step above black, where a ratio of brightness would be noise.

@@ -1,12 +1,11 @@
-"""Adam (Kingma & Ba 2015) over the rows of the splats' tensors that a step saw, or over all of
-them.
+"""Adam (Kingma & Ba 2015) over the rows of the splats' tensors that a step saw, or over all rows.
 
-    m ← m + (1 − β₁)(g − m)    v ← β₂ v + (1 − β₂) g²    x ← x − rate / (1 − β₁ᵗ) · m / (√v / √(1 − β₂ᵗ) + ε)
+    m ← m + (1 − β₁)(g − m)    v ← β₂ v + (1 − β₂) g²
+    x ← x − rate / (1 − β₁ᵗ) · m / (√v / √(1 − β₂ᵗ) + ε)
 
 Once per step. t counts the steps of a row, not of the run: each Gaussian moves as torch's Adam
-would move it on the steps that saw it alone, and one first seen at step 5,000 starts no faster than
-one seen at once. Rows that were not seen keep value, moments and count. Gradients count as at most
-±1e18, whose square float32 still holds: an infinite v would never let its row move again.
+would move it on the steps that saw it alone. Rows that were not seen keep value, moments and count.
+Gradients count as at most ±1e18, so that their squares and v stay finite in float32.
 """
 
 from __future__ import annotations
@@ -37,15 +36,12 @@ class _Group:
 
 
 class SelectiveAdam:
-    """Adam over tensors (N,…) that share their rows; each with a learning rate of its own, which
-    may be set between steps.
-
-    Float32 on the CPU is stepped by the native kernel, everything else by torch, to the same
-    formula.
+    """Adam over tensors (N,…) that share their rows, each at a rate that may be set between steps.
+    Float32 on the CPU is stepped by the native kernel, else by torch, to the same formula.
     """
 
     def __init__(self, tensors: Mapping[str, Tensor], rates: Mapping[str, float], *, eps: float = 1e-15) -> None:
-        """`rates` by name; BadInput where tensors differ in rows or are not contiguous, and where a rate or eps is no positive number."""
+        """`rates` by name; BadInput for unequal rows, not contiguous tensors, rates or eps ≤ 0."""
         num_rows = {tensor.shape[0] if tensor.ndim else -1 for tensor in tensors.values()}
         if len(num_rows) > 1 or -1 in num_rows:
             shapes = ", ".join(f"{name} {tuple(tensor.shape)}" for name, tensor in tensors.items())
@@ -72,7 +68,7 @@ class SelectiveAdam:
         self._first_factors, self._second_factors = (factors.to(device) for factors in _bias_factors())
 
     def set_rate(self, name: str, rate: float) -> None:
-        """Change the learning rate of one tensor; a name that is not optimised is left alone. BadInput for no positive number."""
+        """Change a learning rate, if the tensor is optimised. BadInput for no positive number."""
         if name in self._groups:
             _require_rate(name, rate)
             self._groups[name].rate = rate
@@ -95,7 +91,7 @@ class SelectiveAdam:
         return arrays
 
     def restore(self, arrays: Mapping[str, NDArray], num_steps: int) -> None:
-        """Go on from what `state_arrays` gave after `num_steps` steps; ValueError for other shapes, KeyError for a missing one."""
+        """Go on from `state_arrays` after `num_steps` steps; ValueError, KeyError for others."""
         device = self._row_steps.device
         for name, group in self._groups.items():
             for moments, array in ((group.first_moments, arrays[f"{name}.first"]), (group.second_moments, arrays[f"{name}.second"])):
@@ -110,20 +106,16 @@ class SelectiveAdam:
         return self._groups[name].first_moments, self._groups[name].second_moments
 
     def zero_moments(self, name: str) -> None:
-        """Zero both moments of a tensor, not its step counts; a name that is not optimised is left alone."""
+        """Zero both moments of a tensor, if it is optimised, not its step counts."""
         if name in self._groups:
             for moments in self.moments(name):
                 moments.zero_()
 
     @torch.no_grad()
     def select_rows(self, tensors: Mapping[str, Tensor], rows: Tensor, fresh: Tensor) -> None:
-        """Go on with `tensors`, whose row i stands for the old row rows[i] (M,): it keeps that
-        row's moments and step count.
-
-        Where `fresh` (M,) is True, a new Gaussian, both are zero. Other names in `tensors` are left
-        alone; gradients are cleared. Raises BadInput where one is missing, is not contiguous, or
-        has another number of rows; then nothing was changed.
-        """
+        """Go on with `tensors`, whose row i keeps moments and step count of the old row rows[i]
+        (M,), or zeros where `fresh` (M,) is True. Other names are left alone; gradients are
+        cleared. BadInput, with nothing changed, for a tensor that is missing or misfits."""
         for name in self._groups:
             if name not in tensors or len(tensors[name]) != len(rows) or not tensors[name].is_contiguous():
                 raise BadInput(f"{name} is missing, not contiguous or has other than {len(rows)} rows: pass each optimised tensor's rows.")
@@ -144,13 +136,9 @@ class SelectiveAdam:
 
     @torch.no_grad()
     def step(self, visible: Tensor | None = None) -> None:
-        """Move the rows where `visible` (N,) is True, or all rows for None; a tensor without a
-        gradient does not move.
-
-        Do not mix both forms in one run: they count steps apart. Raises StageFailed naming the
-        tensor, the count and the first index when a gradient of a row to be moved is NaN or
-        infinite; then nothing was written.
-        """
+        """Move the rows where `visible` (N,) is True, or all rows for None, of tensors with a
+        gradient. Do not mix both forms in one run: they count steps apart. StageFailed with tensor,
+        count and first index, before any change, where such a gradient is not finite."""
         if visible is not None and (visible.shape != self._row_steps.shape or visible.dtype != torch.bool):
             raise BadInput(f"visible is {tuple(visible.shape)} {visible.dtype}, expected {tuple(self._row_steps.shape)} torch.bool.")
         for name, group in self._groups.items():
@@ -160,7 +148,8 @@ class SelectiveAdam:
         gradients = {name: gradient.contiguous() for name, _, gradient in with_gradients if gradient is not None}
         row_steps, runs = self._row_steps, None
         if visible is not None and visible.device.type == "cpu":
-            row_steps = torch.from_numpy(row_steps.numpy() + visible.numpy())  # on this thread, see RenderOutput.visible
+            # On this thread: see RenderOutput.visible.
+            row_steps = torch.from_numpy(row_steps.numpy() + visible.numpy())
             runs = _native.visible_runs(visible.contiguous(), row_steps)
         elif visible is not None:
             row_steps = row_steps + visible
@@ -175,8 +164,7 @@ class SelectiveAdam:
                 self._step_in_torch(group, gradient, visible)
 
     def _step_natively(self, group: _Group, gradient: Tensor, runs: NDArray[np.int32] | None) -> None:
-        # Autograd does not see what the kernel writes; the new version lets it refuse a graph of
-        # the old values.
+        # The new version lets autograd refuse a graph of the values that the kernel overwrites.
         torch.autograd.graph.increment_version(group.tensor)
         _native.adam_step(
             group.tensor.detach(),
@@ -218,7 +206,7 @@ def _require_rate(name: str, rate: float | None) -> None:
 
 
 def _bias_factors() -> tuple[Tensor, Tensor]:
-    """1 / (1 − β₁ᵗ) and 1 / √(1 − β₂ᵗ) float32 (T,) for t = 1 … T, from where on both are 1 to a float's last bit."""
+    """1 / (1 − β₁ᵗ), 1 / √(1 − β₂ᵗ) float32 (T,) for t = 1 … T, from where on both are 1."""
     steps = np.arange(1, math.ceil(math.log(2.0**-26) / math.log(_BETA2)) + 1)
     factors = 1 / (1 - _BETA1**steps), 1 / np.sqrt(1 - _BETA2**steps)
     return torch.from_numpy(factors[0].astype(np.float32)), torch.from_numpy(factors[1].astype(np.float32))

@@ -1,10 +1,9 @@
-"""`Part`: what may take part in a training beside its loop. Density control, exposures, validation
-and held Gaussians are parts.
+"""`Part`: what takes part in a training beside its loop, such as density control and exposures.
 
-A training calls each hook of all its parts in turn, once per step unless its docstring states
-otherwise:
+A training calls each hook of all its parts in turn, once per step unless stated otherwise:
 
-    wants_absgrad → render → show → loss → before_backward → backward → after_backward → Adam → hold → after_update → after_step
+    wants_absgrad → render → show → loss → before_backward → backward → after_backward
+                  → Adam → hold → after_update → after_step
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ class Moment:
     progress: float
     """Share of the run that is spent before the step."""
     schedule_step: float
-    """Where schedules that are given in steps of a full run (`TrainConfig.schedule_steps`) stand after the step."""
+    """Where schedules in steps of `TrainConfig.schedule_steps` stand after the step."""
 
 
 class Part(Protocol):
@@ -57,15 +56,15 @@ class Part(Protocol):
         return
 
     def hold(self, splats: SplatTensors) -> None:
-        """Restore what may not change, whenever Adam or the limits of shape have changed the model in place."""
+        """Restore what may not change, after Adam or the limits of shape have changed the model."""
         return
 
     def after_update(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
-        """The model after a step that was taken: the same, or an edited one whose tensors `optimizer` then steps."""
+        """The model after a step that was taken: the same, or an edited one for `optimizer`."""
         return splats
 
     def after_step(self, step: int, progress: float, splats: SplatTensors) -> None:
-        """Look at the model after `step` steps, of which the last may not have been taken; `progress` is the share spent."""
+        """Look at the model after `step` steps, the last perhaps not taken, a share of the run."""
         return
 
     def finish(self, result: TrainResult) -> TrainResult:
@@ -77,13 +76,10 @@ class Part(Protocol):
         return {}
 
     def state_numbers(self) -> dict[str, Any] | None:
-        """The numbers that change from step to step, as JSON holds them; None without any. Once per checkpoint."""
+        """The numbers that change from step to step, as JSON; None without. Once per checkpoint."""
         return None
 
     def restore(self, arrays: dict[str, NDArray[Any]], numbers: Any, splats: SplatTensors) -> None:
-        """Go on from `state_arrays` and `state_numbers` of a run whose model is now `splats`.
-
-        Raises:
-            KeyError, TypeError, ValueError: they are of another run.
-        """
+        """Go on from `state_arrays` and `state_numbers` of a run whose model is now `splats`;
+        KeyError, TypeError or ValueError where they are of another run."""
         return

@@ -22,5 +22,5 @@ def load_images(folder: Path, cameras: Cameras) -> tuple[NDArray[np.uint8], ...]
 
 
 def load_training_views(images: Path, cameras: Cameras, masks: Path | None = None) -> TrainingViews:
-    """The photographs of `cameras` by name with what masks leave of them, reduced to the cameras' sizes."""
+    """The photographs of `cameras` by name, at the cameras' sizes, with what masks leave."""
     return TrainingViews(cameras=cameras, images=load_images(images, cameras), weights=pixel_weights(masks, cameras))

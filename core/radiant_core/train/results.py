@@ -1,4 +1,4 @@
-"""What a training gives: progress while it runs, its whole state between two steps, and the fitted model with its figures."""
+"""What a training gives: progress, its state between two steps, and the fitted model."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class TrainResult:
     density: DensityCounts = field(default_factory=DensityCounts)
     """What density control did; zeros without it."""
     shapes: ShapeCounts = field(default_factory=ShapeCounts)
-    """How many Gaussians the limits of shape held in the end, and how many were removed because no pixel shows them."""
+    """How many Gaussians limits of shape held in the end, and how many dead were removed."""
     num_rolled_back: int = 0
     """Steps that ended in something not finite and were not taken."""
     validation: tuple[tuple[int, float], ...] = ()
@@ -53,4 +53,4 @@ class TrainResult:
     best_step: int | None = None
     """Step of the model that is returned, the best by validation; None: the last one."""
     max_exposure: float = 0.0
-    """Largest change of a channel's gain by an exposure that was learnt, as a share; 0 without them."""
+    """Largest change of a channel's gain by a learnt exposure, as a share; 0 without them."""

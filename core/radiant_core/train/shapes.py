@@ -1,12 +1,10 @@
-"""Limits of shape: Gaussians that fill the screen and needles are shortened, and those that no
-pixel shows are removed.
+"""Limits of shape: large Gaussians and needles are shortened, those that no pixel shows removed.
 
-    longest axis ≤ max_scale_per_distance · distance to the nearest camera     screen-filling: haze in other views
-    longest axis ≤ max_elongation · second longest                             needles: spikes in other views
-    opacity < 1/255                                                            dead: never drawn, so that it has no gradient
+    longest axis ≤ max_scale_per_distance · distance to the nearest camera     else haze elsewhere
+    longest axis ≤ max_elongation · second longest                             else spikes elsewhere
+    opacity < 1/255                                                            dead: no gradient
 
-The limits are applied every few steps of training; the dead are left out of the result, which
-changes no bit of any picture.
+The limits are applied every few steps; the dead are left out of the result, changing no picture.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from radiant_core.train.config import TrainConfig
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeCounts:
-    """How many Gaussians of a finished model are at a limit, and how many were left out as dead."""
+    """How many Gaussians of a finished model are at a limit, and how many dead were left out."""
 
     num_screen_filling: int = 0
     num_needles: int = 0
@@ -36,7 +34,7 @@ class ShapeCounts:
 
 @torch.no_grad()
 def limit_shapes(splats: SplatTensors, camera_centers: FloatArray, config: TrainConfig) -> ShapeCounts:
-    """Shorten, in place, the axes that are beyond the limits for cameras at (C,3), and count the Gaussians that had one."""
+    """Shorten axes beyond the limits, in place, for cameras at (C,3); count the Gaussians."""
     logs = splats.log_scales
     if not logs.numel():
         return ShapeCounts()
@@ -52,14 +50,14 @@ def limit_shapes(splats: SplatTensors, camera_centers: FloatArray, config: Train
 
 
 def _clamp(logs: Tensor, limits: Tensor) -> int:
-    """Lower `logs` (N,3), in place, to at most `limits` (N,1), and count the rows that were above."""
+    """Lower `logs` (N,3), in place, to at most `limits` (N,1); how many rows were above."""
     above = int((logs > limits).any(dim=1).sum())
     logs.copy_(torch.minimum(logs, limits))
     return above
 
 
 def without_dead(splats: Splats) -> tuple[Splats, int]:
-    """The model without the Gaussians that no pixel shows, whatever the camera, and how many they were; it keeps at least one."""
+    """The model without Gaussians that no pixel shows, but one; and how many they were."""
     with np.errstate(over="ignore"):
         alive = splats.opacities >= ALPHA_MIN
     if len(splats) and not alive.any():

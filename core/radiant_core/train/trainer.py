@@ -1,12 +1,9 @@
-"""Fits Gaussians to views by Adam on the rendering loss (Kerbl 2023). The same loop trains devices
-and retrains edges.
+"""Fits Gaussians to views by Adam on the rendering loss (Kerbl 2023), on devices and edges.
 
 Once per model; the loop body once per step: render one view, loss, backward, one Adam step over the
 Gaussians it saw, or over all (`config.adam`). Density control, exposures, validation and held
-Gaussians are parts of a training that its loop calls (`parts.py`). Every schedule follows
-`Training.progress`, the share of the steps or of the time that is spent. All that changes from step
-to step is in `Training.state`, so that a run can be stopped after any step and go on elsewhere with
-the same bits.
+Gaussians are parts (`parts.py`). Every schedule follows `Training.progress`. All that changes is in
+`Training.state`, so that a run can be stopped after any step and go on with the same bits.
 """
 
 from __future__ import annotations
@@ -100,23 +97,9 @@ class FitOptions:
 
 
 def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions = FitOptions()) -> TrainResult:
-    """Fit a copy of `initial` to `views`, for `config.num_steps` steps or `config.budget_s`
-    seconds, whichever ends first.
-
-    Args:
-        initial: the Gaussians of the start, such as those of `first_splats`.
-        views: the images to fit, with their cameras.
-        config: the knobs of training, such as `train_preset("default")`.
-        options: renderer, progress, checkpoints and validation.
-
-    Returns:
-        The fitted model and what it took.
-
-    Raises:
-        StageFailed: steps in a row ended in something not finite; the message says what.
-        BadInput: the initial model or the cameras are not finite, or the options contradict the
-            configuration.
-    """
+    """Fit a copy of `initial` to `views`, for the steps or the time that `config` gives.
+    StageFailed where steps in a row ended in something not finite; BadInput where the initial model
+    or the cameras are not finite, or the options contradict the configuration."""
     training = Training(initial, views, config, options)
     state = options.checkpoints.load()
     if state is not None:
@@ -161,7 +144,7 @@ class Training:
         return self.progress >= 1
 
     def take_step(self) -> None:
-        """Take the next step; one that ends in something not finite leaves the model as it was and is counted."""
+        """Take the next step; one that ends in something not finite is undone and counted."""
         moment = self._moment()
         if self._scale < 1 and moment.progress >= self._config.full_size_from:
             self._use_size(1.0)
@@ -183,7 +166,7 @@ class Training:
         self._report()
 
     def result(self) -> TrainResult:
-        """The model, the best by validation where there is one, and what the run took. StageFailed when no step could be taken."""
+        """The model, the best by validation if any, and its figures. StageFailed without a step."""
         if not self._losses:
             raise StageFailed(f"training: none of {self.step} steps could be taken: check the photographs and the learning rates.")
         shapes = self._limit_shapes()
@@ -219,7 +202,7 @@ class Training:
         return TrainState(arrays=arrays, numbers=numbers)
 
     def restore(self, state: TrainState) -> None:
-        """Go on from `state`, of a run of the same inputs and configuration; BadInput where it is of another."""
+        """Go on from `state`; BadInput where it is of other inputs or configuration."""
         arrays, numbers = state.arrays, state.numbers
         try:
             own = {name: torch.from_numpy(arrays[f"splats.{name}"].copy()).to(old.device) for name, old in self._splats.tensors().items()}
@@ -266,7 +249,7 @@ class Training:
             self._optimizer.set_rate(name, rate * (config.means_lr_end**progress if name == "means" else factor))
 
     def _fit_view(self, moment: Moment) -> float:
-        """Render, compare, step; returns the loss. Raises StageFailed, with nothing changed, for something not finite."""
+        """Render, compare, step; the loss. StageFailed, with nothing changed, when not finite."""
         config, view, parts = self._config, moment.view, self._parts
         target = self._statistics.get(view, lambda: _target(self._views, view))
         height, width = target.target.shape[:2]
@@ -318,8 +301,7 @@ class Training:
         return min(config.sh_degree, SH_BASES.index(self._splats.shN.shape[1] + 1), allowed)
 
     def _roll_back(self, reason: str) -> None:
-        # Neither Adam nor the exposures have written anything: what was not finite is refused
-        # before.
+        # What was not finite is refused before Adam and the exposures write anything.
         self._num_rolled_back += 1
         self._failures_in_a_row += 1
         if self._failures_in_a_row > MAX_FAILURES:
@@ -339,10 +321,7 @@ class Training:
 
 def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConfig, options: FitOptions) -> tuple[Part, ...]:
     """The parts that a configuration and its options ask for, for a model before its first step.
-
-    The best model takes the place of the last one before density control removes what no pixel
-    shows.
-    """
+    The best model replaces the last one before density control removes what no pixel shows."""
     parts: list[Part] = []
     if options.validation is not None:
         parts.append(BestModel(options.validation, config.num_looks, options.backend))
@@ -361,20 +340,17 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
 
 
 def settled_rate_share(step: int, progress: float, num_views: int, settle_epochs: int | None) -> float:
-    """The share of its rates, 0.1 to 1, that a run of N steps still has at step p N: T / (p² N).
-
-    T is `settle_epochs` steps per view, at least `MIN_STEADY_STEPS`, so that rates fall from step
-    √(T N) on: with few views 1,500 steps end with 0.47 of them, 6,000 with 0.12. N is estimated
-    from the steps so far and their share of the run, `progress`, so that a budget of time needs no
-    forecast.
-    """
+    """The share of its rates, 0.1 to 1, that a run of N steps has at step p N: T / (p² N). T is
+    `settle_epochs` steps per view, at least `MIN_STEADY_STEPS`, so that rates fall from step √(T N)
+    on: with few views 1,500 steps end with 0.47 of them, 6,000 with 0.12. N = step / `progress`, so
+    that a budget of time needs no forecast."""
     if settle_epochs is None or step <= 0 or progress <= 0:
         return 1.0
     return min(1.0, max(MIN_SETTLED_SHARE, max(MIN_STEADY_STEPS, settle_epochs * num_views) / (step * min(1.0, progress))))
 
 
 def view_of_step(step: int, num_views: int, seed: int) -> int:
-    """Which view step number `step` (from 0) fits: every view once per epoch, each epoch in a new order."""
+    """View of step `step` (from 0): every view once per epoch, each epoch in a new order."""
     epoch, place = divmod(step, num_views)
     return int(np.random.default_rng((seed, epoch)).permutation(num_views)[place])
 
@@ -410,7 +386,7 @@ def _target(views: TrainingViews, view: int) -> Tensor:
 
 
 def match_masked(image: Tensor, target: Tensor, weights: Tensor | None) -> Tensor:
-    """The image, with the target's pixels where a weight is 0: else SSIM's window would carry masked errors into the pixels beside them."""
+    """The image with the target's pixels at weight 0, else SSIM's window carries masked errors."""
     if weights is None or weights.all():
         return image
     return torch.where((weights > 0).to(image.device)[..., None], image, target.to(image))

@@ -1,4 +1,4 @@
-"""How many pixels a training rendered, so that methods can be compared at equal work. Once per training."""
+"""How many pixels a training rendered, to compare methods at equal work. Once per training."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ from radiant_core.train.trainer import view_of_step
 
 
 def training_pixels(cameras: Cameras, config: TrainConfig, num_steps: int) -> int:
-    """Σ over the steps of width × height of the view that `fit_splats` shows for `cameras`, at the
-    reduced size it begins with.
-
-    BadInput where a budget of time ends the run: then the steps are not known beforehand.
-    """
+    """Σ over the steps of width × height of the view that `fit_splats` shows of `cameras`, reduced
+    at first. BadInput where a budget of time ends the run, after unknown steps."""
     if config.budget_s is not None:
         raise BadInput("a training that ends by time does not tell its pixels beforehand: give it a number of steps.")
     full = cameras.sizes_wh.prod(axis=1)

@@ -1,5 +1,4 @@
-"""The best model of a run by views that nothing is fitted to. They are rendered a few times in the
-second half of a run.
+"""The best model of a run by views that nothing is fitted to, rendered in its second half.
 
 The last model is not always the best: a device with few photographs overfits them.
 """
@@ -22,7 +21,7 @@ from radiant_core.train.results import TrainResult
 from radiant_core.train.views import TrainingViews
 
 FIRST_LOOK = 0.5
-"""Share of the run before which no model is the best: densification and learning rates are still at work."""
+"""Share of the run before which no model is the best: densification is still at work."""
 
 
 def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -> float:
@@ -33,7 +32,7 @@ def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -
 
 
 class BestModel(Part):
-    """The best of `num_looks` models, one each at even shares of the second half of a run; `looks` are steps and their PSNR in dB."""
+    """The best of `num_looks` models over the second half of a run; `looks`: steps, PSNR in dB."""
 
     name = "best"
 

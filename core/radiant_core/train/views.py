@@ -1,4 +1,4 @@
-"""`TrainingViews`: what a model is fitted to, photographs on a device or synthetic views at an edge. V views."""
+"""`TrainingViews`: photographs on a device or synthetic views at an edge. V views."""
 
 from __future__ import annotations
 
@@ -16,13 +16,9 @@ from radiant_core.train.stored_images import Images, concatenate_images, select_
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingViews:
-    """V cameras with their images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none; sizes
-    may differ.
-
-    A weight is the confidence in a pixel of a synthetic view, or what a mask leaves of a pixel;
-    pixels of weight 0 are not compared. Eight bits, as in a photograph: a float copy would take
-    four times the memory. Raises BadInput when sizes disagree.
-    """
+    """V cameras with images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none, of any sizes.
+    A weight is the confidence in a pixel of a synthetic view, or what a mask leaves of it; pixels
+    of weight 0 are not compared. BadInput unless sizes agree."""
 
     cameras: Cameras
     images: Images
@@ -43,7 +39,7 @@ class TrainingViews:
         return len(self.cameras)
 
     def observed_pixels(self, scene: SfmScene) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """`SfmScene.observed_pixels` of the scene that these are the views of, without pixels that count for less than half."""
+        """`SfmScene.observed_pixels` of these views' scene, without pixels of weight below half."""
         rows, pixels = scene.observed_pixels(self.cameras)
         if self.weights is None:
             return rows, pixels
@@ -56,7 +52,7 @@ class TrainingViews:
         return TrainingViews(cameras=self.cameras.select(np.asarray(indices)), images=select_images(self.images, indices), weights=weights)
 
     def scaled(self, scale: float) -> TrainingViews:
-        """The views at that share (0 to 1) of their size, each new pixel the mean of what it covers."""
+        """The views at that share (0 to 1) of their size, pixels averaged."""
         longest = max(max(shape[:2]) for shape in shapes_of(self.images))
         cameras = self.cameras.scaled(max(1, round(scale * longest)))
         sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
@@ -72,9 +68,9 @@ def concatenate_views(parts: list[TrainingViews]) -> TrainingViews:
     """All views of `parts` in order; either all of them have weights or none."""
     from radiant_core.cameras import concatenate_cameras
 
-    weights = [part.weights for part in parts]
+    weights = [part.weights for part in parts if part.weights is not None]
     return TrainingViews(
         cameras=concatenate_cameras([part.cameras for part in parts]),
         images=concatenate_images([part.images for part in parts]),
-        weights=concatenate_images([part for part in weights if part is not None]) if None not in weights else None,
+        weights=concatenate_images(weights) if len(weights) == len(parts) else None,
     )

@@ -1,12 +1,11 @@
-"""Which photographs add nothing to a training: repeats of another one, and blurred ones. Once per
-run, before the first model.
+"""Which photographs add nothing to a training: repeats and blurred ones. Once per run.
 
-    sharpness of photograph v = exp(½ median over its sparse points p of [log e(v,p) − median over the other u that see p of log e(u,p)])
+    sharpness of photograph v = exp(½ median over its sparse points p of
+                                [log e(v,p) − median over the other u that see p of log e(u,p)])
 
-e(v,p) is the mean squared brightness gradient in a window around p: sharpness compares photographs
-where they show the same, so that a photograph of a lawn does not count as blurred. 1 is as sharp as
-the others. A photograph repeats another where both were taken from one place in one direction and
-their pictures hardly differ.
+e(v,p) is the mean squared brightness gradient around p: photographs are compared where they show
+the same, so that one of a lawn does not count as blurred. 1 is as sharp as the others. A repeat was
+taken from the place and in the direction of another, with hardly any difference.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ MIN_COMMON_POINTS = 20
 MIN_SHARPNESS = 0.7
 """Below this a photograph is blurred."""
 MIN_SEEN_ELSEWHERE = 0.9
-"""A blurred photograph stays unless this share of its points is seen by two photographs that are kept."""
+"""A blurred photograph stays unless this share of its points is seen by two that are kept."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +43,7 @@ class Worth:
 
 
 def images_worth(scene: SfmScene, views: TrainingViews) -> Worth:
-    """The views without repeats and blurred ones; `views.cameras` are the scene's in the same order. At least one view is kept."""
+    """The views without repeats and blurred ones, at least one; `views.cameras` are the scene's."""
     repeated = find_repeats(scene, views)
     sharpness = relative_sharpness(scene, views)
     blurred = _find_dispensable(scene, sharpness, ~repeated)
@@ -53,7 +52,7 @@ def images_worth(scene: SfmScene, views: TrainingViews) -> Worth:
 
 
 def worth_training(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[SfmScene, TrainingViews, tuple[Decision, ...]]:
-    """Scene and views without what `config.skip_images` leaves out, and what was decided; as they are where that is "none"."""
+    """Scene and views without what `config.skip_images` leaves out, and what was decided."""
     if config.skip_images == "none":
         return scene, views, ()
     worth = images_worth(scene, views)
@@ -64,7 +63,7 @@ def worth_training(scene: SfmScene, views: TrainingViews, config: TrainConfig) -
 
 
 def relative_sharpness(scene: SfmScene, views: TrainingViews) -> FloatArray:
-    """Sharpness (V,) of each view against those that see the same points; NaN where too few can be compared."""
+    """Sharpness (V,) of each view against those that see its points; NaN where too few can."""
     rows, pixels = views.observed_pixels(scene)
     point, view = scene.observations[rows].T
     logs = np.empty(len(rows))
@@ -92,13 +91,12 @@ def _gradient_energy(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _medians_of_others(group: NDArray[np.int64], values: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """For each of T values the median of the others in its group, itself where there are none, and the size of its group."""
+    """For T values the median of the others in its group, or itself, and the group's size."""
     order = np.lexsort((values, group))
     ordered, counts = np.append(values[order], 0.0), np.bincount(group)[group[order]] if len(group) else np.zeros(0, np.int64)
     start = np.searchsorted(group[order], group[order])
     rank = np.arange(len(values)) - start
-    # The middle of n − 1 values in order of rank; from its own rank on they stand one place later
-    # in all n.
+    # The middle of n − 1 values by rank; from its own rank on they are one place later.
     low, high = np.maximum(counts - 2, 0) // 2, (counts - 1) // 2
     middle = [ordered[start + place + ((place >= rank) & (counts > 1))] for place in (low, high)]
     medians, sizes = np.empty(len(values)), np.empty(len(values), np.int64)

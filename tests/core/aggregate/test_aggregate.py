@@ -30,7 +30,7 @@ WEST, EAST = cameras_above([(-2, -1), (-2, 1)]), cameras_above([(2, -1), (2, 1)]
 
 
 def halves() -> tuple[Splats, Splats]:
-    """Two models of the same ground, each good where its cameras were and grey beyond the middle."""
+    """Two models of one ground, each good where its cameras were and grey beyond the middle."""
     truth = ground_splats()
     parts = []
     for sign in (-1, 1):
@@ -197,7 +197,8 @@ class TestCropMerge:
 
     def test_a_weight_moves_the_border_by_the_documented_step(self) -> None:
         west = ground_splats(2000)
-        east = replace(west, logit_opacities=west.logit_opacities + 1)  # the same places, so nobody is blind
+        # The same places, so nobody is blind.
+        east = replace(west, logit_opacities=west.logit_opacities + 1)
         shift_m = 1.0
         merged = crop_merge([west, east], SITES, np.array([2 * 4.0 * shift_m, 0.0]))
         from_west = np.isin(merged.splats.logit_opacities, west.logit_opacities)
@@ -206,7 +207,8 @@ class TestCropMerge:
 
     def test_a_neighbour_fills_where_the_owner_is_blind(self) -> None:
         everything = ground_splats()
-        blind = everything.select(everything.means[:, 0] > 2)  # owner of the east has nothing near the border
+        # Owner of the east has nothing near the border.
+        blind = everything.select(everything.means[:, 0] > 2)
         merged = crop_merge([everything, blind], SITES, np.zeros(2), fill_blind_spots=True)
         assert merged.num_filled > 20
         gap = (merged.splats.means[:, 0] > 0.2) & (merged.splats.means[:, 0] < 1.2)

@@ -1,4 +1,5 @@
-"""Poisoned models: a blanket, another scene out of its region, a third of the devices that collude. Each is left out, the honest stay."""
+"""Poisoned models: a blanket, another scene out of its region, a third of the devices that collude.
+Each is left out, the honest stay."""
 
 from __future__ import annotations
 
@@ -115,7 +116,8 @@ def test_honest_regions_lose_less_than_a_tenth_of_a_decibel(attack: str, clean_d
 
 
 def test_undefended_the_same_attack_costs_every_honest_region_decibels(clean_db: dict[int, float]) -> None:
-    """Else the test above would show nothing. A blanket alone costs 0.15 dB: training holds what fills whole images."""
+    """Else the test above would show nothing. A blanket alone costs 0.15 dB: training holds what
+    fills whole images."""
     scene = joined(dict(enumerate(attacked("out of region"))))
     assert min(clean_db[device] - interior_db(scene, device) for device in (0, 1, 2, 3, 5)) > 10.0
 

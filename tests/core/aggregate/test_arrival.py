@@ -1,4 +1,4 @@
-"""Models that must not be joined are told by one sentence, before anything renders them; all others pass."""
+"""Models that must not be joined: one sentence, before anything is rendered; all others pass."""
 
 from __future__ import annotations
 
@@ -63,7 +63,8 @@ def test_what_is_wrong_is_said(model: Splats, told: str) -> None:
 
 
 def test_ten_million_gaussians_are_refused_by_the_header_alone(tmp_path: Path) -> None:
-    """A header that says 10⁷ over a file that has them nearly in full would take 2 GB: here a file whose numbers are never read."""
+    """A header that says 10⁷ over a file that has them nearly in full would take 2 GB: here a file
+    whose numbers are never read."""
     path = tmp_path / "model.safetensors"
     count = 10**7
     shapes = {"means": 3, "quats": 4, "log_scales": 3, "logit_opacities": None, "sh0": 3, "shN": 9}

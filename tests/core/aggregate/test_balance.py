@@ -1,4 +1,4 @@
-"""Exposures of models from the places that two of them show: found where they differ, left alone where they do not."""
+"""Exposures of models from places that two of them show: corrected where they differ, else not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The cloud's retraining: what it is predicted to take, when crop-merge takes its place, and cameras that tell nothing of devices."""
+"""The cloud's retraining: what it is predicted to take, when crop-merge takes its place, and
+cameras that tell nothing of devices."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def grey_where(splats: Splats, away: np.ndarray) -> Splats:
 
 
 def old_and_new() -> tuple[Splats, Splats, Splats]:
-    """The truth, an old scene that is grey in the east, and a new model that is grey in the west."""
+    """The truth, an old scene that is grey in the east, a new model that is grey in the west."""
     truth = ground_splats(900)
     return truth, grey_where(truth, truth.means[:, 0] > 1.2), grey_where(truth, truth.means[:, 0] < -1.2)
 

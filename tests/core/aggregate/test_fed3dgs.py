@@ -1,4 +1,4 @@
-"""Fed3DGS: its six steps, what it may change, and whether it brings two halves of a known model together."""
+"""Fed3DGS: its six steps, what it may change, and whether it joins two halves of a known model."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DROP_LOGIT = np.float32(np.log(0.005 / 0.995))
 
 
 def halves() -> tuple[Splats, Splats]:
-    """Two models of one ground, each right as far as 1 m beyond the middle and haze of a wrong colour from there on."""
+    """Two models of one ground, each right to 1 m beyond the middle and wrong haze from there."""
     truth = ground_splats()
     parts = []
     for sign in (-1, 1):
@@ -102,7 +102,8 @@ class TestSteps:
         # Straight down from 6 m, 48 px of 43.2 px focal length: |ndc| 1.3 is x = 1.3 · 24 / 43.2 ·
         # 6 = 4.333 m.
         xs = [4.32, 4.35, 0.0, 0.0, 0.0]
-        zs = [0.0, 0.0, 6.1, -13.9, -14.1]  # the last three: behind, and on both sides of far = 20 m
+        # The last three: behind, and on both sides of far = 20 m.
+        zs = [0.0, 0.0, 6.1, -13.9, -14.1]
         model = replace(ground_splats(5), means=np.column_stack([xs, np.zeros(5), zs]))
         seen = module._in_frusta(model, cameras_above([(0, 0)]), 20.0, Fed3dgsConfig())
         assert seen.tolist() == [True, False, False, True, False]
@@ -239,5 +240,5 @@ class TestClients:
 
 
 def test_cameras_keep_their_order_under_new_names() -> None:
-    twice: Cameras = module._numbered([WEST, EAST, WEST])
+    twice: Cameras = module._number_cameras([WEST, EAST, WEST])
     np.testing.assert_array_equal(twice.centers, np.concatenate([WEST.centers, EAST.centers, WEST.centers]))

@@ -1,4 +1,4 @@
-"""Joining within a limit of memory: what is left beyond the least need is the loss's, and below that models are cut."""
+"""Joining within a memory limit: beyond the least need the loss has it; below, models are cut."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""An edge that leaves joining to the cloud: its models as one, and the pictures of each at the virtual cameras near its own."""
+"""An edge that leaves joining to the cloud: its models as one, and the pictures of each at the
+virtual cameras near its own."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def looking(centers: FloatArray, rotations: Rotation, size_wh: tuple[int, int] =
 
 
 def share_of_rays(cameras: Cameras, index: int, low: FloatArray, high: FloatArray, rng: np.random.Generator) -> float:
-    """Share of random pixels whose ray meets the box in front of the camera (slabs), nothing in common with hulls."""
+    """Share of random pixels whose ray meets the box before the camera (slabs); no hulls in it."""
     pixels = rng.random((NUM_TRIED, 2)) * cameras.sizes_wh[index]
     rays = np.column_stack([pixels, np.ones(NUM_TRIED)]) @ np.linalg.inv(cameras.Ks[index]).T @ cameras.cam_from_world[index, :3, :3]
     ends = (np.stack([low, high])[:, None] - cameras.centers[index]) / rays

@@ -1,4 +1,4 @@
-"""The paired bootstrap: how often its bounds hold, against scipy where that applies, and input that says nothing."""
+"""The paired bootstrap: how often its bounds hold, against scipy, and input without information."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def made_up(rng: np.random.Generator, shape: tuple[int, int], of_seed: float, of
 
 
 def coverage(shape: tuple[int, int], spreads: tuple[float, float, float], repeats: int, num_draws: int) -> tuple[float, float, float]:
-    """How often the true difference, 0.3, lies within the two bounds, above the lower and below the upper one."""
+    """How often the true difference, 0.3, is between the bounds, above and below one."""
     rng = np.random.default_rng(7)
     held = np.zeros(3)
     for seed in range(repeats):

@@ -1,4 +1,5 @@
-"""The strip from above shows places, heights, colours and counts of a made-up model where they are; far origins, poison, huge strips."""
+"""The strip from above shows places, heights, colours and counts of a made-up model where they are;
+far origins, poison, huge strips."""
 
 from __future__ import annotations
 

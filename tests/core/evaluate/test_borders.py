@@ -1,4 +1,4 @@
-"""Borders between edges and devices against polygons of the plan; degenerate plans, far origins, many regions."""
+"""Borders of edges and devices against polygons; degenerate plans, far origins, many regions."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def edge_plan_of(edge_id: str, strips: list[np.ndarray]) -> EdgePlan:
 
 
 def two_edges_of_strips(shift: float = 0.0) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The west edge in three oblique strips, of which the middle one is empty; the east edge with one device."""
+    """The west edge in three oblique strips, the middle empty; the east edge with one device."""
     west = np.array([[-100.0, -50.0], [0.0, -50.0], [0.0, 50.0], [-100.0, 50.0]])
     axis, cut = np.array([0.8, 0.6]), -40.0
     first, last = clip_polygon(west, axis, cut), clip_polygon(west, -axis, -cut)

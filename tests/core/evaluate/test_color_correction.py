@@ -1,4 +1,4 @@
-"""Colour correction: what it takes away, what it must not, and that it never makes a render worse."""
+"""Colour correction: what it removes, what it must not, and that no render becomes worse."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ RENDER = np.clip(PHOTO + RNG.normal(scale=0.05, size=PHOTO.shape), 0, 1)
 
 
 def plain_ssim(a: np.ndarray, b: np.ndarray) -> float:
-    """Every 11×11 window on its own, with the weighted means, variances and covariance as they are defined."""
+    """Every 11×11 window on its own, with weighted means, variances, covariance by definition."""
     offsets = np.arange(11) - 5
     weights = np.exp(-(offsets[:, None] ** 2 + offsets**2) / (2 * 1.5**2))
     weights /= weights.sum()

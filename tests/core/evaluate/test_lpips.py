@@ -1,4 +1,5 @@
-"""LPIPS against the formula in float64 numpy, with made-up weights of the published shapes; and files that cannot be used."""
+"""LPIPS against the formula in float64 numpy, with made-up weights of the published shapes; and
+files that cannot be used."""
 
 from __future__ import annotations
 

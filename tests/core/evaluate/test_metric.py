@@ -1,4 +1,4 @@
-"""Metrics: strict values, a lossless list, and a comparison that fails on every worsening and on no other change."""
+"""Metrics: strict values, a lossless list, and a comparison that fails on every worsening only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Seam masks against polygons and hand-placed cameras; figures only where there are enough pixels."""
+"""Seam masks against polygons and hand-placed cameras; figures only where pixels suffice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same masks for all methods: per border, both levels, hidden ground, and the headline against planted errors."""
+"""The same masks for all methods: per border, both levels, hidden ground, and planted errors."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def masks_and_photographs(num_images: int = 20) -> tuple[SeamMasks, list[np.ndar
 
 
 def noisy(photographs: list[np.ndarray], masks: SeamMasks, sigma: float, factors: dict[int, float], seed: int) -> list[np.ndarray]:
-    """Renders with an error of `sigma` per pixel, times the factor of the border whose band it lies in."""
+    """Renders with an error of `sigma` per pixel times the factor of the border of its band."""
     rng = np.random.default_rng(seed)
     scale = [np.select([mask.labels == border for border in factors], list(factors.values()), 1.0) for mask in masks]
     return [photo + sigma * s[..., None] * rng.normal(size=photo.shape) for photo, s in zip(photographs, scale, strict=True)]

@@ -1,4 +1,4 @@
-"""What each Gaussian shows: together as many pixels as are opaque; what lies behind a wall shows nothing."""
+"""What each Gaussian shows: in total the opaque pixels; what lies behind a wall shows nothing."""
 
 from __future__ import annotations
 

@@ -51,7 +51,8 @@ def test_a_set_with_a_split_of_its_own_keeps_it() -> None:
     names = [f"val/rgbs/{name}" if index in (3, 17) else f"train/rgbs/{name}" for index, name in enumerate(NAMES)]
     held, validation = held_out_mask(names), validation_mask(names)
     assert np.flatnonzero(held).tolist() == [3, 17]
-    assert not (held & validation).any() and validation.sum() == 8  # 58 training photographs: ⌈58/8⌉
+    # 58 training photographs: ⌈58/8⌉.
+    assert not (held & validation).any() and validation.sum() == 8
     only_train = [name for name in names if name.startswith("train/")]
     assert held_out_mask(only_train).sum() == 8
 

@@ -1,4 +1,5 @@
-"""A made-up site that knows its own geometry: hilly ground with coloured patches, and models of parts of it, each sampled by itself."""
+"""A made-up site that knows its own geometry: hilly ground with coloured patches, and models of
+parts of it, each sampled by itself."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from radiant_core.geometry.similarity import move_splats
 from radiant_core.splats import SH_C0, Splats
 
 CELL_M = 1.0
-"""Between the random colours that the ground blends smoothly, so that how a model samples them matters little."""
+"""Smooth between random colours, so that how a model samples them matters little."""
 STEP_M = 0.18
 """Between the Gaussians of a model; each sample puts them elsewhere."""
 GPS_LIKE = FrameUncertainty(position_m=1.7, scale=0.017, rotation_rad=np.radians(1.7))

@@ -1,4 +1,5 @@
-"""Models put elsewhere by a known similarity are brought back together; what GPS contradicts, or shows another place, is refused."""
+"""Models put elsewhere by a known similarity are brought back together; what GPS contradicts, or
+shows another place, is refused."""
 
 from __future__ import annotations
 
@@ -41,7 +42,8 @@ def middle_of(x_range: tuple[float, float]) -> np.ndarray:
 def errors_without_gauge(
     models: list[PlacedModel], moves: list[Sim3], frames: tuple[RefinedFrame, ...]
 ) -> list[tuple[float, float, float]]:
-    """Scale, rotation (deg) and largest place (m) each model is off by, after the one similarity common to all is taken off."""
+    """Scale, rotation (deg) and largest place (m) each model is off by, after the one similarity
+    common to all is taken off."""
     points = [model.splats.means.astype(np.float64)[::20] for model in models]
     got = np.concatenate([frame.correction.apply(p) for frame, p in zip(frames, points, strict=True)])
     true = np.concatenate([move.inverse().apply(p) for move, p in zip(moves, points, strict=True)])

@@ -1,4 +1,5 @@
-"""Depth views are fused by another process, which is sized before: in pieces as in one, and what does not fit or crashes is a sentence."""
+"""Depth views are fused by another process, which is sized before: in pieces as in one, and what
+does not fit or crashes is a sentence."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ MAX_DEPTH_M = 60.0
 
 
 def hilly_views(count: int = 2) -> Iterator[DepthView]:
-    """The same hills 18 to 22 m away, 160 × 120 px of many colours: a voxel counts from two views on."""
+    """The same hills, 18 to 22 m away, 160 × 120 px in many colours: a voxel needs two views."""
     rng = np.random.default_rng(0)
     hills = cv2.resize(rng.uniform(18, 22, (9, 12)).astype(np.float32), (160, 120), interpolation=cv2.INTER_CUBIC)
     image = rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)
@@ -29,7 +30,7 @@ def hilly_views(count: int = 2) -> Iterator[DepthView]:
 
 
 def triangles_of(mesh: Mesh) -> list[tuple[float, ...]]:
-    """Corners and colours of every triangle, in an order that does not depend on how vertices are numbered."""
+    """Corners and colours of every triangle, in an order independent of vertex numbers."""
     rows = np.concatenate([mesh.vertices, mesh.colors], axis=1)[mesh.triangles].tolist()
     return sorted(tuple(number for corner in sorted(map(tuple, triangle)) for number in corner) for triangle in rows)
 

@@ -1,4 +1,4 @@
-"""Similarities of pairs with errors, their predicted covariance, their joint solution, and ICP that says when it is lost."""
+"""Similarities of pairs with errors, their covariance and joint solution, and failures of ICP."""
 
 from __future__ import annotations
 
@@ -95,7 +95,8 @@ def test_the_joint_solution_shares_the_gauge_by_what_each_gps_is_good_for() -> N
     solved = solve_frames(np.zeros((2, 3)), [sure, vague], [FrameEdge(a=0, b=1, fit=fit)])
     shifts = [move.translation[0] for move in solved.corrections]
     assert shifts[1] - shifts[0] == pytest.approx(1.0, abs=1e-3)
-    assert shifts[0] == pytest.approx(-1 / 101, rel=0.01)  # variances 0.01 and 1 share 1 m as 1 : 100
+    # Variances 0.01 and 1 share 1 m as 1 : 100.
+    assert shifts[0] == pytest.approx(-1 / 101, rel=0.01)
     assert solved.uncertainty(1).position_m < 0.11
     nobody = solve_frames(np.zeros((0, 3)), [], [])
     assert nobody.corrections == ()

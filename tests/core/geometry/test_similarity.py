@@ -24,7 +24,7 @@ def some_sim3(seed: int, *, scale: float = 1.7, far_m: float = 30.0) -> Sim3:
 
 
 def some_splats(degree: int, count: int = 200, seed: int = 0) -> Splats:
-    """Oblong Gaussians on bumpy ground with colours that depend on the direction and quaternions of any length."""
+    """Oblong Gaussians on bumpy ground, of view-dependent colour, quaternions of any length."""
     rng = np.random.default_rng(seed)
     ground = ground_splats(count, seed=seed)
     return Splats(
@@ -98,7 +98,8 @@ def test_two_moves_are_their_product_and_the_inverse_undoes() -> None:
         (move_splats(move_splats(splats, first), second), move_splats(splats, product)),
         (move_splats(move_splats(splats, first), first.inverse()), splats),
     ]:
-        np.testing.assert_allclose(got.means, expected.means, atol=2e-5)  # 100 m in float32 between the two moves
+        # 100 m in float32 between the two moves.
+        np.testing.assert_allclose(got.means, expected.means, atol=2e-5)
         np.testing.assert_allclose(covariances(got), covariances(expected), rtol=1e-4, atol=1e-6)
         np.testing.assert_allclose(got.shN, expected.shN, atol=1e-6)
 

@@ -1,4 +1,5 @@
-"""A surface model of a made-up block on flat ground has its heights, holes where nothing was seen, and its place on the globe."""
+"""A surface model of a made-up block on flat ground has its heights, holes where nothing was seen,
+and its place on the globe."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ ON_EARTH = Frame(kind="metric", origin_lat_lon_alt=np.array([47.37, 8.54, 430.0]
 
 @cache
 def block() -> Splats:
-    """Ground of 24 × 24 m with a block of 6 × 6 × 4 m in the middle, opaque discs 0.3 m apart, and thin haze above."""
+    """Ground of 24 × 24 m with a block of 6 × 6 × 4 m, opaque discs 0.3 m apart, haze above."""
     rng = np.random.default_rng(0)
     xy = np.stack(np.meshgrid(np.arange(-12, 12.1, 0.3), np.arange(-12, 12.1, 0.3)), axis=-1).reshape(-1, 2)
     roof = (np.abs(xy) <= BLOCK_M).all(axis=1)

@@ -18,7 +18,7 @@ CAMERAS = tuple(cameras_above([(x, -1.0), (x, 1.0)]) for x in MIDDLES)
 
 
 def part(index: int) -> Splats:
-    """What sender `index` of three has made of the ground: its third and what its cameras see beside, a little off."""
+    """The ground of sender `index` of three: its third and what it sees beside, a little off."""
     ground = ground_splats(seed=index)
     return ground.select(abs(ground.means[:, 0] - MIDDLES[index]) < 2.5)
 

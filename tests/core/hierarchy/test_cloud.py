@@ -1,4 +1,4 @@
-"""The cloud: it retrains where limits and memory allow, else cuts with a warning that says whose limit it was."""
+"""The cloud: it retrains where limits and memory allow, else cuts with a warning that names one."""
 
 from __future__ import annotations
 

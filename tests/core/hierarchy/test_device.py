@@ -1,4 +1,4 @@
-"""A device: memory limits its Gaussians before anything is trained, and every decision carries its name."""
+"""A device: memory limits its Gaussians before training, and every decision has its name."""
 
 from __future__ import annotations
 

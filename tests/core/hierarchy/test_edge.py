@@ -1,4 +1,4 @@
-"""An edge: who is refused costs the others no bit, a lone model stays, and who joins is decided by outlook and memory."""
+"""An edge: a refusal costs the others no bit, a lone model stays, outlook and memory decide."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ class World:
 
 
 def check_history(world: World) -> None:
-    """One accepted upload of every region, by the sender that is to deliver it; only a sender that stopped leaves none."""
+    """One accepted upload of every region, by its sender; only a stopped sender leaves none."""
     accepted = world.state.accepted
     missing = world.state.senders.keys() - accepted.keys()
     assert all(world.dies_s[world.state.senders[region]] < HORIZON_S for region in missing), f"seed {world.seed}: {missing} never came"

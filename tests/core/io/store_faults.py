@@ -1,8 +1,8 @@
 """A job of several sealed stages on a disk that fails: every k-th call that writes, or a real file
 system that is full.
 
-job = Job(folder); job.run()          makes what is not sealed; raises BadInput where the disk refuses
-job.problem()                         None where every file that is sealed or was written over is whole
+job = Job(folder); job.run()    makes what is not sealed; raises BadInput where the disk refuses
+job.problem()                   None where every file that is sealed or written over is whole
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ MODEL = ground_splats(40)
 
 @dataclass
 class Job:
-    """Stages that each write four files by the store's four ways, then seal; a record of the whole is written over after each."""
+    """Stages that each write four files by the store's four ways, then seal; a record of the whole
+    is written over after each."""
 
     folder: Path
     generation: int = 0
@@ -59,7 +60,8 @@ class Job:
         return made
 
     def problem(self, sealed_before: set[str], last_record: object) -> str | None:
-        """What is wrong after a failure: a stage that was sealed is no more, a file is not whole, or one was left behind; or None."""
+        """What is wrong after a failure: a stage that was sealed is no more, a file is not whole,
+        or one was left behind; or None."""
         if lost := sealed_before - self.sealed():
             return f"{lost} was sealed and is not"
         path = self.folder / "manifest.json"
@@ -90,7 +92,8 @@ class Job:
 
 @dataclass
 class FailingDisk:
-    """From the k-th call that writes on, the disk is full; `calls` counts them. A disk without `first` only counts."""
+    """From the k-th writing call on, the disk is full; `calls` counts them. Without `first` it only
+    counts."""
 
     first: int | None = None
     calls: int = 0

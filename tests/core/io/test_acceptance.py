@@ -1,4 +1,4 @@
-"""The upload protocol: the first valid upload of a region wins, whatever the network does; each refusal says why."""
+"""The upload protocol: the first valid upload of a region wins on any network; refusals say why."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Headers of safetensors files written by hand: one that fits is taken, each way of not fitting is told before anything is allocated."""
+"""Headers of safetensors files written by hand: one that fits is taken, each way of not fitting is
+told before anything is allocated."""
 
 from __future__ import annotations
 

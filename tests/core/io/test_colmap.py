@@ -1,4 +1,5 @@
-"""COLMAP models: both formats read the same, COLMAP reads what we write, and no damaged file does more than raise BadInput."""
+"""COLMAP models: both formats read the same, COLMAP reads what we write, and no damaged file does
+more than raise BadInput."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ NUM_MUTATIONS = 1000
 
 @pytest.fixture(scope="module")
 def text_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small model of every kind of record: two camera models, a name in a subfolder, an image without points."""
+    """A small model: two camera models, a name in a subfolder, an image without points."""
     folder = tmp_path_factory.mktemp("text")
     (folder / "cameras.txt").write_text("# cameras\n1 PINHOLE 640 480 500 501 320 240\n4 SIMPLE_RADIAL 320 240 300 160 120 -0.01\n")
     (folder / "images.txt").write_text(
@@ -216,7 +217,7 @@ def test_every_camera_model_has_as_many_parameters_as_in_colmap(model: str) -> N
 
 
 def test_a_focal_length_is_positive_and_a_centre_may_lie_anywhere(text_model: Path, tmp_path: Path) -> None:
-    """Cropped pictures have their principal point outside; which parameters are focal lengths depends on the model."""
+    """Cropped pictures have their principal point outside; focal parameters depend on the model."""
     folder = copied(text_model, tmp_path / "cropped")
     cameras = folder / "cameras.txt"
     whole = cameras.read_text()
@@ -314,7 +315,8 @@ def test_a_quaternion_is_of_length_1_within_a_hundredth(length: float, fits: boo
 
 
 def test_the_shortest_binary_records_fit_and_what_is_a_byte_short_is_told() -> None:
-    """One camera of the fewest parameters, one image with an empty name, one point that nobody sees; ids up to 2^63 - 1."""
+    """One camera of the fewest parameters, one image with an empty name, one point that nobody
+    sees; ids up to 2^63 - 1."""
     count = struct.pack("<Q", 1)
     camera = struct.pack("<IiQQ3d", 7, 0, 640, 480, 500.0, 320.0, 240.0)
     image = struct.pack("<I7dI", 5, 1, 0, 0, 0, 1, 2, 3, 7) + b"\0" + struct.pack("<Q", 0)

@@ -1,4 +1,4 @@
-"""Signed deliveries: what was sent arrives, everything else is refused; keys are only their owner's to read."""
+"""Signed deliveries: what was sent arrives, all else is refused; only its owner can read a key."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def sent(folder: Path, name: str = "north-1", run: str = RUN, attempt: int = 1, 
 
 
 def taken(folder: Path, public: Path, state: Acceptance) -> tuple[Acceptance, str]:
-    """What a receiver does: signature, files, protocol. The next state, and the status or why it was refused before."""
+    """A receiver's checks: signature, files, protocol. Return the next state, and the refusal."""
     try:
         delivery = load_delivery(folder, load_public_key(public))
         check_files(delivery, folder)
@@ -241,7 +241,7 @@ def test_no_tampered_or_replayed_upload_is_accepted() -> None:
 
 
 def tampered_uploads(folder: Path, count: int, seed: int) -> list[str]:
-    """Offer `count` uploads that an attacker without the sender's key can make to a receiver; those that were accepted."""
+    """Offer `count` uploads that an attacker without the key can make; return those accepted."""
     place = sent(folder)
     public = folder / "north-1-identity" / PUBLIC_NAME
     other_run = sent(folder, run="f" * 32)

@@ -1,4 +1,4 @@
-"""Regions from GeoJSON: the land of connected polygons in metres, and one sentence about everything else."""
+"""Regions from GeoJSON: the land of connected polygons in metres; one sentence for the rest."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ def test_polygons_that_touch_are_one_land(tmp_path: Path) -> None:
     parts = {"type": "MultiPolygon", "coordinates": [[square(0, 1)], [square(1, 2)], [square(0.5, 1.5)]]}
     whole = shapely.Polygon(load_region(written(tmp_path / "a.json", polygon(square(0, 2))), ORIGIN))
     joined = shapely.Polygon(load_region(written(tmp_path / "b.json", parts), ORIGIN))
-    assert joined.symmetric_difference(whole).area < 0.2  # of 17,000 m²: a parallel is no straight line
+    # Of 17,000 m²: a parallel is no straight line.
+    assert joined.symmetric_difference(whole).area < 0.2
 
 
 @pytest.mark.parametrize(

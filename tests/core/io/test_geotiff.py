@@ -78,7 +78,8 @@ def test_a_place_on_the_rim_belongs_to_the_cell_east_and_south_of_it() -> None:
 
 
 def test_the_tags_are_those_of_the_standard(tmp_path: Path) -> None:
-    """OGC 19-008: GeoKeyDirectory version 1.1.0, then key, place 0, one value; model type 1 projected or 32767 its own, metres 9001."""
+    """OGC 19-008: GeoKeyDirectory version 1.1.0, then key, place 0, one value; model type 1
+    projected or 32767 its own, metres 9001."""
     for epsg, keys in ((32632, [1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32632, 3076, 0, 1, 9001]),
                        (None, [1, 1, 0, 2, 1024, 0, 1, 32767, 1025, 0, 1, 1])):  # fmt: skip
         save_geotiff(tmp_path / "a.tif", grid(epsg))

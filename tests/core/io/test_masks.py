@@ -1,4 +1,4 @@
-"""Masks of photographs: both conventions of names, what is refused, and how they become weights of pixels."""
+"""Masks of photographs: both conventions of names, refusals, and how they weigh pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The codec: what is written comes back, anything else is one sentence, and a key holds all that decides a bit and nothing more."""
+"""The codec: what is written comes back, anything else is one sentence, and a key holds all that
+decides a bit and nothing more."""
 
 from __future__ import annotations
 
@@ -24,6 +25,7 @@ from radiant_core.hierarchy.messages import (
     DeviceTask,
     EdgeModel,
     EdgeTask,
+    Extension,
     device_task,
 )
 from radiant_core.io.messages import (
@@ -120,6 +122,19 @@ cloud_tasks = st.integers(1, 4).flatmap(
         edge_times_s=st.none() | of_each(count, finite),
     )
 )
+
+
+def test_a_wrong_field_is_named_by_the_path_at_which_it_stands() -> None:
+    record = message_record(DEVICE)
+    density = record["train"]["density"]
+    missing = {name: value for name, value in density.items() if name != "every"}
+    for wrong, said in (
+        ({**density, "every": "x"}, "every is 'x'; expected a valid integer"),
+        ({**density, "often": 1}, "often is not a key of a message"),
+        (missing, "every is missing"),
+    ):
+        with pytest.raises(BadInput, match=rf"message: train\.density\.{said}"):
+            message_of(DeviceSettings, {**record, "train": {**record["train"], "density": wrong}})
 
 
 @settings(max_examples=60)
@@ -226,9 +241,17 @@ OTHERS: dict[str, Any] = {
 
 @named
 def test_what_changes_no_bit_stands_in_no_key_and_everything_else_does(task: Any) -> None:
-    unkeyed = {each.name for each in fields(task) if task_key(replace(task, **{each.name: OTHERS[each.name]})) == task_key(task)}
+    names = {each.name for each in fields(task)} - {"extends"}
+    unkeyed = {name for name in names if task_key(replace(task, **{name: OTHERS[name]})) == task_key(task)}
     assert unkeyed == {"checkpoint_every_s"} | ({"teachers"} if isinstance(task, EdgeTask) else set())
     assert unkeyed.isdisjoint(task_key(task))
+
+
+@pytest.mark.parametrize("other", [{"margin_m": 2.0}, {"polygon": ((0.0, 0.0), (1.0, 0.0), (1.0, 2.0))}])
+def test_the_region_of_an_extension_stands_in_the_key(other: dict[str, Any]) -> None:
+    region = Extension(polygon=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)), margin_m=1.0)
+    task = replace(CLOUD, edges=("standing", "new"), num_dealt=(1, 1), sites=(), weights=(), edge_times_s=None, extends=region)
+    assert task_key(replace(task, extends=replace(region, **other))) != task_key(task)
 
 
 def ground_scene() -> SfmScene:

@@ -1,4 +1,4 @@
-"""Mill 19 / Mega-NeRF folders: the axes come out right on generated folders, and strange files are refused."""
+"""Mill 19 / Mega-NeRF folders: right axes on generated folders, and strange files are refused."""
 
 from __future__ import annotations
 

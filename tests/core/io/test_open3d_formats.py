@@ -53,7 +53,8 @@ def test_quaternions_of_any_length_become_unit_and_zero_the_identity() -> None:
     arrays = dict(unit_splats(2, 0).arrays())
     arrays["quats"] = np.array([[0, 0, 0, 0], [1e-30, 0, 0, 1e-30]], np.float32)
     rot = open3d_point_cloud(Splats(**arrays)).point.rot.numpy()
-    np.testing.assert_allclose(rot, [[1, 0, 0, 0], [0.5**0.5, 0, 0, 0.5**0.5]], atol=1e-7)  # one float32 rounding
+    # One float32 rounding.
+    np.testing.assert_allclose(rot, [[1, 0, 0, 0], [0.5**0.5, 0, 0, 0.5**0.5]], atol=1e-7)
 
 
 def test_what_it_cannot_draw_is_bad_input() -> None:
@@ -69,7 +70,8 @@ def test_opacities_at_the_ends_of_spz_come_back_as_a_quarter_of_its_last_step() 
     splats = replace(unit_splats(3, 1), logit_opacities=np.array([-40, 0, 40], np.float32))
     again = splats_from_spz(spz_bytes(splats), 3, 1)
     end = np.log((255 - 0.25) / 0.25)
-    np.testing.assert_allclose(again.logit_opacities, [-end, 0, end], atol=0.01)  # 0.5 is 127.5 of 255 steps
+    # 0.5 is 127.5 of 255 steps.
+    np.testing.assert_allclose(again.logit_opacities, [-end, 0, end], atol=0.01)
     np.testing.assert_allclose(again.log_scales, splats.log_scales, atol=1 / 32 + 1e-6)
     np.testing.assert_allclose(np.linalg.norm(again.quats, axis=1), 1, atol=1e-6)
     assert again.shN.shape == (3, 3, 3) and splats_from_spz(spz_bytes(unit_splats(2, 0)), 2, 0).shN.shape == (2, 0, 3)

@@ -208,7 +208,7 @@ def test_the_exif_orientation_does_not_turn_pixels(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("kind", "altitude_m"), [(5, 4294967295 - 26527), (10, -26528)])
 def test_an_altitude_is_read_as_signed_where_it_says_so(kind: int, altitude_m: float) -> None:
-    """Some cameras write heights below the sea as signed fractions (kind 10) in place of the reference."""
+    """Some cameras write heights below the sea as signed fractions (kind 10), not by reference."""
     block = exif_block("<", False, False)
     block = block.replace(struct.pack("<HHI", 6, 5, 1), struct.pack("<HHI", 6, kind, 1))
     block = block.replace(struct.pack("<2I", 26528, 100), struct.pack("<2i", -26528, 1))
@@ -341,7 +341,8 @@ def with_focal(order: str, kind: int, count: int, value: bytes) -> bytes:
      (1, "B", 50, None), (6, "B", 50, None), (8, "h", 50, None), (2, "B", 50, None), (7, "B", 50, None)],
 )  # fmt: skip
 def test_numbers_of_every_type_of_tiff_that_is_read(order: str, kind: int, layout: str, number: int, focal_mm: float | None) -> None:
-    """Types 1 byte, 2 text, 3 short, 4 long, 5 and 10 fractions, 7 undefined, 9 signed long; bytes and texts are no numbers."""
+    """Types 1 byte, 2 text, 3 short, 4 long, 5 and 10 fractions, 7 undefined, 9 signed long; bytes
+    and texts are no numbers."""
     facts = read_exif(with_focal(order, kind, 1, struct.pack(order + layout, number)))
     assert facts.focal_mm == focal_mm and facts.make == "Canon"
 
@@ -356,7 +357,8 @@ def test_fractions_by_zero_say_nothing_and_more_than_1024_bytes_are_not_read() -
 
 
 def test_a_directory_and_a_value_may_end_with_the_block_and_not_behind_it() -> None:
-    """One entry of four bytes of text inside itself, then nothing; and a text that is the block's last; of every type of bytes."""
+    """One entry of four bytes of text inside itself, then nothing; and a text that is the block's
+    last; of every type of bytes."""
     for order, start in (("<", b"II*\0"), (">", b"MM\0*")):
         for kind in (1, 2, 7):
             inside = start + struct.pack(order + "IHHHI", 8, 1, 0x010F, kind, 4) + b"abcd"
@@ -370,7 +372,7 @@ def test_a_directory_and_a_value_may_end_with_the_block_and_not_behind_it() -> N
 
 @pytest.mark.parametrize("marker", range(0xC0, 0xD0))
 def test_a_frame_starts_at_every_marker_of_the_standard_but_three(marker: int) -> None:
-    """C4 are Huffman tables, C8 is kept for later, CC conditions of arithmetic coding (T.81, table B.1)."""
+    """C4: Huffman tables, C8: reserved, CC: conditions of arithmetic coding (T.81, table B.1)."""
     data = b"\xff\xd8\xff" + bytes([marker]) + b"\x00\x07\x08\x00\x10\x00\x20"
     assert read_jpeg_facts(data).size_wh == (None if marker in (0xC4, 0xC8, 0xCC) else (32, 16))
 

@@ -1,4 +1,4 @@
-"""Exported plans: what a flight planner reads is what was planned, polygon for polygon and waypoint for waypoint."""
+"""Exported plans: flight planners read the same polygons and waypoints as were planned."""
 
 from __future__ import annotations
 
@@ -248,7 +248,7 @@ def test_lists_say_where_the_camera_looks_and_whose_a_waypoint_is(tmp_path: Path
 
 
 def lists_of(folder: Path, waypoints: Waypoints) -> tuple[list[str], Waypoints, np.ndarray]:
-    """Header of the first device's list, the list as our reader finds it, and which waypoints they are."""
+    """Header of the first device's list, the list as our reader returns it, and its waypoints."""
     _, cloud, edges = planned(count=len(waypoints))
     folder.mkdir()
     save_device_waypoints(folder, cloud, edges, waypoints)

@@ -1,4 +1,4 @@
-"""PLY files: nothing is lost, other programs read the same, and no file of a stranger does more than raise BadInput."""
+"""PLY files: nothing is lost, other programs read the same, any file raises BadInput at most."""
 
 from __future__ import annotations
 
@@ -175,7 +175,8 @@ def test_twenty_thousand_mutated_files_give_bad_input_or_finite_splats(tmp_path:
     rng = np.random.default_rng(7)
     num_read = 0
     for _ in range(20_000):
-        path.unlink()  # a new file: cutting the old one makes some file systems write to disk, 20,000 times
+        # A new file: cutting the old one makes some file systems write to disk, 20,000 times.
+        path.unlink()
         path.write_bytes(mutated(good, header_bytes, rng))
         try:
             splats = load_ply(path)
@@ -191,7 +192,8 @@ TOKENS = (b"list", b"double", b"vertex", b"999999999999", b"-1", b"nan", b"\n", 
 
 
 def mutated(good: bytes, header_bytes: int, rng: np.random.Generator) -> bytes:
-    """The file with one byte of the Gaussians changed, or up to three damages anywhere: bytes lost or doubled, tokens put in."""
+    """The file with one byte of the Gaussians changed, or up to three damages anywhere: bytes lost
+    or doubled, tokens put in."""
     data = bytearray(good)
     if rng.random() < 0.3:
         data[int(rng.integers(header_bytes, len(data)))] = int(rng.integers(0, 256))

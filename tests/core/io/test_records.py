@@ -1,4 +1,4 @@
-"""Records: every type comes back equal, and a file that is broken or something else is refused by name."""
+"""Records: every type comes back equal; a broken file, or another one, is refused by name."""
 
 from __future__ import annotations
 
@@ -353,7 +353,7 @@ def test_a_wrong_field_of_an_edges_plan_is_bad_input(tmp_path: Path, name: str, 
 
 
 def test_the_keys_of_a_plans_file_do_not_change(tmp_path: Path) -> None:
-    """Whoever reads a plan of an older run reads these; whole numbers come back as the floats they were."""
+    """Readers of plans of older runs read these; whole numbers come back as the same floats."""
     cloud, edges = some_plan()
     waypoints = Waypoints(
         names=("a", "b", "c"), lat_lon_alt=some_waypoints().lat_lon_alt, heading_pitch_deg=[[90, -45], [np.nan, -90], [0, np.nan]]

@@ -1,4 +1,4 @@
-"""The run store: a file is the old or the new one and nothing between, and a seal notices every changed bit."""
+"""The run store: a file is the old or the new one, and a seal notices every changed bit."""
 
 from __future__ import annotations
 

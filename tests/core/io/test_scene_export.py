@@ -1,4 +1,4 @@
-"""Exports as other programs read them: PLY and SPZ by Open3D, COLMAP by pycolmap, GeoJSON by json and shapely."""
+"""Exports as others read them: PLY and SPZ by Open3D, COLMAP by pycolmap, GeoJSON by shapely."""
 
 from __future__ import annotations
 
@@ -103,7 +103,8 @@ def test_geojson_puts_regions_and_cameras_on_the_globe(tmp_path: Path) -> None:
 
 
 def test_spz_cuts_are_counted_at_its_limits_to_the_last_bit(tmp_path: Path) -> None:
-    """Centres under 2,047 on every axis are kept; log scales up to 5.9375, which float32 holds exactly, need not shrink."""
+    """Centres under 2,047 on every axis are kept; log scales up to 5.9375, which float32 holds
+    exactly, need not shrink."""
     inside = np.nextafter(np.float32(2047), np.float32(0))
     means = np.zeros((4, 3), np.float32)
     means[0], means[1, 1], means[2, 2] = inside, 2047, -2047

@@ -1,4 +1,4 @@
-"""SOG as another program reads it: a decoder written from the specification alone, with OpenCV for the textures."""
+"""SOG as another program reads it: a decoder from the specification alone, textures by OpenCV."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def model(count: int, degree: int = 2, seed: int = 0) -> Splats:
 
 
 def decoded(path: Path) -> dict[str, np.ndarray]:
-    """Means, quats wxyz, log scales, opacities, sh0, shN in the order of the file, as sections 3.1 to 3.5 of the specification say."""
+    """Means, quats wxyz, log scales, opacities, sh0, shN in the order of the file, as sections 3.1
+    to 3.5 of the specification say."""
     archive = zipfile.ZipFile(path)
     meta = json.loads(archive.read("meta.json"))
     assert meta["version"] == 2
@@ -163,8 +164,8 @@ def test_a_texture_holds_16383_pixels_a_side_and_what_needs_more_is_told() -> No
     "values", [np.linspace(-2, 5, 1500), np.random.default_rng(3).normal(0, 1, 1500), np.repeat([-7.0, 0.0, 3.0], [5, 900, 95])]
 )
 def test_256_values_leave_hardly_more_than_the_best_256(values: np.ndarray) -> None:
-    """Against Lloyd's iteration on the sorted values themselves, run to its end from equal shares."""
-    codes, book = sog._quantized(values)
+    """Against Lloyd's iteration on the sorted values, run to its end from equal shares."""
+    codes, book = sog._quantize(values)
     assert (np.diff(book) >= 0).all() and codes.dtype == np.uint8
     ordered = np.sort(values)
     best = np.array([part.mean() for part in np.array_split(ordered, 256)])

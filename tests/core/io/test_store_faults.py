@@ -1,4 +1,5 @@
-"""The run store on a disk that fails: what is sealed stays, a full disk pauses with one sentence, a flipped bit is found before use."""
+"""The run store on a disk that fails: what is sealed stays, a full disk pauses with one sentence, a
+flipped bit is found before use."""
 
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ def test_flipped_bits_of_stored_files_are_found_before_they_are_used() -> None:
 
 
 def undiscovered_flips(folder: Path, count: int) -> list[str]:
-    """Flip random bits of sealed files, their seals and a manifest, one at a time; those that nobody would notice."""
+    """Flip random bits of sealed files, seals and a manifest, singly; return the unnoticed ones."""
     job = Job(folder)
     job.run()
     manifest = Manifest(folder=folder, config={"seed": 1}, stages={"sfm": {"started_s": 0.0, "ended_s": 2.5}}, warnings=["sfm: dark"])

@@ -1,4 +1,4 @@
-"""Uploads: what comes back after each format, against float64; extremes, mutated bytes, and what a format cannot hold."""
+"""Uploads: the result of each format against float64; extremes, mutated bytes, and limits."""
 
 from __future__ import annotations
 
@@ -157,7 +157,8 @@ def test_float16_holds_the_whole_range_of_float32_where_activation_does(tmp_path
     after = there_and_back(tmp_path, splats, "float16")
     assert np.abs(after.means.astype(np.float64) - means).max(axis=0)[0] <= 6.8e38 / 2**21
     with np.errstate(over="ignore"):
-        np.testing.assert_allclose(np.exp(after.log_scales), np.exp(log_scales), rtol=0.04)  # 88 has steps of 1/16
+        # 88 has steps of 1/16.
+        np.testing.assert_allclose(np.exp(after.log_scales), np.exp(log_scales), rtol=0.04)
     assert np.abs(after.sh0 - splats.sh0).max() <= 2.0**-25, "half a step of float16's denormals"
 
 
@@ -169,7 +170,7 @@ def test_how_a_model_was_trained_to_be_drawn_comes_back(tmp_path: Path, name: Up
 
 
 def test_a_model_of_any_size_is_brought_to_the_steps_of_spz(tmp_path: Path) -> None:
-    """Ten orders of magnitude about a far centre, as float32 allows; beyond 2^±40 the steps stay and the file says so."""
+    """Ten orders of magnitude about a far centre in float32; beyond 2^±40 the steps stay."""
     splats, errors = trained_like(50), []
     for factor in (1e-3, 1.0, 1e3, 1e6):
         scaled = replace(splats, means=(splats.means - splats.means.mean(axis=0)) * factor, log_scales=splats.log_scales + np.log(factor))

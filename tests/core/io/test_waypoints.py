@@ -1,4 +1,5 @@
-"""Readers of waypoints: the three formats say the same, a stranger's file ends in waypoints or one sentence, photographs give their GPS."""
+"""Readers of waypoints: the three formats say the same, a stranger's file ends in waypoints or one
+sentence, photographs give their GPS."""
 
 from __future__ import annotations
 
@@ -326,7 +327,7 @@ def test_photographs_give_the_positions_that_decoding_them_gives() -> None:
 
 
 def without_exif(path: Path, target: Path) -> None:
-    """The photograph saved anew, with its name at the end: files of the same bytes are copies of one photograph."""
+    """The photograph saved anew, its name at the end: files of the same bytes are copies of one."""
     import cv2
 
     image = cv2.imread(str(path))
@@ -338,10 +339,12 @@ def without_exif(path: Path, target: Path) -> None:
 def test_photographs_without_gps_are_named_and_only_heads_are_read(tmp_path: Path) -> None:
     photos = sorted(HAMLET.iterdir())
     shutil.copy(photos[0], tmp_path / "a.jpg")
-    (tmp_path / "b.jpg").write_bytes(photos[0].read_bytes() + b"another")  # at one position: both were taken
+    # At one position: both were taken.
+    (tmp_path / "b.jpg").write_bytes(photos[0].read_bytes() + b"another")
     for index in range(7):
         without_exif(photos[1], tmp_path / f"c{index}.jpg")
-    (tmp_path / "d.JPG").write_bytes(photos[2].read_bytes()[:40_000])  # cut behind its EXIF: not noticed, no pixel is decoded
+    # Cut behind its EXIF: not noticed, no pixel is decoded.
+    (tmp_path / "d.JPG").write_bytes(photos[2].read_bytes()[:40_000])
     with (tmp_path / "d.JPG").open("ab") as file:
         file.truncate(10**9)
     (tmp_path / "notes.txt").write_text("x")

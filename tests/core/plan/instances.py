@@ -47,7 +47,7 @@ LAYOUTS: dict[str, Callable[[np.random.Generator, int], FloatArray]] = {
 
 
 def random_curve(rng: np.random.Generator, scale: float = 1.0) -> CostCurve:
-    """A curve in which each of the three terms may be missing, so that flat and zero curves come too."""
+    """A curve in which each of the three terms may be missing: flat and zero curves occur, too."""
     constant, linear, power = rng.random(3) * (rng.random(3) < 0.7) * scale
     return CostCurve(constant=10 * constant, linear=linear, power_coefficient=0.1 * power, exponent=rng.uniform(0, 2))
 
@@ -81,7 +81,7 @@ def random_system(rng: np.random.Generator, num_edges: int, limits: tuple[int, i
 
 
 def linear_system(positions: FloatArray, seconds_per_camera: FloatArray, max_cameras: int | None = None) -> System:
-    """One device per edge whose time is proportional to its cameras; nothing else costs anything."""
+    """One device per edge whose time is proportional to its cameras; nothing else has a cost."""
     return System(
         edges=tuple(
             Edge(

@@ -1,4 +1,4 @@
-"""What is wrong with an array is told under the name of the argument it came as, in every function that takes one."""
+"""What is wrong with an array is reported under its argument's name, in every function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What the exact planner is compared with: each does what its name says, and none that owns all cameras beats the bound."""
+"""What the exact planner is compared with: each does what its name says, and none that owns all
+cameras beats the bound."""
 
 from __future__ import annotations
 
@@ -70,7 +71,8 @@ def test_poisoned_content_is_refused(content: list[float]) -> None:
 
 
 def alg1(positions: np.ndarray, system: System, method: str, max_iterations: int) -> tuple[np.ndarray, list[float]]:
-    """Lines 1-11 of Alg. 1 camera by camera: who is where, and max|T − T̄| / T̄ before every move and at the end; −1 in no region."""
+    """Lines 1-11 of Alg. 1 camera by camera: who is where, and max|T − T̄| / T̄ before every move
+    and at the end; −1 in no region."""
     sites = np.array([edge.position for edge in system.edges])
     count, step_m = len(sites), 0.01 * max(np.ptp(positions, axis=0))
     tables = edge_tables(system, len(positions))

@@ -161,7 +161,7 @@ def test_a_band_is_a_twentieth_of_the_way_between_two_edges() -> None:
 
 
 def test_each_side_counts_its_own_half_of_the_band() -> None:
-    """East of the border four times as many photographs: what each side sees is counted by brute force."""
+    """East of the border four times as many photographs: each side's view by brute force."""
     north = np.arange(2.5, 100, 5.0)
     dense = np.stack(np.meshgrid(np.arange(52.5, 100, 5.0), north), axis=-1).reshape(-1, 2)
     positions = np.concatenate([grid()[grid()[:, 0] < 50], dense])
@@ -189,7 +189,7 @@ def test_risk_follows_the_images_of_a_spot() -> None:
 
 @pytest.mark.parametrize(("heading", "forward", "side"), [(90.0, 0.6, 0.5), (0.0, 0.0, 0.8)])
 def test_forward_is_along_the_flight_whatever_its_direction(heading: float, forward: float, side: float) -> None:
-    """Pictures of 20 m across and 10 m along the flight, every 4 m to the east and every 10 m to the north."""
+    """Pictures of 20 m across and 10 m along the flight, every 4 m east and every 10 m north."""
     east, north = np.meshgrid(np.arange(2, 100, 4.0), np.arange(5, 100, 10.0))
     positions = np.column_stack([east.ravel(), north.ravel()])
     plan = plan_regions(positions, system())
@@ -248,7 +248,8 @@ def test_a_few_of_many_are_spread_evenly_from_first_to_last(count: int, at_most:
 
 
 def test_spots_of_a_band_lie_a_quarter_and_three_quarters_into_either_half() -> None:
-    border = Border(first=0, second=1, ends=np.array([[50.0, 0.0], [50.0, 160.0]]))  # the first is to the left: the west
+    # The first is to the left: the west.
+    border = Border(first=0, second=1, ends=np.array([[50.0, 0.0], [50.0, 160.0]]))
     spots = _band_spots(border, 8.0)
     assert spots.shape == (64, 2)
     along = 5.0 + 10.0 * np.arange(16)
@@ -339,7 +340,8 @@ def test_thresholds_of_risk_rise(high: float, medium: float, fits: bool) -> None
 
 @pytest.mark.parametrize("across", [False, True])
 def test_a_lone_line_of_photographs_has_neighbours_one_way_alone(across: bool) -> None:
-    """Square pictures of 20 m every 5 m to the east: along the flight where the drone looks east, beside it where it looks north."""
+    """Square pictures of 20 m every 5 m to the east: along the flight where the drone looks east,
+    beside it where it looks north."""
     positions = np.stack([np.arange(2.5, 100, 5.0), np.full(20, 50.0)], axis=1)
     plan = plan_regions(positions, system())
     assert isinstance(plan, CloudPlan)
@@ -353,7 +355,7 @@ def test_a_lone_line_of_photographs_has_neighbours_one_way_alone(across: bool) -
 
 
 def test_support_beside_the_bands_is_that_of_the_regions_own_pictures() -> None:
-    """Brute force over the middles of own pictures outside the band, all of them where there are up to 64."""
+    """Brute force over the middles of own pictures outside the band, all of up to 64."""
     positions = grid()
     plan = planned()
     views = views_before_capture(positions, np.full(100, 10.0), OPTICS)

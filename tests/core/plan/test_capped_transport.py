@@ -1,4 +1,4 @@
-"""Least-distance dealing with capacities against the Hungarian method, and the conditions that prove it."""
+"""Least-distance dealing with capacities against the Hungarian method, and its optimality."""
 
 from __future__ import annotations
 
@@ -117,7 +117,8 @@ def test_boxes_hold_every_camera_once_and_about_equally_many(count: int) -> None
 
 
 def test_the_smoothed_dual_has_the_slopes_it_says() -> None:
-    """Against differences: the gradient is counts less limits per camera, and the slopes are how counts change with weights."""
+    """Against differences: the gradient is counts less limits per camera, and the slopes are how
+    counts change with weights."""
     boxes, rng = some_boxes()
     limits, weights = np.array([40.0, 30.0, 50.0, 60.0]), -rng.random(4) * 2000
     _, gradient = boxes.dual(weights, limits)
@@ -131,7 +132,8 @@ def test_the_smoothed_dual_has_the_slopes_it_says() -> None:
 
 
 def test_the_dual_is_the_sum_of_the_formula() -> None:
-    """Σ cameras τ log Σ exp((w − d²)/τ) − Σ u w over the cameras; τ is the mean distance of neighbouring sites times a box's radius."""
+    """Σ cameras τ log Σ exp((w − d²)/τ) − Σ u w over the cameras; τ is the mean distance of
+    neighbouring sites times a box's radius."""
     for seed in range(4):
         rng = np.random.default_rng(seed)
         positions, sites = rng.random((90, 2)) * 200 - 100, rng.random((5, 2)) * 150 - 75
@@ -193,7 +195,8 @@ def test_the_guess_is_within_a_few_cameras_of_the_optimum(seed: int) -> None:
 
 
 def test_weights_lie_midway_between_the_least_and_the_greatest_that_prove_it() -> None:
-    """Two edges, four cameras on a line, room for one at the first: the border may stand anywhere between the cameras at 1 and 3."""
+    """Two edges, four cameras on a line, room for one at the first: the border may stand anywhere
+    between the cameras at 1 and 3."""
     positions = np.array([[-4.0, 0.0], [1.0, 0.0], [3.0, 0.0], [4.0, 0.0]]) - [1.0, 0.0]
     sites = np.array([[4.0, 0.0], [-4.0, 0.0]])
     dealt = deal_within(positions, sites, np.array([1, 4]))

@@ -1,4 +1,4 @@
-"""Plans after capture: the same photographs give the same plan, missing and added ones change counts and times alone."""
+"""Plans after capture: the same photographs give the same plan, others change counts and times."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_where_one_device_captured_all_of_an_edge_nothing_is_joined() -> None:
 
 @pytest.mark.parametrize(("far", "refused"), [(2, False), (3, True)])
 def test_a_plan_of_another_site_is_told_where_more_than_half_lie_beyond_its_width(far: int, refused: bool) -> None:
-    """One spot stands for a site of 100 m: 100 m away still belongs to it, a millimetre more does not."""
+    """One spot stands for a site of 100 m: 100 m away belongs to it, a millimetre more does not."""
     planned_xy = np.zeros((3, 2))
     captured = np.zeros((4, 2))
     captured[:far, 0] = 100.001

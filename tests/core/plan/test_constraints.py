@@ -1,4 +1,4 @@
-"""Fixed weights, locked regions, pinned cameras: what is given stays, the rest is the best that is left."""
+"""Fixed weights, locked regions, pinned cameras: what is given stays, the rest is optimal."""
 
 from __future__ import annotations
 
@@ -149,7 +149,8 @@ def test_locked_where_nothing_changed_the_weights_still_prove_every_cell(seed: i
 
 
 def in_a_row(speeds: list[float], count: int = 60) -> tuple[np.ndarray, System]:
-    """Cameras on a line and three edges along it: whatever intervals the edges have, there are weights that prove them."""
+    """Cameras on a line and three edges along it: whatever intervals the edges have, there are
+    weights that prove them."""
     positions = np.stack([np.linspace(0.0, 590.0, count), np.zeros(count)], axis=1)
     return positions, linear_system(np.array([[95.0, 0.0], [295.0, 0.0], [495.0, 0.0]]), np.array(speeds))
 

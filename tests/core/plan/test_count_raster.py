@@ -1,4 +1,5 @@
-"""Planning from a count raster: what the cloud is told, what the edges make of it, and that nothing is lost or invented on the way."""
+"""Planning from a count raster: what the cloud is told, what the edges make of it, and that nothing
+is lost or invented on the way."""
 
 from __future__ import annotations
 
@@ -55,7 +56,8 @@ def test_with_tiny_cells_and_exact_curves_it_is_the_plan_from_positions(layout: 
     regions, plan = planned(positions, four_edges(), 1e-4)
     np.testing.assert_array_equal(regions.counts, exact.counts)
     assert plan.lower_bound_s == exact.lower_bound_s and plan.certified
-    if layout not in ("lattice", "duplicates", "one spot"):  # there many cameras lie on the border and all go one way
+    # There many cameras lie on the border and all go one way.
+    if layout not in ("lattice", "duplicates", "one spot"):
         assert plan.makespan_s <= exact.makespan_s * 1.03
 
 
@@ -142,7 +144,8 @@ def test_the_land_of_a_raster_ends_a_tenth_of_its_longer_side_beyond_its_cells()
     )
     assert isinstance(regions, CloudPlan)
     corners = np.concatenate(regions.borders)
-    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[5.0, 15.0], [65.0, 45.0]])  # cells from 10 to 60 and 20 to 40
+    # Cells from 10 to 60 and 20 to 40.
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[5.0, 15.0], [65.0, 45.0]])
 
 
 @pytest.mark.parametrize(("cell_m", "fits"), [(1.0, True), (0.999, False)])
@@ -164,7 +167,7 @@ def test_a_cell_has_a_side(cell_m: float) -> None:
 
 
 def test_the_status_of_what_edges_make_of_it_is_by_the_bound_and_by_who_was_handed_over() -> None:
-    """Fifty to fifty is the best of 100 cameras; 52 is within a twentieth, 53 is not; who hands over is never optimal."""
+    """Fifty to fifty is the best of 100 cameras; 52 is within a twentieth, 53 is not."""
     system = linear_system(np.array([[25.0, 0.0], [75.0, 0.0]]), np.ones(2))
     positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
     regions, _ = planned(positions, system, 1.0)

@@ -125,7 +125,7 @@ def test_a_power_term_is_taken_only_where_it_is_worth_it() -> None:
 
 @pytest.mark.parametrize(("last", "is_falling"), [(9.0, False), (7.37, False), (7.36, True)])
 def test_values_fall_where_they_lose_more_than_a_fifth_over_their_range(last: float, is_falling: bool) -> None:
-    """Two values have their line through both: from 9 to 8.1 / 1.1 it falls by a fifth of their mean."""
+    """Two values define a line: from 9 to 8.1 / 1.1 it falls by a fifth of their mean."""
     assert falls([10, 20], [9.0, last]) is is_falling and falls([20, 10], [last, 9.0]) is is_falling
 
 

@@ -1,4 +1,4 @@
-"""The native dealing: count rasters, warm starts, and the twin's cost on scenes whose cells share few cameras."""
+"""The native dealing: count rasters, warm starts, and the twin's cost where cells share few."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Strips: every camera at exactly one device, cut across the long side, partitioning the edge's land."""
+"""Strips: every camera at one device, cut across the long side, a partition of the edge's land."""
 
 from __future__ import annotations
 
@@ -72,7 +72,8 @@ def test_cameras_lie_in_their_device_s_strip_and_strips_follow_one_another(seed:
 def test_the_cut_is_midway_between_the_cameras_beside_it() -> None:
     positions = np.array([[0.0, 0.0], [10.0, 1.0], [20.0, 0.0], [30.0, 1.0]])
     edge = random_edge(np.random.default_rng(1), "e", 2)
-    equal = [replace(device, train_s=CostCurve(linear=1000.0)) for device in edge.devices]  # far above what else they differ in
+    # Far above what else they differ in.
+    equal = [replace(device, train_s=CostCurve(linear=1000.0)) for device in edge.devices]
     plan = split_edge(replace(edge, devices=tuple(equal)), positions, np.arange(4), BORDER)
     axis = long_axis(positions)
     along = positions @ axis
@@ -120,7 +121,8 @@ def test_the_order_of_cameras_and_the_origin_do_not_matter() -> None:
     moved = split_edge(edge, positions + shift_m, np.arange(80), BORDER + shift_m)
     np.testing.assert_array_equal(moved.device_of_camera, plan.device_of_camera)
     for strip, other in zip(plan.strips, moved.strips, strict=True):
-        np.testing.assert_allclose(other - shift_m, strip, atol=1e-6)  # metres; float64 has steps of 2e-9 there
+        # In metres; float64 has steps of 2e-9 there.
+        np.testing.assert_allclose(other - shift_m, strip, atol=1e-6)
 
 
 @pytest.mark.parametrize("layout", ["one spot", "duplicates"])
@@ -160,7 +162,8 @@ def test_more_cameras_than_memory_are_refused() -> None:
 
 
 def test_cameras_of_one_column_are_cut_by_how_far_across_they_lie() -> None:
-    """Four columns of three along the long side, seven and five cameras: the column in the middle is cut across, the lower to the first."""
+    """Four columns of three along the long side, seven and five cameras: the column in the middle
+    is cut across, the lower to the first."""
     positions = np.array([[10.0 * column, 4.0 * row] for row in (2, 0, 1) for column in range(4)])
     curve = CostCurve(linear=1.0)
     edge = random_edge(np.random.default_rng(0), "e", 2)

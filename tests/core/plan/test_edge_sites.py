@@ -1,4 +1,4 @@
-"""Edges find a place among the cameras: the same for the same seed, inside their box, given ones untouched."""
+"""Sites of edges among the cameras: the same for a seed, inside their box, given ones untouched."""
 
 from __future__ import annotations
 
@@ -100,7 +100,8 @@ def test_separated_sites_differ_and_those_apart_do_not_move(seed: int) -> None:
 
 @pytest.mark.parametrize("num_given", [0, 2])
 def test_seeding_and_ten_rounds_are_those_written_out(num_given: int) -> None:
-    """k-means++ with the generator's own draws, then ten times every free site to the mean of its cameras; camera by camera."""
+    """k-means++ with the generator's own draws, then ten times every free site to the mean of its
+    cameras; camera by camera."""
     rng = np.random.default_rng(5)
     positions = rng.random((60, 2)) * [300.0, 100.0]
     given = [(10.0, 20.0), (250.0, 80.0)][:num_given]

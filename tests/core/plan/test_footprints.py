@@ -1,4 +1,4 @@
-"""Footprints and shares against Monte Carlo and shapely, on poison and on what no camera should do."""
+"""Footprints and shares against Monte Carlo and shapely, on poison and on impossible cameras."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_camera_straight_down_sees_a_rectangle() -> None:
 
 
 def test_footprints_are_the_ground_whose_rays_fall_into_the_image() -> None:
-    """Monte Carlo: a spot is inside exactly when it projects into the image and lies within the horizon's box."""
+    """Monte Carlo: a spot is inside if it projects into the image and lies in the horizon's box."""
     rng = np.random.default_rng(1)
     optics = Optics(field_of_view_deg=60, aspect=0.75)
     for heading, pitch in ((0, -90), (30, -60), (200, -25), (310, 0), (90, 20)):
@@ -132,7 +132,8 @@ def test_a_wide_view_straight_down_ends_at_the_horizon_on_all_sides(heading: flo
 
 
 def test_posed_cameras_see_what_their_pixels_see() -> None:
-    """From 6 m with a focal length of 0.9 widths: 1/0.9 of the height wide, in the frame's own place, and higher ground is nearer."""
+    """From 6 m with a focal length of 0.9 widths: 1/0.9 of the height wide, in the frame's own
+    place, and higher ground is nearer."""
     cameras = cameras_above([(1.0, -2.0), (3.0, 4.0)], height_m=6.0, size_wh=(48, 36))
     for ground_m, height_m in ((0.0, 6.0), (-3.0, 9.0)):
         made = ground_footprints(views_of_cameras(cameras, ground_m))
@@ -185,7 +186,8 @@ def test_what_two_polygons_share_where_sides_and_corners_meet(polygon: list, are
 
 @pytest.mark.parametrize("seed", range(8))
 def test_polygons_of_many_corners_share_what_shapely_says(seed: int) -> None:
-    """Regions of up to 12 sides cut footprints of up to 8 corners: more corners than either has, and half of one ends in the other."""
+    """Regions of up to 12 sides cut footprints of up to 8 corners: more corners than either has,
+    and half of one ends in the other."""
     rng = np.random.default_rng(seed)
 
     def convex(count: int, radius: float) -> np.ndarray:
@@ -207,7 +209,8 @@ def test_areas_are_signed_by_the_way_round() -> None:
 
 @pytest.mark.parametrize("horizon", [0.25, 0.5, 1.0, 3.0])
 def test_a_level_view_ends_at_the_horizon_and_a_narrow_one_is_not_cut(horizon: float) -> None:
-    """Looking level to the north with 90° across and 90° up: the ground from one height away on, as far as the horizon lets."""
+    """Looking level to the north with 90° across and 90° up: the ground from one height away on, as
+    far as the horizon lets."""
     level = views_before_capture([[0.0, 0.0]], [10.0], Optics(field_of_view_deg=90, aspect=1.0), [[0.0, 0.0]])
     footprint = ground_footprints(level, horizon)
     far = 10 * horizon

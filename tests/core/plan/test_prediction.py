@@ -1,4 +1,5 @@
-"""Planned stages add up to the planner's times, errors are those of equal things, and the first finished machine helps the others."""
+"""Planned stages add up to the planner's times, errors are those of equal things, and the first
+finished machine helps the others."""
 
 from __future__ import annotations
 
@@ -107,7 +108,8 @@ def test_a_finished_device_corrects_its_class_then_its_profile_and_nothing_else(
 
 
 def test_with_simulated_noise_the_first_device_lowers_the_error_of_the_others() -> None:
-    """Machines 40 % slower than profiled, each off by 5 % beside: without a sample 29 %, with the first only the 5 % of two machines."""
+    """Machines 40 % slower than profiled, each off by 5 % beside: without a sample 29 %, with the
+    first only the 5 % of two machines."""
     _, _, stages = planned()
     before: list[float] = []
     after: list[float] = []
@@ -249,7 +251,8 @@ def test_several_finished_machines_of_a_class_are_taken_at_their_median() -> Non
 
 @pytest.mark.parametrize(("workers", "left"), [(1, 60.0), (2, 30.0), (3, 30.0), (9, 30.0)])
 def test_an_edge_waits_for_its_own_devices_alone(workers: int, left: float) -> None:
-    """One edge of 10 s waits for 20 s, the other for nothing that is left; a third stands alone with 15 s, and 15 more run beside."""
+    """One edge of 10 s waits for 20 s, the other for nothing that is left; a third stands alone
+    with 15 s, and 15 more run beside."""
     expected = {"e": 10.0, "f": 5.0, "d": 20.0, "alone": 15.0, "beside": 10.0, "gone": 99.0}
     parents = {"d": "e", "gone": "f"}
     assert time_left_s(expected, parents, {}, ("gone",), workers) == pytest.approx(left)

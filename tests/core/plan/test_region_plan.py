@@ -1,4 +1,4 @@
-"""The planner as a whole: optimal, certified, a partition, and precise about what it cannot plan."""
+"""The planner as a whole: optimal, certified, a partition, precise about what is impossible."""
 
 from __future__ import annotations
 
@@ -80,7 +80,8 @@ def test_no_assignment_at_all_is_faster_or_of_these_counts_nearer(seed: int) -> 
     assert plan.makespan_s == times_s.max(axis=1).min()
     same = assignments[(counts == plan.counts).all(axis=1)]
     nearest = np.sum((positions - plan.sites[same]) ** 2, axis=(1, 2)).min()
-    assert squared_distance_sum(plan, positions) == pytest.approx(nearest, rel=1e-12, abs=1e-9)  # m², the same sum reordered
+    # m², the same sum reordered.
+    assert squared_distance_sum(plan, positions) == pytest.approx(nearest, rel=1e-12, abs=1e-9)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -97,7 +98,8 @@ def test_regions_partition_the_scene_and_belong_to_edges_with_cameras(layout: st
 
 
 def sending_alike(system: System) -> System:
-    """The same with models whose bytes go by their cameras: shares that send fewer bytes by chance are not looked for by the bound."""
+    """The same with models whose bytes go by their cameras: shares that send fewer bytes by chance
+    are not looked for by the bound."""
 
     def alike(edge: Edge) -> Edge:
         return replace(edge, devices=tuple(replace(device, model_bytes=CostCurve(linear=1e6)) for device in edge.devices))
@@ -186,7 +188,8 @@ def test_the_plan_does_not_depend_on_the_origin(shift_m: tuple[float, float]) ->
     there = planned(positions + shift_m, linear_system(sites + shift_m, speeds))
     np.testing.assert_array_equal(there.edge_of_camera, here.edge_of_camera)
     for moved, border in zip(there.borders, here.borders, strict=True):
-        np.testing.assert_allclose(moved - shift_m, border, atol=1e-6)  # metres; 1e7 m in float64 has steps of 2e-9
+        # In metres; 1e7 m in float64 has steps of 2e-9.
+        np.testing.assert_allclose(moved - shift_m, border, atol=1e-6)
 
 
 def test_the_order_of_cameras_and_edges_does_not_matter() -> None:
@@ -321,7 +324,8 @@ def test_a_tolerance_leaves_nearest_edges_alone_where_they_are_good_enough() -> 
 
 @for_seeds(60)
 def test_even_counts_are_the_most_equal_that_capacities_allow(seed: int) -> None:
-    """Water-filling by one camera at a time: always to the device that has least and still has room, of equals the first of its edge."""
+    """Water-filling by one camera at a time: always to the device that has least and still has
+    room, of equals the first of its edge."""
     rng = np.random.default_rng(seed)
     num_devices = rng.integers(1, 4, int(rng.integers(1, 6)))
     capacities = rng.integers(0, 9, num_devices.sum())
@@ -382,7 +386,8 @@ def test_cameras_outside_their_cell_are_counted_whatever_the_block(monkeypatch: 
 
 @pytest.mark.parametrize(("off", "outside"), [(0.5, 0), (2.0, 1)])
 def test_a_camera_may_miss_its_cell_by_a_trillionth_of_the_largest_distance(off: float, outside: int) -> None:
-    """The camera in the middle belongs to the right edge; a weight makes it miss by so many trillionths of the largest square."""
+    """The camera in the middle belongs to the right edge; a weight makes it miss by so many
+    trillionths of the largest square."""
     sites, cameras = np.array([[-1.0, 0.0], [1.0, 0.0]]), np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
     assert num_cameras_outside(cameras, sites, np.array([4e-12 * off, 0.0]), np.array([1, 1, 0])) == outside
 
@@ -430,7 +435,7 @@ def test_options_that_exclude_each_other_are_told(options: dict, told: str | Non
 
 
 def test_statuses_follow_the_bound_and_the_threshold() -> None:
-    """A hundred cameras on a line: the border in the middle is the best, one elsewhere within or beyond 5 %."""
+    """A hundred cameras on a line: the middle border is the best, another within 5 % or beyond."""
     positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
     for shift, status in ((0.0, "optimal"), (2.0, "converged"), (3.0, "stopped")):
         system = linear_system(np.array([[24.5 + shift, 0.0], [74.5 + shift, 0.0]]), np.ones(2))

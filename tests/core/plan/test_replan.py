@@ -1,4 +1,5 @@
-"""Re-plans: the least makespan and the fewest moves against exhaustive search, what must not move, and what cannot be done."""
+"""Re-plans: the least makespan and the fewest moves against exhaustive search, what must not move,
+and what cannot be done."""
 
 from __future__ import annotations
 
@@ -196,7 +197,8 @@ def test_what_does_not_belong_together_is_refused() -> None:
 
 
 def best_by_search(plan: Made, system: System, change: FleetChange, captured: np.ndarray, before: np.ndarray) -> tuple[float, int]:
-    """Least makespan and fewest moves over all owners of the positions that may move, times written out from the paper's equations."""
+    """Least makespan and fewest moves over all owners of the positions that may move, times written
+    out from the paper's equations."""
     devices, names = system.devices, [d.id for d in system.devices]
     edge_of = np.repeat(np.arange(len(system.edges)), [len(e.devices) for e in system.edges])
     stays = captured | np.array([names[o] in change.done for o in before])
@@ -231,7 +233,8 @@ def best_by_search(plan: Made, system: System, change: FleetChange, captured: np
 
 
 def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
-    """100 fleets of 2 to 4 devices at 1 or 2 edges with up to 5 positions: dead, done, slow, busy, captured, joining and full devices."""
+    """100 fleets of 2 to 4 devices at 1 or 2 edges with up to 5 positions: dead, done, slow, busy,
+    captured, joining and full devices."""
     checked = 0
     for seed in range(100):
         rng = np.random.default_rng(seed)
@@ -265,7 +268,7 @@ def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
 
 
 def test_those_that_move_are_the_nearest_for_one_and_for_several_that_lose() -> None:
-    """Against every choice of who goes where with the same quotas: Σ of squared distances to the devices' centres."""
+    """Against every assignment with the same quotas: Σ of squared distances to devices' centres."""
     for seed, change in enumerate(
         [FleetChange(slow={"w1": 3.0}), FleetChange(slow={"w1": 4.0, "e1": 4.0}), FleetChange(dead=frozenset({"w2"}))] * 4
     ):
@@ -288,7 +291,7 @@ def test_those_that_move_are_the_nearest_for_one_and_for_several_that_lose() -> 
 
 
 def test_unequal_uploads_keep_the_deadline_and_say_that_moves_are_not_proved() -> None:
-    """One device sends ten times the bytes: quotas stay within the least makespan of the fastest dealing."""
+    """One device sends ten times the bytes: quotas keep the makespan of the fastest dealing."""
     heavy = replace(device("w2", 0.7), model_bytes=CostCurve(constant=1e6, linear=5e6))
     plan = made(System(edges=(edge("west", (20.0, 50.0), device("w1"), heavy), edge("east", (80.0, 50.0), device("e1")))), 100)
     result = solved(plan.replanned(FleetChange(slow={"e1": 2.0})))
@@ -307,7 +310,8 @@ def test_twenty_thousand_positions_are_replanned_in_seconds() -> None:
 
 
 def test_an_edge_that_need_not_join_is_counted_so_and_stays_within_the_deadline() -> None:
-    """Where one device has all positions of its edge nothing is retrained: against all quotas of one edge with two devices."""
+    """Where one device has all positions of its edge nothing is retrained: against all quotas of
+    one edge with two devices."""
     first, second = device("a", 1.0), device("b", 0.3)
     one = replace(edge("one", (0.0, 0.0), first, second), aggregate_alone_s=CostCurve(constant=0.5))
     for num_positions in (1, 2, 3, 5, 8, 13):

@@ -1,4 +1,5 @@
-"""Counts after a change against all counts there are: the least makespan, then the fewest that leave, then the nearest edge."""
+"""Counts after a change against all counts there are: the least makespan, then the fewest that
+leave, then the nearest edge."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ def machine(name: str, seconds: float, now: int, fixed: int = 0, most: int = 99,
 
 
 def edge(name: str, *machines: MachineLoad, distance_m: float = 0.0, aggregate: float = 0.5, finished: bool = False) -> EdgeLoad:
-    """An edge whose time is that of its slowest device and half a second per position, a quarter to send it."""
+    """An edge whose time is its slowest device's and 0.5 s per position, a quarter to send it."""
     made = Edge(
         id=name,
         position=(0.0, 0.0),
@@ -52,7 +53,7 @@ def leaving(load: EdgeLoad, quotas: tuple[int, ...]) -> int:
 
 
 def all_choices(loads: list[EdgeLoad], total: int) -> list[tuple[float, int, tuple[tuple[int, ...], ...]]]:
-    """Makespan, positions that leave and quotas of every way to deal `total` positions that the machines allow."""
+    """Makespan, leaving positions and quotas of every allowed way to deal `total` positions."""
     ranges = [
         range(one.fixed, (one.fixed if one.closed or load.finished else min(one.most, total)) + 1)
         for load in loads
@@ -103,7 +104,8 @@ def test_no_other_quotas_are_faster_or_make_fewer_leave(seed: int, tolerance: fl
 
 
 def test_of_equally_good_edges_the_nearer_one_takes_more() -> None:
-    """Nothing decides between two edges that wait for a third: what is left over goes to the nearer as long as that forces no move."""
+    """Nothing decides between two edges that wait for a third: what is left over goes to the nearer
+    as long as that forces no move."""
     slow = edge("slow", machine("s", 9.0, 2, fixed=2))
     for near, quotas in ((0, ((2,), (4,), (1,))), (1, ((2,), (1,), (4,)))):
         others = [edge(f"e{index}", machine(f"d{index}", 1.0, 1), distance_m=50.0 - 40 * (index == near)) for index in range(2)]
@@ -112,7 +114,7 @@ def test_of_equally_good_edges_the_nearer_one_takes_more() -> None:
 
 
 def forced(distances: tuple[float, float]) -> list[EdgeLoad]:
-    """A busy machine must give two away; both others can only take one by giving up one that they have."""
+    """A busy machine must give two away; each other can take one only if it gives one up."""
     giving = edge("g", machine("g", 1.0, 4, most=2, busy_s=5.0))
     takers = [edge(f"t{i}", machine(f"a{i}", 1.0, 3, most=3), machine(f"b{i}", 1.0, 0, most=2), distance_m=distances[i]) for i in range(2)]
     return [giving, *takers]
@@ -171,7 +173,7 @@ def test_a_machine_is_ready_after_what_it_already_does() -> None:
 
 @for_seeds(25)
 def test_where_devices_send_unequally_quotas_keep_the_fastest_deadline_and_what_is_fixed(seed: int) -> None:
-    """Nothing is proved of moves there; the makespan is that of the quickest quotas all the same."""
+    """No moves are proved there; the makespan is still that of the quickest quotas."""
     rng = np.random.default_rng(seed)
     loads = []
     for index in range(2):

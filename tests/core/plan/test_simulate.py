@@ -1,4 +1,4 @@
-"""The vectorised timeline against simpy, which plays every machine by itself, second by second of the trace."""
+"""The vectorised timeline against simpy, which plays every machine, second by second."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def sent_by_steps(trace: BandwidthTrace, now_s: float, seconds: float) -> float:
 
 
 def played(fleet: Fleet, trace: BandwidthTrace) -> list[float]:
-    """When each edge has delivered, played by simpy: every device and edge is a process of its own."""
+    """When each edge has delivered, by simpy: every device and edge is a process of its own."""
     world = simpy.Environment()
     done = [0.0] * len(fleet.aggregate_s)
 

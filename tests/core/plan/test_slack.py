@@ -1,4 +1,4 @@
-"""Slack: the least Σ distance² of all plans within the makespan, found by trying them all; and its curve."""
+"""Slack: the least Σ distance² of all plans within the makespan, by exhaustion; and its curve."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_every_figure_of_the_curve_is_that_of_its_plan() -> None:
 
 @pytest.mark.parametrize("entries", [0, 59, 60])
 def test_capacities_are_the_same_by_halving_and_by_table(entries: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By counting: how many of 0, 1, 2 … cameras an edge is done with in time; to the last bit of the deadline."""
+    """By counting: how many cameras an edge finishes in time, to the last bit of the deadline."""
     monkeypatch.setattr(slack_module, "SMALL_TABLE_ENTRIES", entries)
     for seed in range(6):
         system = random_system(np.random.default_rng(seed), 4, (5, 40) if seed % 2 else None)

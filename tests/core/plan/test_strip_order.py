@@ -1,4 +1,4 @@
-"""The order of devices along the strips: against all permutations, and the lengths of cuts against shapely."""
+"""The order of devices along the strips: against all permutations; cuts against shapely."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_no_permutation_has_shorter_seams(seed: int) -> None:
 
 
 def test_twelve_devices_with_quotas_of_their_own_are_ordered_exactly() -> None:
-    """One cut is far shorter than all others: of twelve quotas, exactly the order that cuts there after six of them pays."""
+    """One cut is far shorter: of twelve quotas, the order that cuts there after six is best."""
     quotas = 2 ** np.arange(12)
     chords_m = np.full(int(quotas.sum()) + 1, 100.0)
     inside = [0, 3, 4, 7, 8, 11]
@@ -63,7 +63,8 @@ def test_twelve_devices_with_quotas_of_their_own_are_ordered_exactly() -> None:
 def test_ties_go_to_the_order_of_the_names() -> None:
     assert shortest_order(np.array([5, 3, 4]), ["c", "a", "b"], np.full(13, 10.0)).tolist() == [1, 2, 0]
     assert shortest_order(np.array([4, 4, 0, 4]), ["c", "a", "x", "b"], np.full(13, 10.0)).tolist() == [1, 3, 0]
-    assert shortest_order(np.array([4, 5]), ["b", "a"], np.zeros(10)).tolist() == [1, 0]  # land without width
+    # Land without width.
+    assert shortest_order(np.array([4, 5]), ["b", "a"], np.zeros(10)).tolist() == [1, 0]
 
 
 @pytest.mark.parametrize("num_devices", [13, 30, MAX_EXCHANGED + 5])
@@ -89,7 +90,8 @@ def test_a_cut_is_as_long_as_shapely_says(seed: int, shift_m: float) -> None:
     for height, length_m in zip(at, chords_across(border, axis, at), strict=True):
         foot = centre + (height - centre @ axis) * axis
         line = shapely.LineString([foot - 1e4 * across, foot + 1e4 * across])
-        assert length_m == pytest.approx(shapely.Polygon(border).intersection(line).length, abs=1e-6)  # metres; steps of 1e-10 at 1e6
+        # In metres; steps of 1e-10 at 1e6.
+        assert length_m == pytest.approx(shapely.Polygon(border).intersection(line).length, abs=1e-6)
 
 
 def test_land_without_area_has_no_seams() -> None:
@@ -123,7 +125,8 @@ def test_exchanging_any_two_of_many_devices_shortens_nothing(seed: int) -> None:
     for first, second in combinations(range(16), 2):
         changed = order.copy()
         changed[[first, second]] = changed[[second, first]]
-        assert seams_m(changed, quotas, chords_m) >= found_m - 1e-5, (first, second)  # lengths are compared to a billionth
+        # Lengths are compared to a billionth.
+        assert seams_m(changed, quotas, chords_m) >= found_m - 1e-5, (first, second)
 
 
 def test_a_cut_along_a_side_is_as_long_as_the_side() -> None:
@@ -151,7 +154,8 @@ def test_seams_of_an_order_are_the_cuts_behind_all_but_the_last() -> None:
 
 
 def test_classes_of_equal_quotas_are_searched_up_to_4096_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eleven equal devices and one of another quota are 24 states; whoever comes first by name takes the first of equal places."""
+    """Eleven equal devices and one of another quota are 24 states; whoever comes first by name
+    takes the first of equal places."""
     rng = np.random.default_rng(0)
     quotas = np.array([2] * 11 + [5])
     chords = rng.random(28) * 10

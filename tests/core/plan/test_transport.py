@@ -41,7 +41,8 @@ def test_cost_equals_the_hungarian_method(layout: str, seed: int) -> None:
     edge_of_camera = assign_with_counts(cost, counts)
     np.testing.assert_array_equal(np.bincount(edge_of_camera, minlength=num_edges), counts)
     own = float(cost[np.arange(num_cameras), edge_of_camera].sum())
-    assert own == pytest.approx(hungarian_cost(cost, counts), rel=1e-12)  # the same sum in another order
+    # The same sum in another order.
+    assert own == pytest.approx(hungarian_cost(cost, counts), rel=1e-12)
 
 
 @for_seeds(30)
@@ -54,7 +55,8 @@ def test_every_camera_of_a_scattered_scene_lies_strictly_inside_its_own_cell(see
     nearest_two = np.sort(power, axis=1)[:, :2]
     np.testing.assert_array_equal(used[power.argmin(axis=1)], edge_of_camera)
     if len(used) > 1:
-        assert (nearest_two[:, 1] - nearest_two[:, 0]).min() > 1e-9  # a border through a camera would leave about 1e-16
+        # A border through a camera would leave about 1e-16.
+        assert (nearest_two[:, 1] - nearest_two[:, 0]).min() > 1e-9
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

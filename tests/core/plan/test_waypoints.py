@@ -1,4 +1,5 @@
-"""Waypoints: what a surveyor's list may get wrong is named or mended, and positions in metres are right everywhere on the globe."""
+"""Waypoints: what a surveyor's list may get wrong is named or mended, and positions in metres are
+right everywhere on the globe."""
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ def test_the_origin_is_the_mean_and_metres_are_about_it() -> None:
     waypoints = made(grid(120))
     np.testing.assert_allclose(waypoints.origin, grid(120).mean(axis=0), atol=1e-9)
     np.testing.assert_array_equal(waypoints.positions_m, enu_from_geodetic(grid(120), waypoints.origin))
-    assert np.abs(waypoints.positions_m.mean(axis=0)).max() < 1e-3  # the ground bends by (200 m)² / 2R over the site
+    # The ground bends by (200 m)² / 2R over the site.
+    assert np.abs(waypoints.positions_m.mean(axis=0)).max() < 1e-3
     assert len(waypoints) == 120
 
 
@@ -157,7 +159,8 @@ def test_a_hundred_thousand_equal_names_take_linear_time() -> None:
     start_s = time.process_time()
     waypoints, _ = clean_waypoints(["x"] * 100_000, grid(100_000))
     assert len(set(waypoints.names)) == 100_000
-    assert time.process_time() - start_s < 10  # 0.4 s where it was measured; quadratic would be hours
+    # 0.4 s where it was measured; quadratic would be hours.
+    assert time.process_time() - start_s < 10
 
 
 @pytest.mark.parametrize(

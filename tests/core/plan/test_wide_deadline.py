@@ -13,7 +13,7 @@ from radiant_core.plan.counts import wide_deadline
 from radiant_core.plan.counts.deadline import device_time_s, edge_table, edge_tables, fastest_counts
 from radiant_core.plan.counts.wide_deadline import (
     _Fleet,
-    _interpolated,
+    _interpolate,
     _num_alone,
     cached_edge_counts,
     fastest_edge_counts,
@@ -47,7 +47,8 @@ def test_the_makespan_is_that_of_whole_tables(seed: int) -> None:
     _, bound_s = fastest_counts(tables, num_cameras)
     found = fastest_edge_counts(system, num_cameras)
     assert found.counts.sum() == num_cameras
-    assert found.edge_time_s.max() == pytest.approx(bound_s, rel=1e-12)  # bytes are added up from another start
+    # Bytes are added up from another start.
+    assert found.edge_time_s.max() == pytest.approx(bound_s, rel=1e-12)
     np.testing.assert_allclose(times_of_counts(system, found.counts), found.edge_time_s, rtol=1e-12)
 
 
@@ -88,13 +89,13 @@ def test_curves_that_overflow_are_refused() -> None:
 def test_the_guess_is_so_near_that_the_first_window_proves_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Any guess leads to the optimum, a bad one over windows three times as wide each."""
     windows: list[int] = []
-    solved = wide_deadline._Fleet.solved
+    solved = wide_deadline._Fleet.solve
 
     def counted(fleet: Any, low: np.ndarray, high: np.ndarray) -> Any:
         windows[-1] += 1
         return solved(fleet, low, high)
 
-    monkeypatch.setattr(wide_deadline._Fleet, "solved", counted)
+    monkeypatch.setattr(wide_deadline._Fleet, "solve", counted)
     for seed in range(40):
         rng = np.random.default_rng(seed)
         system = random_system(rng, int(rng.integers(3, 12)))
@@ -158,11 +159,11 @@ def test_interpolated_is_numpys_row_by_row_and_0_before_the_first() -> None:
         # answer.
         steep = (np.diff(rising, axis=1) > 0).all(axis=1)
         expected = np.array([np.interp(t, xs, ys, left=0.0) for t, xs, ys in zip(at, rising, values, strict=True)])
-        np.testing.assert_allclose(_interpolated(rising, values, at)[steep], expected[steep], rtol=1e-12)
+        np.testing.assert_allclose(_interpolate(rising, values, at)[steep], expected[steep], rtol=1e-12)
     flat = np.array([[1.0, 2.0, 2.0, 3.0]])
     for at, value in ((0.5, 0.0), (1.0, 10.0), (1.5, 15.0), (2.0, 30.0), (2.5, 35.0), (3.0, 40.0), (9.0, 40.0)):
-        assert _interpolated(flat, np.array([[10.0, 20.0, 30.0, 40.0]]), np.array([at])) == pytest.approx([value])
-    assert _interpolated(np.array([[np.inf, np.inf]]), np.array([[1.0, 2.0]]), np.array([3.0])).tolist() == [0.0]
+        assert _interpolate(flat, np.array([[10.0, 20.0, 30.0, 40.0]]), np.array([at])) == pytest.approx([value])
+    assert _interpolate(np.array([[np.inf, np.inf]]), np.array([[1.0, 2.0]]), np.array([3.0])).tolist() == [0.0]
 
 
 @for_seeds(30)
@@ -170,7 +171,7 @@ def test_quotas_of_the_guess_are_near_the_best_and_sum_to_all(seed: int) -> None
     rng = np.random.default_rng(seed)
     system = linear_system(rng.random((6, 2)), rng.uniform(0.5, 5, 6), 900 if seed % 2 else None)
     fleet = _Fleet(system, 2000)
-    guess = fleet.guessed_quotas()
+    guess = fleet.guess_quotas()
     best, _ = fastest_counts(edge_tables(system, 2000), 2000)
     assert guess.sum() == pytest.approx(2000, rel=1e-6)
     assert (np.abs(guess - best) <= 2 + 0.01 * best).all()
@@ -181,7 +182,7 @@ def test_quotas_of_the_guess_are_near_the_best_and_sum_to_all(seed: int) -> None
 
 @for_seeds(60)
 def test_any_window_gives_the_optimum_or_nothing(seed: int) -> None:
-    """Windows about the best quotas, too narrow, shifted or as wide as all: what is said to be proved is the optimum."""
+    """Windows about the best quotas, narrow, shifted or complete: what is proved is the optimum."""
     system, fleet = some_fleet(seed % 12, 150)
     tables = edge_tables(system, 150)
     if sum(table.capacity for table in tables) < 150:
@@ -191,16 +192,16 @@ def test_any_window_gives_the_optimum_or_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     low = np.clip(quotas - rng.integers(-2, 12, len(quotas)), 0, fleet.limits)
     high = np.clip(np.maximum(low, quotas + rng.integers(-2, 12, len(quotas))), 0, fleet.limits)
-    found = fleet.solved(low, high)
+    found = fleet.solve(low, high)
     if found is not None:
         assert found.counts.sum() == 150 and found.edge_time_s.max() == pytest.approx(bound_s, rel=1e-12)
         np.testing.assert_allclose(found.edge_time_s, times_of_counts(system, found.counts), rtol=1e-12)
-    whole = fleet.solved(np.zeros_like(low), fleet.limits)
+    whole = fleet.solve(np.zeros_like(low), fleet.limits)
     assert whole is not None
     np.testing.assert_array_equal(whole.counts, counts)
     if (low > quotas).any() or (high < quotas).any():
         return
-    wide = fleet.solved(np.maximum(quotas - 25, 0), np.minimum(quotas + 25, fleet.limits))
+    wide = fleet.solve(np.maximum(quotas - 25, 0), np.minimum(quotas + 25, fleet.limits))
     assert wide is None or wide.edge_time_s.max() == pytest.approx(bound_s, rel=1e-12)
 
 
@@ -209,17 +210,17 @@ def test_a_window_that_holds_the_optimum_with_a_camera_to_spare_proves_it() -> N
     fleet = _Fleet(system, 70)  # 40, 20 and 10 cameras in 40 s
     best = np.array([40, 20, 10])
     for margin in (1, 2, 5):
-        found = fleet.solved(best - margin, best + margin)
+        found = fleet.solve(best - margin, best + margin)
         assert found is not None and found.counts.tolist() == [40, 20, 10] and found.edge_time_s.tolist() == [40, 40, 40]
-    assert fleet.solved(best, best) is None, "when the next camera would be done is not known"
+    assert fleet.solve(best, best) is None, "when the next camera would be done is not known"
     for low, high in ((-5, -1), (1, 5), ([-5, -5, -5], [5, 0, 5])):
-        assert fleet.solved(best + low, best + high) is None
+        assert fleet.solve(best + low, best + high) is None
 
 
 def test_more_than_the_best_taken_unseen_is_no_proof_though_all_cameras_are_dealt() -> None:
     """From 45, 20 and 5 on nothing is left to choose; 40, 20 and 10 are done 5 s earlier."""
     fleet = _Fleet(linear_system(np.eye(3, 2), np.array([1.0, 2.0, 4.0])), 70)
-    assert fleet.solved(np.array([45, 20, 5]), np.array([50, 25, 9])) is None
+    assert fleet.solve(np.array([45, 20, 5]), np.array([50, 25, 9])) is None
 
 
 def test_a_device_without_room_gets_nothing() -> None:
@@ -250,9 +251,9 @@ def test_small_systems_are_tabulated_whole_up_to_sixty_thousand_entries(monkeypa
 @pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e6])
 def test_the_unit_of_time_changes_no_quota(scale: float) -> None:
     seconds = np.array([1.0, 1.5, 2.5, 4.0])
-    plain, scaled = (_Fleet(linear_system(np.eye(4, 2), seconds * factor), 3000).guessed_quotas() for factor in (1.0, scale))
+    plain, scaled = (_Fleet(linear_system(np.eye(4, 2), seconds * factor), 3000).guess_quotas() for factor in (1.0, scale))
     np.testing.assert_allclose(scaled, plain, rtol=1e-6, atol=1e-3)
     flat = CostCurve(constant=3.0 * scale)
     system = linear_system(np.eye(4, 2), seconds)
     same = [replace(edge, devices=(replace(edge.devices[0], train_s=flat),)) for edge in system.edges]
-    np.testing.assert_allclose(_Fleet(System(edges=tuple(same)), 3000).guessed_quotas(), 750, atol=1)
+    np.testing.assert_allclose(_Fleet(System(edges=tuple(same)), 3000).guess_quotas(), 750, atol=1)

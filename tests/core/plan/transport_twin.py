@@ -27,7 +27,8 @@ _START_SWEEPS = 3
 
 @dataclass(frozen=True, eq=False)
 class _Moves:
-    """extra_cost (E,E): cheapest change of cost when one camera of edge i moves to edge j, inf without cameras; camera (E,E)."""
+    """extra_cost (E,E): cheapest change of cost when one camera of edge i moves to edge j, inf
+    without cameras; camera (E,E)."""
 
     extra_cost: FloatArray
     camera: Indices
@@ -45,7 +46,7 @@ class _Moves:
 
 
 def assign_with_counts(cost: FloatArray, counts: Indices) -> Indices:
-    """Edge (C,) of each camera: least total cost (C,E) for exactly these counts (E,), which sum to C."""
+    """Edge (C,) of each camera: least total cost (C,E) for exactly the counts (E,), Σ = C."""
     assert counts.sum() == len(cost)
     assert counts.min() >= 0
     potentials = _start_weights(cost, counts)
@@ -86,7 +87,7 @@ def separating_weights(cost: FloatArray, edge_of_camera: Indices) -> FloatArray:
 
 
 def largest_violation(cost: FloatArray, weights: FloatArray, edge_of_camera: Indices) -> float:
-    """How far the worst camera is from its own power cell, in units of cost: max_c (own − min_e) of cost[c, e] − w[e], ≥ 0."""
+    """How far the worst camera is outside its cell: max_c (own − min_e) of cost[c, e] − w[e]."""
     power = cost - weights
     return float((power[np.arange(len(cost)), edge_of_camera] - power.min(axis=1)).max(initial=0.0))
 
@@ -122,7 +123,8 @@ def _cheapest_moves(cost: FloatArray, edge_of_camera: Indices) -> _Moves:
 
 
 def _cheapest_chain(reduced: FloatArray, surplus: Indices) -> tuple[list[int], FloatArray]:
-    """Dijkstra over the edges (E,E) from all with too many cameras to the nearest with too few: the chain, and distances (E,)."""
+    """Dijkstra over the edges (E,E) from all with too many cameras to the nearest with too few: the
+    chain, and distances (E,)."""
     distances = np.where(surplus > 0, 0.0, np.inf)
     previous = np.full(len(surplus), -1)
     done = np.zeros(len(surplus), dtype=bool)

@@ -1,4 +1,5 @@
-"""A second, independent renderer for tests: numpy float64, one pixel after another, every Gaussian at every pixel, no tiles."""
+"""A second, independent renderer for tests: numpy float64, one pixel after another, every Gaussian
+at every pixel, no tiles."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ from radiant_core.splats import Splats
 
 
 def brute_force_image(splats: Splats, cameras: Cameras, background: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Image (H,W,3), alpha (H,W), depth (H,W) of the first camera, degree 0 colours only; written from the equations of the contract."""
+    """Image (H,W,3), alpha (H,W), depth (H,W) of the first camera, degree 0 colours only; written
+    from the equations of the contract."""
     pose, K = cameras.cam_from_world[0], cameras.Ks[0]
     width, height = cameras.sizes_wh[0]
     inside = splats.means.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]

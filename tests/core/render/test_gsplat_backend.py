@@ -1,4 +1,5 @@
-"""gsplat without CUDA: what is missing is said, and each argument arrives. With CUDA the contract test runs it."""
+"""gsplat without CUDA: what is missing is said, and each argument arrives. With CUDA the contract
+test runs it."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ def test_tensors_elsewhere_are_refused() -> None:
 
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_every_argument_arrives(monkeypatch: pytest.MonkeyPatch, antialiased: bool) -> None:
-    """gsplat's signature, drawn by the reference: what comes back must be what the reference draws of the splats themselves."""
+    """gsplat's signature, drawn by the reference: what comes back must be what the reference draws
+    of the splats themselves."""
     monkeypatch.setattr(gsplat_backend, "_check_gsplat", lambda *_: None)
     monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=_drawn_by_the_reference))  # type: ignore[arg-type]
     tensors = SplatTensors.from_splats(gaussians.regular(60, bases=16))

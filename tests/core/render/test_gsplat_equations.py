@@ -50,7 +50,7 @@ def test_pictures_and_gradients_are_those_of_gsplat(backend: str, antialiased: b
 
 
 def gsplat_images(splats: SplatTensors, cameras: Cameras, antialiased: bool) -> Tensor:
-    """(C,H,W,3) by gsplat's equations, blended front to back at every pixel with its α_max, α_min and cut."""
+    """(C,H,W,3) by gsplat's equations, blended front to back per pixel, with its limits of α."""
     width, height = (int(side) for side in cameras.sizes_wh[0])
     viewmats, Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
     covariances, _ = equations._quat_scale_to_covar_preci(splats.quats, splats.log_scales.exp(), True, False)

@@ -1,4 +1,4 @@
-"""The native rasterizer below its contract: what its Python border refuses, and what it does not compute unasked."""
+"""The native rasterizer below its contract: refusals at its Python border, nothing unrequested."""
 
 from __future__ import annotations
 
@@ -128,7 +128,8 @@ few = render(threads=2)
 assert torch.equal(render(threads=300), few)
 assert len(os.listdir("/proc/self/task")) <= before + os.cpu_count()
 
-def switches():  # how often threads went to sleep: those that are woken for nothing do so every time
+# How often threads went to sleep: those that are woken for nothing do so every time.
+def switches():
     counts = {}
     for task in os.listdir("/proc/self/task"):
         status = open(f"/proc/self/task/{task}/status").read()

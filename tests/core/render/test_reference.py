@@ -1,4 +1,4 @@
-"""The reference rasterizer against an independent one, against finite differences, and on poison."""
+"""The reference rasterizer against an independent one, finite differences, and poison."""
 
 from __future__ import annotations
 

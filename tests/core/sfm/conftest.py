@@ -1,4 +1,4 @@
-"""Where the real photographs are; what needs them is skipped with the reason when they are not there."""
+"""Where the real photographs are; tests that need them are skipped with the reason if absent."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_copies_are_neither_in_the_scene_nor_in_what_is_left_for_other_programs(
 
 
 def standing_together(size_wh: tuple[int, int]) -> Cameras:
-    """Two places, and a third camera at the first of them whose picture has another size and the same field of view."""
+    """Two places, and a camera at the first of another picture size and equal field of view."""
     cameras = cameras_above([(0.0, 0.0), (3.0, 0.0)], size_wh=(96, 72))
     order = [0, 1, 0]
     Ks, sizes_wh = cameras.Ks[order], cameras.sizes_wh[order]

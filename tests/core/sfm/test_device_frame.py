@@ -1,4 +1,4 @@
-"""A device's frame from the GPS of its photographs: right, with an honest uncertainty, or refused with the figures."""
+"""A device's frame from its photographs' GPS: right, with an honest uncertainty, or refused."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def gps_of(names: tuple[str, ...], positions_m: np.ndarray) -> dict[str, tuple[f
 
 
 def exact_m(names: tuple[str, ...], positions_m: np.ndarray) -> np.ndarray:
-    """What the GPS of `positions_m` reads in metres about ORIGIN; the test's degrees per metre are only nearly right."""
+    """The GPS of `positions_m` in metres about ORIGIN, by approximate degrees per metre."""
     gps = gps_of(names, positions_m)
     return enu_from_geodetic([gps[name] for name in names], ORIGIN)
 
@@ -59,7 +59,8 @@ def fixed(scene: SfmScene, gps: dict[str, tuple[float, float, float]], seed: int
 @pytest.mark.parametrize("seed", range(3))
 def test_exact_gps_gives_the_frame_back_about_the_common_origin(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    positions_m = grid(rng) + np.array([300.0, -200, 0])  # the common origin need not be the device's
+    # The common origin need not be the device's.
+    positions_m = grid(rng) + np.array([300.0, -200, 0])
     scene, _, true_m = device_at(positions_m, rng)
     frame = fixed(scene, gps_of(scene.cameras.names, positions_m))
     # 1e-6 m: positions went through degrees (1e-9 m) and a fit of exact pairs.

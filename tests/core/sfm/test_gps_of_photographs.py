@@ -1,4 +1,4 @@
-"""GPS as cameras and editors write it: without altitude, with altitude on some photographs, and far off on others."""
+"""GPS as cameras and editors write it: altitude on all, some or no photographs, and outliers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Change = Callable[[bytearray, int, int], None]
 
 
 def with_gps_changed(data: bytes, change: Change) -> bytes:
-    """A JPEG of the sample scenes (big-endian EXIF) after `change` of every entry in its GPS directory."""
+    """A JPEG of the sample scenes (big-endian EXIF) after `change` of each entry of its GPS."""
     start = data.index(b"Exif\0\0") + 6
     length = int.from_bytes(data[start - 8 : start - 6], "big") - 8
     block = bytearray(data[start : start + length])

@@ -1,4 +1,5 @@
-"""Structure from motion that was killed goes on with the features and matches that are there, if they are of the same photographs."""
+"""Structure from motion that was killed goes on with the features and matches that are there, if
+they are of the same photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Masks through structure from motion, on the hamlet: no feature, no point and no pixel of what is ignored."""
+"""Masks through structure from motion, on the hamlet: nothing of what is masked remains."""
 
 from __future__ import annotations
 

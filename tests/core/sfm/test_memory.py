@@ -1,4 +1,4 @@
-"""Structure from motion within a limit of memory: threads go first, then pixels, and features; what cannot be done is said."""
+"""Structure from motion within a limit of memory: fewer threads, then pixels, then features."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Photographs and COLMAP projects as they come: strips, TIFF, files that nobody reads, names with spaces or without a suffix."""
+"""Photographs and COLMAP projects as they come: strips, TIFF, files that nobody reads, names with
+spaces or without a suffix."""
 
 from __future__ import annotations
 
@@ -177,7 +178,7 @@ def test_too_little_memory_to_load_colmap_is_told_as_such() -> None:
 
 
 def with_alpha(hamlet: Path, folder: Path) -> Path:
-    """The hamlet's photographs as PNG, the upper third of each transparent but for one that is opaque."""
+    """The hamlet's photographs as PNG, the upper third transparent except in one."""
     folder.mkdir()
     for index, path in enumerate(sorted((hamlet / "images").iterdir())):
         image = cv2.imread(str(path))

@@ -1,4 +1,4 @@
-"""What a user says of up and of a length: obeyed, before GPS too, and refused in one sentence where it makes no sense."""
+"""A user's up and length: obeyed, before GPS too, and refused in one sentence if impossible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Structure from motion on real pixels: the sample hamlet with its exact truth, and the brighton photographs."""
+"""Structure from motion on real pixels: the hamlet with its truth, and the brighton photographs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def write_blotches(path: Path, seed: int) -> None:
 
 @pytest.fixture(scope="module")
 def hamlet_result(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[SfmResult, list[SfmProgress], Path]:
-    """The hamlet, a truncated photograph and one of another place, in a work folder that an interrupted attempt left dirty."""
+    """The hamlet, a truncated photograph and one of another place, in a work folder that an
+    interrupted attempt left dirty."""
     photos, work = tmp_path_factory.mktemp("photos dir"), tmp_path_factory.mktemp("work")
     for path in sorted((hamlet / "images").iterdir()):
         # Names with spaces: COLMAP's own list of pairs cannot hold them.

@@ -1,4 +1,4 @@
-"""The last bundle adjustment: wrong matches no longer bend the model, and a lens that nothing fixes stays as it is."""
+"""The last bundle adjustment: wrong matches do not bend the model, an unfixed lens stays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Up without GPS: made-up scenes of every way to photograph, turned at random, and the real sets against GPS and the horizon."""
+"""Up without GPS: made-up scenes of every way to photograph, turned at random, and the real sets
+against GPS and the horizon."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ HORIZON_PX = {
     "img_4264.jpg": ((20, 26), (1116, 241)),
     "img_4344.jpg": ((20, 236), (748, 6)),
 }
-"""Lewis: two points each on the line between land and sky, as columns and rows of the photographs; they look to all sides."""
+"""Lewis: two points per photograph between land and sky (column, row), to all sides."""
 
 
 def posed(positions: FloatArray, yaw_deg: FloatArray | float, pitch_deg: FloatArray | float, roll_deg: FloatArray | float) -> Cameras:
@@ -230,7 +231,8 @@ def test_cameras_in_one_place_without_points_give_an_estimate_in_doubt_or_a_righ
 
 @cache
 def _set(folder: Path, sparse: str) -> tuple[UpEstimate, FloatArray, FloatArray]:
-    """The estimate without GPS, up by the robust fit to GPS, and up as the product takes it with GPS, in the model's frame."""
+    """The estimate without GPS, up by the robust fit to GPS, and up as the product takes it with
+    GPS, in the model's frame."""
     model = read_model(folder / "sparse_undistorted" / sparse)
     photos = list_photographs(folder / "images", lambda done, total: None).photographs
     cameras, by_name = cameras_of(model), {photo.name: photo for photo in photos}
@@ -254,7 +256,8 @@ def test_the_nadir_flight_agrees_with_its_gps_which_is_good_to_a_third_of_a_metr
 
 
 def test_the_nadir_flight_whose_gps_is_useless_flew_level_and_looked_down(data_folder: Path) -> None:
-    """Heights of caliterra are off by 18 m on a site of 120: the plane through the centres, and the mean view, are better references."""
+    """Heights of caliterra are off by 18 m on a site of 120: the plane through the centres, and the
+    mean view, are better references."""
     folder = data_folder / "caliterra"
     estimate, by_gps, _ = _set(folder, "0")
     cameras = cameras_of(read_model(folder / "sparse_undistorted" / "0"))
@@ -281,7 +284,7 @@ def test_the_horizon_says_that_the_estimate_is_right_where_drifting_altitudes_ti
 
 
 def _horizon(image: pycolmap.Image, line_px: tuple[tuple[int, int], tuple[int, int]]) -> FloatArray:
-    """Up by the line between land and sky in one photograph: the normal of the plane through its centre and that line."""
+    """Up from the horizon in one photograph: the normal of the plane through its centre and it."""
     assert image.camera is not None
     rays = np.column_stack([np.asarray(image.camera.cam_from_img(np.array(line_px, float))), np.ones(2)])
     normal = np.cross(rays[0], rays[1])

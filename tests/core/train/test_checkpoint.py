@@ -1,4 +1,4 @@
-"""Checkpoints: every bit comes back, damage and strangers are recognised, writing is whole or not at all and stays cheap."""
+"""Checkpoints: every bit comes back, damage is recognised, writing is atomic and cheap."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ EVERYTHING = replace(
 
 
 class Killed(Exception):
-    """Stands for the end of the process: raised where it would die, and nothing of the run is used after."""
+    """Stands for the end of the process: raised where it would die; the run is not used after."""
 
 
 class Clock:

@@ -1,4 +1,5 @@
-"""Density control: every edit against plain numpy, its schedule, its limits, hostile models, and that it explains detail."""
+"""Density control: every edit against plain numpy, its schedule, its limits, hostile models, and
+that it explains detail."""
 
 from __future__ import annotations
 

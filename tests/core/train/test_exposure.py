@@ -1,4 +1,4 @@
-"""Exposures: the native map against float64 and autograd, the gauge, and what they are learnt for."""
+"""Exposures: the native map against float64 and autograd, the gauge, what they are for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fill-in on a flat ground seen from straight above: where they lie, what colour they have, what they leave alone."""
+"""Fill-in on a flat ground seen from above: where it lies, its colours, what it leaves alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CAMERAS = cameras_above([(-1.0, 0.0), (1.0, 0.0)], size_wh=(80, 60))
 
 
 def flat_scene(half_side_m: float) -> tuple[SfmScene, TrainingViews]:
-    """Points on z = 0 within a square, seen by both cameras; photographs are red in the west and blue in the east half."""
+    """Points of a square on z = 0, seen by both cameras; photographs red in the west, else blue."""
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-half_side_m, half_side_m, (200, 2)), np.zeros(200)])
     observations = np.array([(point, camera) for point in range(200) for camera in (0, 1)])
@@ -73,7 +73,7 @@ def test_a_camera_that_sees_almost_nothing_adds_nothing() -> None:
 
 
 def oblique_camera() -> Cameras:
-    """6 m above the ground, looking north and 25° down, so that its upper rows see over the horizon."""
+    """6 m above the ground, looking north and 25° down: the upper rows see over the horizon."""
     down = np.radians(25)
     rotation = np.array([[1.0, 0, 0], [0, -np.sin(down), -np.cos(down)], [0, np.cos(down), -np.sin(down)]])
     pose = np.eye(4)

@@ -1,4 +1,5 @@
-"""Hostile inputs of training: each ends in one sentence or in a finite model that renders finite pictures, under every densification."""
+"""Hostile inputs of training: each ends in one sentence or in a finite model that renders finite
+pictures, under every densification."""
 
 from __future__ import annotations
 

@@ -96,7 +96,8 @@ def test_validation_scores_what_is_used() -> None:
 
 
 def flat_scene() -> tuple[SfmScene, TrainingViews]:
-    """Red photographs of flat ground, in whose blue upper left quarter something stands, with points about the middle."""
+    """Red photographs of flat ground, in whose blue upper left quarter something stands, with
+    points about the middle."""
     cameras = cameras_above([(0.0, 0.0), (0.5, 0.0)], size_wh=(80, 60))
     points = np.column_stack([np.random.default_rng(0).uniform(-0.5, 0.5, (60, 2)), np.zeros(60)])
     frame = Frame(kind="metric", origin_lat_lon_alt=np.zeros(3))

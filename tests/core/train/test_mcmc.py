@@ -1,4 +1,5 @@
-"""Densification as sampling: shared places against quadrature, growth by the schedule, the limit, relocation, wandering, poison."""
+"""Densification as sampling: shared places against quadrature, growth by the schedule, the limit,
+relocation, wandering, poison."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The plan of a limit of memory: laws that hold for every limit, and one sentence where nothing fits."""
+"""The plan of a memory limit: laws for every limit, and one sentence where nothing fits."""
 
 from __future__ import annotations
 

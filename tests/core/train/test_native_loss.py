@@ -1,4 +1,5 @@
-"""The native loss against the plain one in float64: values, gradients, weights, every build, hostile images; all in float32 itself."""
+"""The native loss against the plain one in float64: values, gradients, weights, every build,
+hostile images; all in float32 itself."""
 
 from __future__ import annotations
 

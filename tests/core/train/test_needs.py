@@ -1,4 +1,5 @@
-"""What a training needs: limits of a backend, of the photographs' pixels and of their number; what is asked for is left alone."""
+"""What a training needs: limits of a backend, of the photographs' pixels and of their number; what
+is asked for is left alone."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ FRAME = Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3))
 
 
 def scene_of(num_views: int, gains: np.ndarray | None = None, size_wh: tuple[int, int] = (64, 48)) -> tuple[SfmScene, TrainingViews]:
-    """Views of one flat ground whose points all of them see; photograph v is `gains[v]` times as bright."""
+    """Views of one flat ground, of the same points; photograph v is `gains[v]` times as bright."""
     cameras = cameras_above([(0.1 * v, 0.0) for v in range(num_views)], size_wh=size_wh)
     gains = np.ones(num_views) if gains is None else gains
     rng = np.random.default_rng(0)

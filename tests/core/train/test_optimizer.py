@@ -1,4 +1,4 @@
-"""Adam over visible rows: torch's Adam is the twin, dense or on the steps that saw a row; poison changes nothing."""
+"""Adam over visible rows, against torch's, dense or on the steps that saw a row; poison."""
 
 from __future__ import annotations
 
@@ -190,7 +190,8 @@ class TestPoison:
             adam.step()
         for name, tensor in ours.items():
             assert all(torch.isfinite(t).all() for t in (tensor, *adam.moments(name)))
-            if abs(size) >= 1e18:  # three steps of the learning rate, as for any other constant gradient
+            # Three steps of the learning rate, as for any other constant gradient.
+            if abs(size) >= 1e18:
                 moved = (tensors(dtype)[name] - tensor.detach()).abs()
                 assert float(moved.min()) == pytest.approx(3 * RATES[name], rel=1e-3)
 
@@ -273,7 +274,7 @@ def test_presets_that_promise_plain_3dgs_are_dense_and_so_is_what_was_best() -> 
 
 
 def test_rows_that_are_chosen_keep_moments_and_counts_and_fresh_ones_begin_anew() -> None:
-    """After a selection, each old row goes on as in a run that always had it there, each fresh one as in a new run."""
+    """After a selection each old row goes on as if always there, each fresh one as in a new run."""
     whole = tensors()
     adam = SelectiveAdam(whole, RATES)
     for step in range(5):
@@ -297,7 +298,8 @@ def test_rows_that_are_chosen_keep_moments_and_counts_and_fresh_ones_begin_anew(
         twin.step(torch.ones(1, dtype=torch.bool))
     for name in SHAPES:
         torch.testing.assert_close(chosen[name][2:3], anew[name], rtol=1e-6, atol=1e-7)
-        assert not torch.equal(chosen[name][1], chosen[name][2])  # the same row, one with its history and one without
+        # The same row, one with its history and one without.
+        assert not torch.equal(chosen[name][1], chosen[name][2])
 
 
 def test_a_selection_that_does_not_fit_changes_nothing() -> None:

@@ -1,4 +1,5 @@
-"""`TrainConfig` as a record and by paths: it comes back as it was, texts are read by type, what does not fit is refused."""
+"""`TrainConfig` as a record and by paths: it comes back as it was, texts are read by type, what
+does not fit is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Needles and screen-filling Gaussians are held at their limits, the dead are left out without a trace; backgrounds and antialiasing."""
+"""Needles and screen-filling Gaussians are held at their limits, the dead are left out without a
+trace; backgrounds and antialiasing."""
 
 from __future__ import annotations
 
@@ -128,7 +129,7 @@ def test_antialiasing_travels_with_the_model(tmp_path: Path) -> None:
 
 
 def test_antialiasing_keeps_small_gaussians_from_growing_with_the_distance() -> None:
-    """Half-pixel Gaussians drawn at a quarter of the size: without it each covers as many pixels as before."""
+    """Half-pixel Gaussians at a quarter of the size: without it each covers as many pixels."""
     fine = ground_splats()
     fine = replace(fine, log_scales=np.full_like(fine.log_scales, np.log(0.03)))
     shares = {}

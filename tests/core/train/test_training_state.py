@@ -1,4 +1,5 @@
-"""A run of training as something that stops and goes on: the same bits, schedules by time, steps that are not taken, the best model."""
+"""A run of training as something that stops and goes on: the same bits, schedules by time, steps
+that are not taken, the best model."""
 
 from __future__ import annotations
 

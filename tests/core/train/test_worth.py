@@ -1,4 +1,5 @@
-"""Photographs that add nothing: blurred and repeated ones are found, what is told is the measured figure, and nothing else is dropped."""
+"""Photographs that add nothing: blurred and repeated ones are found, what is told is the measured
+figure, and nothing else is dropped."""
 
 from __future__ import annotations
 

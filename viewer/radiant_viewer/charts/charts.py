@@ -26,7 +26,7 @@ OTHER_COLORS = (VERMILLION, GREY, tint(BLUE, WHITE, 0.55), tint(GREEN, WHITE, 0.
 
 @dataclass(frozen=True, kw_only=True)
 class TimelineSpan:
-    """One stage of a device, an edge or the cloud. Raises BadInput where it ends before it begins or is not finite."""
+    """One stage of a device, an edge or the cloud; BadInput unless 0 ≤ start ≤ stop < ∞."""
 
     stage: str
     start_s: float
@@ -48,7 +48,7 @@ class TimelineRow:
 
 
 def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width_px: int = 1280) -> Image:
-    """Return the timeline (H,width_px,3): a bar per span, and the total of each row; BadInput without any span."""
+    """Return the timeline (H,width_px,3), a bar per span, a total per row; BadInput if empty."""
     if not any(row.spans for row in rows):
         raise BadInput("there is no timeline to draw: no device or edge has a stage with a time.")
     if width_px < 640:
@@ -68,11 +68,8 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
 
 
 def comparison_picture(photo: Image, render: Image, difference: Image | None = None, title: str = "", width_px: int | None = None) -> Image:
-    """Return photograph, render and difference, each (H,W,3), side by side with captions.
-
-    Each is 380 to 560 px wide, or all three `width_px`; without `difference` it is |photo − render|
-    × 3. Raises BadInput where sizes differ.
-    """
+    """Return photograph, render and difference, by default |photo − render| × 3, each (H,W,3), side
+    by side, 380 to 560 px wide each or `width_px` together; BadInput where sizes differ."""
     if difference is None:
         _require_same_size(photo, render)
         difference = np.minimum(255, 3 * np.abs(photo.astype(np.int16) - render)).astype(np.uint8)
@@ -102,15 +99,8 @@ def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: d
         axes.barh(index, length, left=start, height=0.68, color=colors[span.stage], edgecolor="white", linewidth=0.6)
     if row.spans:
         stop_s = max(span.stop_s for span in row.spans)
-        axes.annotate(
-            duration_text(sum(span.stop_s - span.start_s for span in row.spans)),
-            (stop_s / unit_s, index),
-            xytext=(6, 0),
-            textcoords="offset points",
-            size=9,
-            va="center",
-            color=INK_COLOR,
-        )
+        text = duration_text(sum(span.stop_s - span.start_s for span in row.spans))
+        axes.annotate(text, (stop_s / unit_s, index), xytext=(6, 0), textcoords="offset points", size=9, va="center", color=INK_COLOR)
 
 
 def time_unit(end_s: float) -> tuple[float, str]:
@@ -119,7 +109,7 @@ def time_unit(end_s: float) -> tuple[float, str]:
 
 
 def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, label: str, theme: Theme = LIGHT) -> None:
-    """Style a time axis from 0 to `end` with rows from the top down, each a name and whether it is bold."""
+    """Style a time axis from 0 to `end` with rows from the top down: name, whether it is bold."""
     ink, soft = hex_color(theme.ink), hex_color(theme.soft_text)
     axes.set(xlim=(0, end * 1.01), ylim=(len(rows) - 0.4, -0.6))
     axes.set_facecolor("none")

@@ -1,4 +1,4 @@
-"""The cost of quality: PSNR against CPU seconds and against Gaussians, one line per variant. Once per benchmark."""
+"""PSNR against CPU seconds and against Gaussians, one line per variant. Once per benchmark."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIN_LABEL_GAP = 0.14
 
 @dataclass(frozen=True, kw_only=True)
 class CurvePoint:
-    """One trained model: CPU seconds, number of Gaussians, PSNR in dB. Raises BadInput where one is not finite or not positive."""
+    """A trained model: CPU seconds, Gaussians, PSNR in dB; BadInput unless finite and positive."""
 
     cpu_s: float
     num_gaussians: float
@@ -35,7 +35,8 @@ class CurvePoint:
 def curve_picture(
     curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str, time_label: str = "CPU time of training (s)"
 ) -> Image:
-    """Return all points (H,W,3), with lines through the means of points of about equal seconds. BadInput without points."""
+    """Return all points (H,W,3), with lines through the means of points of about equal seconds;
+    BadInput without points."""
     if not any(curves.values()):
         raise BadInput("there is no curve to draw: give at least one point.")
     figure = titled_figure((WIDTH_PX, HEIGHT_PX), title, detail)
@@ -56,7 +57,7 @@ def curve_picture(
 
 
 def _spread_labels(values: Sequence[float]) -> list[float]:
-    """Return rounded values to label on a logarithmic axis, the smallest first, with space for their labels."""
+    """Return rounded values, the smallest first, with space for labels on a logarithmic axis."""
     rounded = sorted({float(f"{value:.2g}") for value in values})
     kept = rounded[:1]
     for value in rounded[1:]:

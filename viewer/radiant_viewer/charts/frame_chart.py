@@ -1,8 +1,5 @@
-"""The frame of a device: GPS positions of its photographs beside the camera centres of its own
-structure from motion.
-
-From above and from the south, on one scale. Drawn once per device, beside its photographs.
-"""
+"""The GPS positions of a device's photographs beside the camera centres of its own structure from
+motion, from above and from the south on one scale. Once per device."""
 
 from __future__ import annotations
 
@@ -21,7 +18,8 @@ FAR_SHARE = 0.1
 
 
 def frame_picture(gps_m: FloatArray, cameras_m: FloatArray, title: str, detail: str) -> Image:
-    """Draw GPS positions (P,3) m east, north, up, joined to camera centres (P,3) after the fit; BadInput without any."""
+    """Draw GPS positions (P,3) m east, north, up, joined to camera centres (P,3) after the fit;
+    BadInput without any."""
     gps_m = check_array("gps_m", gps_m, (None, 3))
     cameras_m = check_array("cameras_m", cameras_m, (len(gps_m), 3))
     if not len(gps_m):

@@ -1,9 +1,5 @@
-"""A plan as bars over time, one line per device and edge, the predicted bars above the measured
-ones.
-
-Predicted bars are pale with an outline, measured ones full; colours are the timeline's. Once per
-plan and once per report.
-"""
+"""A plan as bars over time, one line per device and edge: the predicted bars, pale with an outline,
+above the measured ones. Once per plan and once per report."""
 
 from __future__ import annotations
 
@@ -32,7 +28,7 @@ Color = tuple[float, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class GanttRow:
-    """One machine: its predicted stages and, after a run, the measured ones; strong: an edge or the cloud, in bold."""
+    """One machine: its predicted and measured stages; strong: an edge or the cloud, in bold."""
 
     name: str
     predicted: tuple[TimelineSpan, ...] = ()
@@ -48,16 +44,14 @@ class GanttRow:
 
 
 def gantt_picture(rows: Sequence[GanttRow], title: str, detail: str = "", width_px: int = 1280, theme: Theme = LIGHT) -> Image:
-    """Return the Gantt chart (H,width_px,3) of the slowest `MAX_ROWS` machines.
-
-    An empty title takes no space. Raises BadInput without any span.
-    """
+    """Return the Gantt chart (H,width_px,3) of the slowest `MAX_ROWS` machines; an empty title
+    takes no space. BadInput without any span."""
     spans = [span for row in rows for span in (*row.predicted, *row.measured)]
     if not spans:
         raise BadInput("there is no Gantt chart to draw: no machine has a stage with a time.")
     if width_px < 640:
         raise BadInput(f"a Gantt chart of {width_px} px was asked for, expected at least 640 px.")
-    shown = _shown(rows)
+    shown = _slowest_rows(rows)
     if len(shown) < len(rows):
         detail = f"{detail}   ·   the {len(shown)} slowest of {len(rows)} machines".lstrip(" ·")
     both = any(row.measured for row in rows) and any(row.predicted for row in rows)
@@ -84,7 +78,7 @@ def gantt_picture(rows: Sequence[GanttRow], title: str, detail: str = "", width_
     return figure_image(figure)
 
 
-def _shown(rows: Sequence[GanttRow]) -> list[GanttRow]:
+def _slowest_rows(rows: Sequence[GanttRow]) -> list[GanttRow]:
     if len(rows) <= MAX_ROWS:
         return list(rows)
     slowest = set(sorted(range(len(rows)), key=lambda index: -rows[index].stop_s)[:MAX_ROWS])

@@ -1,4 +1,5 @@
-"""A border in the results of several ways of joining, beside the photograph, above their errors. Once per benchmark."""
+"""A border as several ways of joining leave it, beside the photograph, above their errors. Once per
+benchmark."""
 
 from __future__ import annotations
 
@@ -27,11 +28,8 @@ class Healed:
 
 
 def healing_picture(photograph: Image, band: NDArray[np.bool_], shown: Sequence[Healed], title: str, detail: str = "") -> Image:
-    """Return the photograph (H,W,3) and the renders `shown`, above the band (H,W) and |shown −
-    photograph| × 3.
-
-    Raises BadInput without renders, or where sizes differ.
-    """
+    """Return the photograph (H,W,3) and the renders, above the band (H,W) and the differences × 3;
+    BadInput without renders, or where sizes differ."""
     if not shown or 0 in photograph.shape:
         raise BadInput("there is no border to draw: give a photograph and at least one picture of it.")
     for name, shape in (("the band", (*band.shape, 3)), *((one.caption, one.image.shape) for one in shown)):

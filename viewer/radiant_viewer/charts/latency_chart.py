@@ -1,9 +1,5 @@
-"""Training time of each device under one plan and another, side by side. Once per comparison of
-plans.
-
-Solid bars are measured, outlined ones predicted, one pair per device; the vertical line is the
-slowest device.
-"""
+"""Training time of each device under one plan and another: solid bars are measured, outlined ones
+predicted, the vertical line is the slowest device. Once per comparison of plans."""
 
 from __future__ import annotations
 
@@ -25,7 +21,7 @@ COLORS = tuple(map(unit_rgb, (ORANGE, BLUE)))
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceLatency:
-    """Seconds of one device, measured and predicted. Raises BadInput where one is negative or not finite."""
+    """Seconds of one device, measured and predicted; BadInput where negative or not finite."""
 
     name: str
     measured_s: float
@@ -51,7 +47,7 @@ class PlanLatency:
 
 
 def latency_picture(plans: Sequence[PlanLatency], title: str, detail: str) -> Image:
-    """Return one panel of bars per plan (H,W,3), on the same time axis; BadInput without plans or devices."""
+    """Return a panel of bars per plan (H,W,3), one time axis; BadInput without plans or devices."""
     if not plans or not all(plan.devices for plan in plans):
         raise BadInput("there is no latency to draw: give at least one plan, each with at least one device.")
     rows = max(len(plan.devices) for plan in plans)

@@ -1,4 +1,4 @@
-"""Lines and dots over one axis: convergence of planners, cost against images, quality against epochs. Once per benchmark."""
+"""Lines and dots over one axis, such as quality against epochs. Once per benchmark."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PANEL_WH, LEFT_PX, FOOT_PX, TOP_PX, GAP_PX = (520, 400), 76, 58, 76, 30
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """x, y (K,) finite; `dotted`: dots without a line; `marked`: dots on the line; `style`: a fixed style."""
+    """x, y (K,) finite; `dotted`: dots without a line; `marked`: dots on the line."""
 
     name: str
     x: FloatArray

@@ -1,9 +1,5 @@
-"""Partitions side by side: the region of each camera by each method, and the time of each region.
-Once per comparison.
-
-One row of maps, each above its bars: one bar per region with its predicted time, so that an even
-row of bars is a balanced plan.
-"""
+"""Partitions side by side: the region of each camera by each method, above one bar per region with
+its predicted time; an even row of bars is a balanced plan. Once per comparison."""
 
 from __future__ import annotations
 
@@ -40,7 +36,8 @@ class Partition:
 def partitions_picture(
     positions: FloatArray, partitions: Sequence[Partition], edge_ids: Sequence[str], title: str, unit: str = "m"
 ) -> Image:
-    """Return maps and bars (H,W,3) of partitions of the same cameras (C,2); BadInput without any, or for other cameras or edges."""
+    """Return maps and bars (H,W,3) of partitions of the same cameras (C,2); BadInput without any,
+    or for other cameras or edges."""
     positions = check_array("positions", positions, (None, 2))
     if not partitions or not len(positions):
         raise BadInput("there is no partition to draw: give at least one method and one camera.")
@@ -81,8 +78,9 @@ def _draw_map(axes: Axes, positions: FloatArray, partition: Partition, num_edges
     orphans = int((partition.edge_of_camera < 0).sum())
     if orphans:
         axes.scatter(*dots[~owned].T, s=size * 1.5, c="black", marker="x", linewidths=0.8)
-        axes.text(0.99, 0.01, f"× {orphans} in no region", transform=axes.transAxes, size=8, ha="right", va="bottom", color="black",
-                  bbox={"facecolor": "white", "alpha": 0.85, "pad": 1.5, "linewidth": 0})  # fmt: skip
+        patch = {"facecolor": "white", "alpha": 0.85, "pad": 1.5, "linewidth": 0}
+        text = f"× {orphans} in no region"
+        axes.text(0.99, 0.01, text, transform=axes.transAxes, size=8, ha="right", va="bottom", color="black", bbox=patch)
     low, high = box
     margin = 0.04 * max(float((high - low).max()), 1e-9)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), xticks=[], yticks=[])

@@ -1,4 +1,4 @@
-"""The effect of slack: distance and border length against the makespan. Once per plan, on request."""
+"""The effect of slack: distance and border length over the makespan. Once per plan, on request."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MIN_GAP = 0.05
 
 
 def slack_picture(points: Sequence[SlackPoint]) -> Image:
-    """Return two panels over the makespan (H,W,3), one dot per slack with its factor; BadInput without points."""
+    """Return two panels over the makespan (H,W,3), a dot per slack; BadInput without points."""
     if not points:
         raise BadInput("there is no slack curve to draw: give at least one point.")
     detail = "Each dot is the plan of least Σ distance² whose makespan is at most slack times the shortest"

@@ -1,1 +1,1 @@
-"""The docks of the window, one file each; they see its protocols in `host`. Needs the `desktop` extra."""
+"""The docks of the window, one file each; they see it through `host`. Needs the `desktop` extra."""

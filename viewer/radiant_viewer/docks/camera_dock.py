@@ -1,4 +1,4 @@
-"""The table of cameras: sorted by any column, filtered by words, saved as CSV; a row selects its camera in both views. `desktop` extra."""
+"""The table of cameras: sorted, filtered by words, saved as CSV. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ COLORINGS = {
 
 
 class CameraDock(QDockWidget):
-    """Emits `chosen` with the index of the photograph whose row is selected; a double click flies there."""
+    """Emits `chosen` with the index of the selected photograph; a double click flies there."""
 
     chosen = Signal(int)
 

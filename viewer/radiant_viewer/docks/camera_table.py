@@ -1,4 +1,4 @@
-"""The cameras of a run as a Qt table model: sortable by every column, figures as numbers, and as CSV. Needs the `desktop` extra."""
+"""The cameras of a run as a sortable Qt table model, and as CSV. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -21,29 +21,16 @@ Index = QModelIndex | QPersistentModelIndex
 
 
 class CameraTable(QAbstractTableModel):
-    """One row per camera of the scene, then one per held-out photograph whose pose stayed with its
-    device.
-
+    """One row per camera of the scene, then per held-out photograph whose pose is with its device.
     Columns: name, region, device, use, PSNR, other measured figures, position, and the file where
-    the name is a number.
-    """
+    the name is a number."""
 
     def __init__(self, run: RunView, figures: ImageFigures | None = None) -> None:
         super().__init__()
-        unit = run.unit
+        axes = (f"{axis} ({run.unit})" for axis in ("East", "North", "Up"))
         more = [figure for figure in FIGURES[1:] if any(figure.key in row for row in (figures or {}).values())]
-        self.headings = (
-            "Photograph",
-            "Region",
-            "Device",
-            "Use",
-            "PSNR (dB)",
-            *(figure.heading for figure in more),
-            f"East ({unit})",
-            f"North ({unit})",
-            f"Up ({unit})",
-            *(["File"] if run.files else []),
-        )
+        names = ("Photograph", "Region", "Device", "Use", "PSNR (dB)", *(figure.heading for figure in more))
+        self.headings = (*names, *axes, *(["File"] if run.files else []))
         self._keys, self._figures = [figure.key for figure in more], figures or {}
         self.rows = _rows(run, self._keys, self._figures)
 
@@ -81,7 +68,7 @@ class CameraTable(QAbstractTableModel):
         return f"{value:.3f}" if self.headings[index.column()] in ("SSIM", "FLIP", "LPIPS") else f"{value:.2f}".replace("-", "−")
 
     def save_csv(self, path: Path, order: Sequence[int]) -> None:
-        """Write the rows `order` (indices of cameras) as CSV with all digits; BadInput when it cannot be written."""
+        """Write the rows `order` (indices) as CSV with all digits; BadInput where that fails."""
         text = io.StringIO(newline="")
         writer = csv.writer(text)
         writer.writerow(self.headings)

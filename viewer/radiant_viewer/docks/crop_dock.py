@@ -1,12 +1,10 @@
-"""The crop box: hides what lies outside it in all views, and exports what lies inside. Needs the
-`desktop` extra.
-
-The graphics card clips the clouds, so dragging the box copies no points.
-"""
+"""The crop box: hides what lies outside it in all views, and exports what lies inside. The graphics
+card clips the clouds, so dragging the box copies no points. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PySide6.QtWidgets import QCheckBox, QDockWidget, QDoubleSpinBox, QFileDialog, QGridLayout, QLabel, QPushButton, QWidget
@@ -28,7 +26,7 @@ SHARE = 0.5
 
 
 class CropDock(QDockWidget):
-    """`box` (2,3) is the lower and upper corner in the world; it clips only while `active` is ticked."""
+    """`box` (2,3): lower and upper corner in the world; it clips only while `active` is ticked."""
 
     def __init__(self, host: Host, splats: Splats | None, unit: str) -> None:
         super().__init__("Crop")
@@ -78,12 +76,7 @@ class CropDock(QDockWidget):
 
     def set_box(self, box: FloatArray) -> None:
         """Set the box from two opposite corners."""
-        ordered = np.sort(np.asarray(box, np.float64), axis=0)
-        for pair, sides in zip(self._fields, ordered.T, strict=True):
-            for field, value in zip(pair, sides, strict=True):
-                field.blockSignals(True)
-                field.setValue(float(value))
-                field.blockSignals(False)
+        self._set_fields(np.sort(np.asarray(box, np.float64), axis=0))
         self._apply()
 
     def apply_to(self, canvas: Canvas) -> None:
@@ -100,7 +93,8 @@ class CropDock(QDockWidget):
                     mapper.AddClippingPlane(plane)
 
     def save_inside(self, path: Path) -> int:
-        """Write the Gaussians inside the box and return their number; BadInput where there are none or the file cannot be written."""
+        """Write the Gaussians inside the box and return their number; BadInput without any, or if
+        the file cannot be written."""
         if self._splats is None:
             raise BadInput("this run has no model yet: there is nothing to export.")
         inside = np.flatnonzero(inside_box(self._splats.means, self.box.tolist()))
@@ -160,19 +154,21 @@ class CropDock(QDockWidget):
                 interaction_event="end",
             )
 
-    def _on_dragged(self, shape: object) -> None:
-        bounds = np.array(shape.bounds).reshape(3, 2).T + self._host.origin  # type: ignore[attr-defined]
+    def _on_dragged(self, shape: Any) -> None:
+        bounds = np.array(shape.bounds).reshape(3, 2).T + self._host.origin
         if self._widget_box is not None and not np.allclose(bounds, self._widget_box, atol=1e-3):
-            # The widget is where it was dragged to: creating it again under the pointer would end
-            # the drag.
+            # The widget is in place: creating it again under the pointer would end the drag.
             self._widget_box = bounds
-            for pair, sides in zip(self._fields, bounds.T, strict=True):
-                for field, value in zip(pair, sides, strict=True):
-                    field.blockSignals(True)
-                    field.setValue(float(value))
-                    field.blockSignals(False)
+            self._set_fields(bounds)
             self._widget_box = self.box
             self._apply()
+
+    def _set_fields(self, corners: FloatArray) -> None:
+        for pair, sides in zip(self._fields, corners.T, strict=True):
+            for field, value in zip(pair, sides, strict=True):
+                field.blockSignals(True)
+                field.setValue(float(value))
+                field.blockSignals(False)
 
     def _planes(self, canvas: Canvas) -> list[vtkPlane]:
         low, high = self.box - self._host.origin

@@ -1,4 +1,5 @@
-"""Writes a film frame by frame through Qt's event loop, and the two sources of its frames. Needs the `desktop` extra."""
+"""Writes a film frame by frame through Qt's event loop, and the two sources of its frames. Needs
+the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from radiant_viewer.layers.themes import Theme, apply_theme
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
-from radiant_viewer.splats.splat_process import Frame, SplatProcess
+from radiant_viewer.splats.splat_process import SplatProcess
 
 Drawn = Callable[[Image], None]
 Failed = Callable[[str], None]
@@ -28,7 +29,7 @@ class FrameSource(Protocol):
     """Draws frames one at a time."""
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """Call `ready` once `ask` may be called, `drawn` per frame, and `failed` with a sentence on an error."""
+        """Call `ready` once `ask` may be called, `drawn` per frame, `failed` with the reason."""
         ...
 
     def ask(self, pose: ViewPose) -> None:
@@ -50,7 +51,7 @@ class SplatFrames:
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
         self._process = SplatProcess(self._parent, "own", self._ply_path)
         self._process.ready.connect(ready)
-        self._process.drawn.connect(lambda frame: drawn(_image(frame)))
+        self._process.drawn.connect(lambda frame: drawn(frame.image))
         self._process.failed.connect(failed)
 
     def ask(self, pose: ViewPose) -> None:
@@ -133,19 +134,14 @@ class FlightJob(QObject):
         except (RadiantError, OSError) as error:
             self._on_failed(str(error))
             return
-        self._over(f"Saved {self._next} frames to {self._writer.path}")
+        self._end(f"Saved {self._next} frames to {self._writer.path}")
 
     def _on_failed(self, reason: str) -> None:
         if not self._is_over:
             self._writer.discard()
-            self._over(f"No film was written: {reason}")
+            self._end(f"No film was written: {reason}")
 
-    def _over(self, message: str) -> None:
+    def _end(self, message: str) -> None:
         self._is_over = True
         self._frames.end()
         self.ended.emit(message)
-
-
-def _image(frame: object) -> Image:
-    assert isinstance(frame, Frame)
-    return frame.image

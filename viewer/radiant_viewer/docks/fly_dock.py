@@ -1,5 +1,4 @@
-"""Keyframed flights: collected from the 3D view, played in it, and written as MP4, WebM or GIF.
-Needs the `desktop` extra.
+"""Keyframed flights: played in the 3D view, and written as film files. Needs the `desktop` extra.
 
 Frames come from our own renderer in a separate process or from the visible layers, one at a time
 through the event loop: the window stays usable, and closing it leaves no partial film.
@@ -94,7 +93,7 @@ class FlyDock(QDockWidget):
         self._host.attempt(self._play)
 
     def write(self, path: Path, *, source: str | None = None, size_wh: tuple[int, int] | None = None) -> None:
-        """Start writing the flight; BadInput where that is not possible. `job.ended` carries the result."""
+        """Start writing the flight; BadInput where it cannot be. `job.ended` carries the result."""
         size = size_wh or SIZES[self.frame_size.currentText()]
         poses = self.poses()
         writer = MovieWriter(path, size, self.rate.value())

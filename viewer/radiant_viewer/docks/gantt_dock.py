@@ -1,4 +1,4 @@
-"""The Gantt chart of the plan and of the measured run, as in the report. Needs the `desktop` extra."""
+"""The Gantt chart of plan and measured run, as in the report. Needs the `desktop` extra."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The layer tree: per layer a box to show it, a box to show it alone, and its legend. Needs the `desktop` extra."""
+"""The layer tree: per layer a box to show it, a box to show it alone, and its legend. Needs the
+`desktop` extra."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ LEGEND_COLUMNS = 36
 
 
 class LayerDock(QDockWidget):
-    """Calls `changed` whenever the set of visible layers changes; `is_visible` answers for one layer."""
+    """Calls `changed` when the set of visible layers changes; `is_visible` answers for one."""
 
     def __init__(self, layers: Sequence[Layer], hidden: frozenset[str], changed: Callable[[], None]) -> None:
         super().__init__("Layers")

@@ -1,5 +1,4 @@
-"""The photograph of the selected camera and, where it was held out, its render and their
-difference, compared by a wipe.
+"""The photograph of the selected camera; if held out, with render and difference under a wipe.
 
 Held-out photographs are visited worst first. For a photograph that is not on this machine, a
 sentence names its device. Needs the `desktop` extra.
@@ -74,7 +73,7 @@ class PhotoDock(QDockWidget):
         self._set_enabled(False)
 
     def show_camera(self, index: int) -> None:
-        """Show photograph `index` of `RunView.photographs`, with its comparison where there is one."""
+        """Show photograph `index` of `RunView.photographs`, with its comparison if there is one."""
         name = self._run.photographs[index]
         self.at = name
         file = self._run.files.get(name)
@@ -114,7 +113,8 @@ class PhotoDock(QDockWidget):
         self._host.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
 
     def _comparison(self, name: str) -> tuple[dict[str, Image], str]:
-        """Return the three pictures by name, empty for a training camera; with a sentence where they are on another machine."""
+        """Return the three pictures by name, none for a training camera; with a sentence where they
+        are on another machine."""
         if name not in (self._run.psnr_db or {}):
             return {}, ""
         try:
@@ -125,15 +125,13 @@ class PhotoDock(QDockWidget):
             return {}, f"{str(error)[0].upper()}{str(error)[1:]}" if self._run.in_field else ""
 
     def _reasons(self, index: int, apart: str) -> str:
-        """Return what the camera saw beside the other cameras, and what is missing here."""
         if index < len(self._run.scene.cameras):
             return reason_text(self._run.scene, index)
         return f"{apart} The place of its camera stayed with device {self._run.owner(index)}, too.".strip()
 
     def _show(self) -> None:
-        wanted = (
-            PAIRS[self.mode.currentIndex()] if self.mode.currentIndex() < len(PAIRS) else (SINGLES[self.mode.currentIndex() - len(PAIRS)],)
-        )
+        mode = self.mode.currentIndex()
+        wanted = PAIRS[mode] if mode < len(PAIRS) else (SINGLES[mode - len(PAIRS)],)
         pictures = self._pictures
         if not pictures:
             self.picture.show_picture(None, message=self.picture.message)

@@ -1,4 +1,5 @@
-"""Progress of a running run: a bar per stage, warnings, time left, polled once a second. Needs the `desktop` extra."""
+"""Progress of a run: a bar per stage, warnings, time left, polled once a second. Needs the
+`desktop` extra."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The seam tour: all borders, worst first; each stop moves both views to its worst place. Needs the `desktop` extra."""
+"""The seam tour: all borders, worst first; a stop moves both views to its worst place. Needs the
+`desktop` extra."""
 
 from __future__ import annotations
 
@@ -114,7 +115,7 @@ class SeamDock(QDockWidget):
 
 
 def make_seam_dock(host: Host, run: RunView) -> SeamDock | None:
-    """Return the dock of a run with a model and two regions or more; None where there is no seam."""
+    """Return the dock of a run with a model and borders; None where there is no seam."""
     if run.splats is None or len(run.cloud_plan.edge_ids) < 2:
         return None
     stops = seam_stops(run.scene, run.cloud_plan, run.splats)
@@ -122,7 +123,7 @@ def make_seam_dock(host: Host, run: RunView) -> SeamDock | None:
 
 
 def _mark(stop: SeamStop, height: float) -> Layer:
-    """Return a disc at the worst place and white discs at both ends: a line would hide the colours of the seam."""
+    """Return a disc at the worst place and white ones at the ends: a line would hide the seam."""
     places = np.column_stack([[stop.worst, *stop.ends], np.full(3, height)])
     return Layer(
         name=MARK,
@@ -136,7 +137,6 @@ def _mark(stop: SeamStop, height: float) -> Layer:
 
 
 def _cells(stop: SeamStop, unit: str) -> tuple[str, ...]:
-    """Return the texts of one row after its number."""
     figures = stop.figures
     levels = (figures.step_levels, figures.texture_levels, figures.median_levels, stop.worst_levels)
     observed = observed_text(figures.observed_length, stop.length, unit)

@@ -1,5 +1,4 @@
-"""The splat view: the model from the camera of the 3D view, coarse while that moves and full half a
-second after it rests.
+"""The splat view: the model from the camera of the 3D view, coarse while it moves, full at rest.
 
 The choice of renderer is a `Decision`: our own is exact and starts at once; after its first full
 picture Open3D's is started, both draw the same picture, and the faster one is kept. A crop box is
@@ -42,8 +41,7 @@ class SplatDock(QDockWidget):
         super().__init__("Splats")
         self.setObjectName("splats")
         self._host = host
-        # A copy of what the strict reader accepted: the run may be written to while the window is
-        # open.
+        # A copy of what the strict reader accepted: the run's file may change meanwhile.
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
         self._splats = splats
         self.picture = PictureLabel()
@@ -120,7 +118,7 @@ class SplatDock(QDockWidget):
             process.ask(0, camera if full else self._camera(COARSE)[0], self._host.theme.view, self._host.crop_box)
 
     def _camera(self, coarse: int) -> tuple[Cameras, bytes]:
-        """Return the camera of the 3D view at the size of the dock over `coarse`, and a key that identifies the picture."""
+        """Return the 3D view's camera at the dock's size over `coarse`, and the picture's key."""
         scale = self.picture.devicePixelRatioF() / coarse
         size = max(32, round(self.picture.width() * scale)), max(32, round(self.picture.height() * scale))
         camera = self._host.view.pose.camera(size)
@@ -230,7 +228,7 @@ class SplatDock(QDockWidget):
 
 
 def _note() -> QLabel:
-    """Return a label of fixed height: a change of height would resize the picture above it, which counts as a movement."""
+    """Return a label of fixed height: resizing the picture above it would count as a movement."""
     note = QLabel("")
     note.setProperty("soft", "true")
     note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)

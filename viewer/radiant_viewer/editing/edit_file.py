@@ -17,7 +17,8 @@ from radiant_viewer.editing.edit_log import MAX_LOG_BYTES, EditHistory, free_pat
 
 
 class EditFile:
-    """`path` is the file of the plan with key `base`; `aside` is this window's own file during a conflict, else None."""
+    """`path`: the file of the plan with key `base`; `aside`: this window's own file during a
+    conflict, else None."""
 
     def __init__(self, path: Path, base: str) -> None:
         self.path, self._base = path, base
@@ -25,7 +26,8 @@ class EditFile:
         self._seen = _digest(path)
 
     def load(self) -> tuple[EditHistory, str]:
-        """Return the edits in the file, and a sentence if they are unusable; this window then owns the file."""
+        """Return the edits in the file, and a sentence if they are unusable; this window then owns
+        the file."""
         self.aside, self._seen = None, _digest(self.path)
         kept, sentence = load_edits(self.path, self._base)
         if not self.path.exists():
@@ -33,7 +35,8 @@ class EditFile:
         return kept, sentence
 
     def save(self, kept: EditHistory) -> None:
-        """Write the edits, to `aside` during a conflict; without edits the file is removed. BadInput where that fails."""
+        """Write the edits, to `aside` during a conflict; without edits the file is removed.
+        BadInput where that fails."""
         self.has_foreign_edits()
         target = self.aside or self.path
         if kept.done or kept.undone:
@@ -51,7 +54,8 @@ class EditFile:
         return self.aside is not None
 
     def take_over(self, kept: EditHistory) -> str:
-        """Overwrite the file, and return a sentence about the renamed edits of the other window. BadInput as `save`."""
+        """Overwrite the file, and return a sentence about the renamed edits of the other window.
+        BadInput as `save`."""
         theirs = move_aside(self.path) if self.path.exists() else None
         mine, self.aside, self._seen = self.aside, None, None
         self.save(kept)

@@ -1,7 +1,7 @@
-"""The edits of a plan as a file: written before an edit is solved, so that closing the window in
-between loses nothing.
+"""The edits of a plan as a file, written before they are solved: closing the window loses nothing.
 
-    {"schema": "radiant.edits", "version": 1, "base": key of the plan they were made on, "done": [edit…], "undone": [edit…]}
+    {"schema": "radiant.edits", "version": 1, "base": key of the plan that was edited,
+     "done": [edit…], "undone": [edit…]}
 
 A plan is a function of its edits, so edits are stored, not plans. A file that is broken or belongs
 to another plan is renamed, never overwritten. Written once per edit, some milliseconds.
@@ -48,7 +48,7 @@ def save_edits(path: Path, base: str, kept: EditHistory) -> None:
 
 
 def load_edits(path: Path, base: str) -> tuple[EditHistory, str]:
-    """Return the stored edits of the plan with this key, and a sentence if the file was unusable and renamed."""
+    """Return the stored edits of the plan, and a sentence if the file was unusable and renamed."""
     if not path.exists():
         return EditHistory(), ""
     try:

@@ -1,4 +1,5 @@
-"""`EditedPlan`: a plan with the wishes it fulfils, and how wishes become regions and strips. Once per edit and frame of a drag."""
+"""`EditedPlan`: a plan with the wishes it fulfils, and how wishes become regions and strips. Once
+per edit and frame of a drag."""
 
 from __future__ import annotations
 
@@ -20,12 +21,9 @@ from radiant_core.plan.system import System
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSubject:
-    """The cameras to plan: names (C) unique; positions (C,3) in `unit`; origin (3,) lat lon alt if
-    they are on the globe; ground, its height in the positions' z, if the scene has it.
-
-    Raises BadInput without cameras, for positions that are not finite and for names that come
-    twice.
-    """
+    """The cameras to plan: names (C) unique, positions (C,3) finite, in `unit`; origin (3,) lat lon
+    alt if they are on the globe; ground: its height in the positions' z, if known. BadInput without
+    cameras, or where these do not hold."""
 
     names: tuple[str, ...]
     positions: FloatArray
@@ -50,7 +48,7 @@ class PlanSubject:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanWishes:
-    """The inputs of a plan: system, constraints, slack, and the plan that fixed weights and locks refer to."""
+    """System, constraints, slack, and the plan that fixed weights and locks refer to."""
 
     system: System
     constraints: PlanConstraints
@@ -60,7 +58,7 @@ class PlanWishes:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EditedPlan:
-    """A plan and the wishes it fulfils; `edges` is empty while its cameras are not dealt to devices, as during a drag."""
+    """A plan and the wishes it fulfils; `edges` is empty until cameras are dealt, as in a drag."""
 
     wishes: PlanWishes
     cloud: CloudPlan
@@ -68,7 +66,8 @@ class EditedPlan:
 
 
 def initial_plan(subject: PlanSubject, system: System, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> EditedPlan:
-    """Return an existing plan unchanged, with its edges at its own sites; BadInput where plan, cameras and system do not fit."""
+    """Return an existing plan unchanged, with its edges at its own sites; BadInput where plan,
+    cameras and system do not fit."""
     require_plan_of(len(subject.names), cloud, edges)
     require_same_system(edges, system)
     wishes = PlanWishes(
@@ -81,7 +80,8 @@ def initial_plan(subject: PlanSubject, system: System, cloud: CloudPlan, edges: 
 
 
 def solve_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) -> EditedPlan:
-    """Solve the regions for the wishes, starting from a similar plan; BadInput with the planner's sentence where there are none."""
+    """Solve the regions for the wishes, starting from a similar plan; BadInput with the planner's
+    sentence where there are none."""
     if wishes.slack is not None and wishes.constraints:
         raise BadInput("slack is for a plan in which nothing is fixed, locked or pinned: free these first, or take the slack back.")
     constraints = wishes.constraints or None
@@ -103,14 +103,15 @@ def add_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
 
 
 def border_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -> float:
-    """Return the weight that moves the border of `edge` towards `other` outwards by `distance`, inwards where negative."""
+    """Return the weight that moves the border of `edge` towards `other` outwards by `distance`,
+    inwards where negative."""
     first, second = cloud.edge_ids.index(edge), cloud.edge_ids.index(other)
     return float(cloud.weights[first] + 2 * np.linalg.norm(cloud.sites[first] - cloud.sites[second]) * distance)
 
 
 def add_empty_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: FloatArray) -> CloudPlan:
     """Add an edge without cameras: its weight is too low for any camera to lie in its cell."""
-    centre = subject.on_map.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
+    centre = subject.on_map.mean(axis=0)  # squares of UTM coordinates lose half the digits
     cameras, sites = subject.on_map - centre, cloud.sites - centre
     nearest = assign(cameras, sites, cloud.weights)
     powers = np.sum((cameras - sites[nearest]) ** 2, axis=1) - cloud.weights[nearest]

@@ -1,4 +1,4 @@
-"""The table of edges and their devices with a bar for the load of each. Needs the `desktop` extra."""
+"""The table of edges and their devices with a bar for each load. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHARE_ROLE, COLOR_ROLE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
 
 
 class LoadDock(QDockWidget):
-    """One row per edge with its devices below; selecting a row calls `chosen` with the ids of edge and device."""
+    """One row per edge, its devices below; `chosen` receives edge and device of a selected row."""
 
     def __init__(self, chosen: Callable[[str, str | None], None]) -> None:
         super().__init__("Edges and devices")
@@ -42,8 +42,7 @@ class LoadDock(QDockWidget):
         if [(row.name, row.is_edge) for row in rows] != [(row.name, row.is_edge) for row in self._rows]:
             self._rebuild(rows)
         self._rows = tuple(rows)
-        # A signal per cell would make Qt measure all columns again: 12 ms per frame of a drag with
-        # 16 edges.
+        # A signal per cell makes Qt measure all columns: 12 ms per frame of a drag with 16 edges.
         with QSignalBlocker(self.tree.model()):
             self._fill(rows)
         for column in (CAMERAS, TIME):
@@ -97,7 +96,6 @@ class _LoadBar(QStyledItemDelegate):
     """A bar from the left for the share, with its percentage."""
 
     def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex) -> None:
-        """Draw a cell: the bar, and its percentage."""
         super().paint(painter, option, index)
         share, color = index.data(SHARE_ROLE), index.data(COLOR_ROLE)
         if share is None or color is None:

@@ -1,12 +1,11 @@
 """Mouse tools on the map while a plan is edited. Needs the `desktop` extra.
 
-    drag an edge's square              moves the edge
-    drag a border                      moves the rim of the region that was grabbed: it owns what lies inside, the rest is replanned
-    Shift and drag                     selects the cameras inside the box; with Ctrl adds them
-    Escape while dragging              cancels the drag
+    drag an edge's square   moves the edge
+    drag a border           moves the grabbed region's rim: it owns the inside, others are replanned
+    Shift and drag          selects the cameras inside the box; with Ctrl adds them
+    Escape while dragging   cancels the drag
 
-All other events go to the view, which pans and zooms. Hit tests are pure functions of places on the
-map.
+All other events go to the view, which pans and zooms. Hit tests are pure functions of places.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class EdgeGrip:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderGrip:
-    """The rim of region `edge`, grabbed at `place` (2,); `outward` (2,) is its unit normal towards region `other`."""
+    """The rim of region `edge`, grabbed at `place` (2,); `outward` (2,): unit normal to `other`."""
 
     edge: str
     other: str
@@ -53,7 +52,7 @@ class BorderGrip:
     outward: FloatArray
 
     def edit(self, place: FloatArray, cloud: CloudPlan) -> Edit:
-        """Return the edit for a drag to `place` (2,), applied to the plan at the time of the press."""
+        """Return the edit for a drag to `place` (2,), given the plan at the time of the press."""
         distance = float((place - self.place) @ self.outward)
         return FixWeight(edge=self.edge, weight_m2=border_weight_m2(cloud, self.edge, self.other, distance))
 
@@ -61,7 +60,7 @@ class BorderGrip:
 def grip_at(
     place: FloatArray, cloud: CloudPlan, constraints: PlanConstraints, borders: tuple[Border, ...], meters_per_px: float
 ) -> EdgeGrip | BorderGrip | None:
-    """Return the edge, else the border, under a press at `place` (2,), else None. A locked region's border is its neighbour's rim."""
+    """Return the edge, else the border, under a press at `place` (2,), else None."""
     away = np.linalg.norm(cloud.sites - place, axis=1)
     nearest = int(away.argmin())
     if away[nearest] <= EDGE_PX * meters_per_px:
@@ -76,6 +75,7 @@ def grip_at(
     dragged = [name in constraints.fixed_weights_m2 for name in (first, second)]
     if dragged[0] != dragged[1]:
         is_in_first = dragged[0]
+    # A locked region's border is its neighbour's rim.
     if (first if is_in_first else second) in constraints.locked:
         is_in_first = not is_in_first
     edge, other = (first, second) if is_in_first else (second, first)
@@ -215,7 +215,7 @@ class MapTools(QObject):
         return grip_at(self._place(position), state.cloud, state.wishes.constraints, self._borders[1], per_px)
 
     def _place(self, position: QPointF) -> FloatArray:
-        """Return the place (2,) of the world under a position of the widget, in device-independent pixels."""
+        """Return the place (2,) of the world under a device-independent pixel of the widget."""
         width, height = max(self._widget.width(), 1), max(self._widget.height(), 1)
         camera = self._canvas.plotter.camera
         per_px = 2 * camera.parallel_scale / height

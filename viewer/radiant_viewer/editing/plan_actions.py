@@ -17,14 +17,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_viewer.editing.plan_difference import PlanDifference, plan_difference
 from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import (
-    AddDevice,
-    AddEdge,
-    Edit,
-    PinCameras,
-    RemoveDevice,
-    SetSlack,
-)
+from radiant_viewer.editing.plan_edits import AddDevice, AddEdge, Edit, PinCameras, RemoveDevice, SetSlack
 from radiant_viewer.editing.plan_files import PlanSetting, load_other_plan, plan_subject, save_edited_plan, save_plan_geojson
 from radiant_viewer.editing.plan_layers import edited_roles, scene_footprints
 from radiant_viewer.editing.plan_report import compare_figures
@@ -42,12 +35,9 @@ NO_SYSTEM = "The plan cannot be changed here: its machines are not known."
 
 
 class PlanActions(QObject):
-    """`session` is None where the plan can only be viewed, for the reason in `reason`; `selected`:
-    names of planned cameras.
-
-    `run` and `figures` follow the session's plan. Signals: `selection_changed`, and `compared` with
-    the name of the other plan's file and the figures of both.
-    """
+    """`session` is None where the plan can only be viewed, for `reason`; `selected`: names of the
+    chosen cameras; `run` and `figures` follow the session's plan. The signal `compared` carries the
+    name of the other plan's file and the figures of both."""
 
     selection_changed = Signal()
     compared = Signal(str, object)
@@ -63,7 +53,7 @@ class PlanActions(QObject):
         self.reason = self._open_session()
 
     def do(self, edit: Edit) -> None:
-        """Solve an edit beside the window; where the plan cannot be changed, say so in the status bar."""
+        """Solve an edit beside the window; if plans cannot be changed, say so in the status bar."""
         if self.session is None:
             self.host.show_status(NO_SYSTEM)
         else:
@@ -90,7 +80,7 @@ class PlanActions(QObject):
             self.session.redo()
 
     def resolve_conflict(self, *, take_over: bool) -> None:
-        """Resolve a conflict with another window: keep this window's edits, or take the other one's."""
+        """Resolve a conflict: keep this window's edits, or take the other window's."""
         if self.session is not None:
             self.session.resolve_conflict(take_over=take_over)
 
@@ -136,7 +126,7 @@ class PlanActions(QObject):
         self.host.render_views()
 
     def select_box(self, low: FloatArray, high: FloatArray, *, add: bool = False) -> None:
-        """Select the planned cameras between two corners (2,) of the map; with `add`, keep the earlier selection."""
+        """Select the planned cameras between corners (2,); `add` keeps the earlier selection."""
         places = self.run.scene.cameras.centers[:, :2]
         inside = ((places >= low) & (places <= high)).all(axis=1) & (self.run.roles.edge_of_camera >= 0)
         names = self.run.scene.cameras.names
@@ -144,7 +134,7 @@ class PlanActions(QObject):
         self.select([*self.selected, *(name for name in found if name not in self.selected)] if add else found)
 
     def select_filtered(self, text: str) -> None:
-        """Select the planned cameras that meet a filter; an unreadable filter is reported in the status bar."""
+        """Select the planned cameras that meet a filter; the status bar reports a bad filter."""
         try:
             rows = filter_rows(self.figures, text)
         except BadInput as error:
@@ -158,7 +148,7 @@ class PlanActions(QObject):
 
     @property
     def likely_target(self) -> str | None:
-        """Of the edges with the fewest of the selected cameras, the one that finishes first; None without a selection."""
+        """Of the edges with the fewest selected cameras, the first to finish; None without any."""
         rows = self._selected_rows()
         if not rows:
             return None
@@ -167,7 +157,8 @@ class PlanActions(QObject):
         return cloud.edge_ids[int(np.lexsort((cloud.edge_time_s, own))[0])]
 
     def save(self, path: Path) -> None:
-        """Write the plan with its system and constraints; BadInput where it cannot be written or is being solved."""
+        """Write the plan with its system and constraints; BadInput where it cannot be written or is
+        being solved."""
         if self.session is None or self.setting is None:
             raise BadInput(NO_SYSTEM)
         if self.session.is_busy:
@@ -183,11 +174,8 @@ class PlanActions(QObject):
         self.do(load_other_plan(path, self.session.editor.subject))
 
     def compare(self, path: Path) -> PlanDifference:
-        """Mark the cameras that another plan gives to other edges, and draw its borders; `compared`
-        carries the figures of both.
-
-        Raises BadInput for a plan of other cameras.
-        """
+        """Mark the cameras that another plan gives to other edges, draw its borders and emit
+        `compared`; BadInput for a plan of other cameras."""
         subject = plan_subject(self.run) if self.session is None else self.session.editor.subject
         other = load_other_plan(path, subject)
         mine = (self.run.cloud_plan, self.run.edge_plans)
@@ -209,7 +197,7 @@ class PlanActions(QObject):
         return found
 
     def save_regions(self, path: Path) -> None:
-        """Write the plan's regions, strips and cameras as GeoJSON; BadInput where they have no place on the globe."""
+        """Write regions, strips and cameras as GeoJSON; BadInput if they are not on the globe."""
         save_plan_geojson(path, plan_subject(self.run), (self.run.cloud_plan, self.run.edge_plans), self.setting)
         self.host.show_status(f"Saved {path}")
 

@@ -1,4 +1,4 @@
-"""The difference of two plans: cameras that go to another edge or device, makespan and times. Once per edit or comparison."""
+"""The difference of two plans: moved cameras, makespan and times. Once per edit or comparison."""
 
 from __future__ import annotations
 
@@ -43,10 +43,8 @@ class PlanDifference:
 
 
 def plan_difference(before: tuple[CloudPlan, Sequence[EdgePlan]], after: tuple[CloudPlan, Sequence[EdgePlan]]) -> PlanDifference:
-    """Compare two plans by the ids of edges and devices; devices only where both plans deal them.
-
-    Raises BadInput for plans of different numbers of cameras.
-    """
+    """Compare two plans by the ids of edges, and of devices where both plans deal them; BadInput
+    for different numbers of cameras."""
     counts = [len(cloud.edge_of_camera) for cloud, _ in (before, after)]
     if counts[0] != counts[1]:
         raise BadInput(f"a plan of {counts[0]} cameras is compared with one of {counts[1]}: compare plans of the same cameras.")

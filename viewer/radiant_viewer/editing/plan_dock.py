@@ -1,8 +1,4 @@
-"""The dock in which a plan is changed: its figures, the selected cameras, regions, machines, slack,
-and files. Needs the `desktop` extra.
-
-It shows figures and calls `PlanActions`.
-"""
+"""The dock in which a plan is changed through `PlanActions`. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -47,7 +43,7 @@ HEADLINE_PX = 14
 
 
 class PlanDock(QDockWidget):
-    """`region` and `device` are chosen here or in the table of loads; the buttons call `actions`."""
+    """`region` and `device` are chosen here or in the table of loads; buttons call `actions`."""
 
     def __init__(self, actions: PlanActions) -> None:
         super().__init__("Plan")
@@ -120,7 +116,7 @@ class PlanDock(QDockWidget):
         self._update_buttons()
 
     def show_conflict(self, sentence: str) -> None:
-        """Show the sentence and buttons of a conflict with another window; an empty sentence hides them."""
+        """Show sentence and buttons of a conflict with another window; an empty one hides them."""
         self.conflict_text.setText(sentence)
         self.conflict.setVisible(bool(sentence))
 
@@ -131,7 +127,7 @@ class PlanDock(QDockWidget):
         self.changes.setText(changes)
 
     def show_comparison(self, other: str, text: str, rows: Sequence[ComparedRow]) -> None:
-        """Show the difference from another plan and the figures of both, at most `MAX_COMPARED` rows."""
+        """Show the difference from another plan, with up to `MAX_COMPARED` figures of both."""
         self.changes.setText(_comparison_html(other, text, rows))
 
     def show_selected(self, count: int, target: str | None = None) -> None:

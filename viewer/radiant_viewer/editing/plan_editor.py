@@ -1,7 +1,7 @@
 """`PlanEditor`: a plan with undo and redo, its edits stored in a file. No window, no thread.
 
-    editor.apply(edit)                                                      in one step
-    editor.begin(edit); plan = apply_edit(…); editor.finish(edit, plan)     in three steps, the middle one on any thread
+    editor.apply(edit)                                                   in one step
+    editor.begin(edit); plan = apply_edit(…); editor.finish(edit, plan)  the middle on any thread
 
 An impossible edit raises BadInput with one sentence and changes nothing. Earlier states are kept as
 objects, so undo restores them bit for bit.
@@ -29,11 +29,8 @@ class _Step:
 
 
 class PlanEditor:
-    """One plan and its history.
-
-    `edits_path`: the file in which edits are kept; None: nowhere. Raises BadInput when plan,
-    cameras and system do not belong together.
-    """
+    """One plan and its history; edits are kept in the file `edits_path`, if any. BadInput where
+    plan, cameras and system do not belong together."""
 
     def __init__(
         self, subject: PlanSubject, system: System, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], edits_path: Path | None = None
@@ -86,7 +83,7 @@ class PlanEditor:
         return plan_difference((before.cloud, before.edges), (self.state.cloud, self.state.edges))
 
     def preview(self, edit: Edit) -> EditedPlan:
-        """Return the regions after an edit, without strips and without doing it. BadInput as `apply`."""
+        """Return the regions of an edit without doing it, without strips. BadInput as `apply`."""
         return apply_edit(self.subject, self.state, edit, strips=False)
 
     def apply(self, edit: Edit) -> EditedPlan:
@@ -122,17 +119,17 @@ class PlanEditor:
         if not self._done:
             raise BadInput("there is nothing to undo: the plan is as it was opened.")
         self._undone.append(self._done.pop())
-        return self._reached()
+        return self._finish_step()
 
     def redo(self) -> EditedPlan:
         """Redo the edit that was undone last; BadInput without one."""
         if not self._undone:
             raise BadInput("there is nothing to redo.")
         self._done.append(self._undone.pop())
-        return self._reached()
+        return self._finish_step()
 
     def restore(self) -> tuple[str, ...]:
-        """Replay the stored edits, and return sentences about those that failed; call it once, before the first edit."""
+        """Replay the stored edits, once, before the first edit; return sentences on failed ones."""
         if self._file is None:
             return ()
         kept, sentence = self._file.load()
@@ -147,11 +144,12 @@ class PlanEditor:
                 told += failed
                 break
         self._undone = undone[::-1]
-        self._reached()
+        self._finish_step()
         return tuple(told)
 
     def _replay(self, edit: Edit, steps: list[_Step]) -> list[str]:
-        """Append the step of a stored edit, or return a sentence why not. Regions only: strips are added to what is shown."""
+        """Append the step of a stored edit, or return a sentence why not. Regions only: strips are
+        added to what is shown."""
         try:
             after = apply_edit(self.subject, steps[-1].after if steps else self.state, edit, strips=False)
         except BadInput as error:
@@ -159,7 +157,7 @@ class PlanEditor:
         steps.append(_Step(edit=edit, after=after))
         return []
 
-    def _reached(self) -> EditedPlan:
+    def _finish_step(self) -> EditedPlan:
         if self._done:
             last = self._done[-1]
             self._done[-1] = _Step(edit=last.edit, after=add_strips(self.subject, last.after))
@@ -173,8 +171,9 @@ class PlanEditor:
         return self.conflict
 
     def take_over(self) -> tuple[str, ...]:
-        """Store this window's edits in the file and the other's beside it; return sentences about it. BadInput as `EditFile.save`."""
-        return () if self._file is None else (self._file.take_over(self._kept()),)
+        """Store this window's edits in the file and the other's beside it; return sentences about
+        it. BadInput as `EditFile.save`."""
+        return () if self._file is None else (self._file.take_over(self._history()),)
 
     def adopt_other(self) -> tuple[str, ...]:
         """Replay the other window's edits, as `restore`; this window's stay in a file beside it."""
@@ -183,11 +182,10 @@ class PlanEditor:
         return (*told, *self.restore())
 
     def _aside_sentences(self) -> list[str]:
-        """Return the sentence that names this window's own file of edits."""
         aside = None if self._file is None else self._file.aside
         return [f"This window's are kept in {aside.name}."] if aside is not None and aside.exists() else []
 
-    def _kept(self) -> EditHistory:
+    def _history(self) -> EditHistory:
         # An edit that is being solved makes the undone ones unreachable.
         undone = () if self._pending else tuple(step.edit for step in self._undone)
         return EditHistory(done=(*self.edits, *self._pending), undone=undone)
@@ -197,6 +195,6 @@ class PlanEditor:
             return
         self.save_error = ""
         try:
-            self._file.save(self._kept())
+            self._file.save(self._history())
         except (BadInput, OSError) as error:
             self.save_error = f"Edits are not kept: {error}"

@@ -1,9 +1,8 @@
-"""Edits of a plan on a map: small records that turn wishes into new wishes, which `plan_regions`
-solves.
+"""Edits of a plan on a map: records that turn wishes into new wishes for `plan_regions` to solve.
 
-    FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d, the others are solved again
+    FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d
     LockRegion  the edge keeps its cameras; FreeRegion removes lock and fixed weight
-    PinCameras  the cameras belong to one edge, whatever is optimal; without an edge the pins are removed
+    PinCameras  the cameras belong to one edge, whatever is optimal; without one they are unpinned
     MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll, AdoptPlan
 
 `text` is the entry of the menu, `wishes` returns the new wishes. Locks and fixed weights refer to
@@ -16,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -38,7 +37,7 @@ from radiant_viewer.editing.edited_plan import (
 
 @dataclass(frozen=True, kw_only=True)
 class FixWeight:
-    """A dragged border: the edge owns exactly its cell with this weight (m²) in the reference plan."""
+    """A dragged border: the edge owns its cell with this weight (m²) in the reference plan."""
 
     edge: str
     weight_m2: float
@@ -91,7 +90,7 @@ class FreeRegion:
         old = before.wishes.constraints
         if self.edge not in old.locked and self.edge not in old.fixed_weights_m2:
             raise BadInput(f"the region of {self.edge!r} is free already: nothing of it is locked or was dragged.")
-        return replace(before.wishes, constraints=_without(old, self.edge, pins=False))
+        return replace(before.wishes, constraints=_release_edge(old, self.edge, pins=False))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +144,7 @@ class MoveEdge:
 
 @dataclass(frozen=True, kw_only=True)
 class AddEdge:
-    """Add an edge with machines like those of an existing one, named after it: <edge>-1, <edge>-2, …"""
+    """Add an edge with machines like those of edge `like`, named <edge>-1, <edge>-2, …"""
 
     edge: str
     position: tuple[float, float]
@@ -182,7 +181,7 @@ class RemoveEdge:
         _require_edge(system, self.edge)
         if len(system.edges) == 1:
             raise BadInput(f"{self.edge!r} is the only edge: add another before it is removed.")
-        constraints = _without(before.wishes.constraints, self.edge, pins=True)
+        constraints = _release_edge(before.wishes.constraints, self.edge, pins=True)
         return replace(
             before.wishes,
             system=replace(system, edges=tuple(edge for edge in system.edges if edge.id != self.edge)),
@@ -209,7 +208,9 @@ class AddDevice:
             raise BadInput(f"edge {self.edge!r} is known by its curve alone: its devices are its own matter.")
         like = [device for device in system.devices if device.id == self.like]
         if not like:
-            raise BadInput(f"there is no device {self.like!r} to take the new one after: there are {_some(d.id for d in system.devices)}.")
+            raise BadInput(
+                f"there is no device {self.like!r} to take the new one after: there are {_list_names(d.id for d in system.devices)}."
+            )
         new = replace(like[0], id=self.device)
         return _replace_edges(before.wishes, lambda edge: replace(edge, devices=(*edge.devices, new)) if edge.id == self.edge else edge)
 
@@ -227,7 +228,7 @@ class RemoveDevice:
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
         owner = [edge for edge in before.wishes.system.edges if any(device.id == self.device for device in edge.devices)]
         if not owner:
-            raise BadInput(f"there is no device {self.device!r}: there are {_some(d.id for d in before.wishes.system.devices)}.")
+            raise BadInput(f"there is no device {self.device!r}: there are {_list_names(d.id for d in before.wishes.system.devices)}.")
         if len(owner[0].devices) == 1:
             raise BadInput(f"{self.device!r} is the only device of edge {owner[0].id!r}: remove the edge instead.")
 
@@ -239,7 +240,7 @@ class RemoveDevice:
 
 @dataclass(frozen=True, kw_only=True)
 class SetSlack:
-    """Allow a makespan of `slack` times the shortest, for shorter distances; None: the shortest makespan."""
+    """Allow a makespan of `slack` times the shortest, for shorter distances; None: the shortest."""
 
     slack: float | None
 
@@ -276,17 +277,16 @@ class AdoptPlan:
         return f"load {self.name}"
 
 
-SOLVED = (FixWeight, LockRegion, FreeRegion, PinCameras, MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll)
 Solved = (
     FixWeight | LockRegion | FreeRegion | PinCameras | MoveEdge | AddEdge | RemoveEdge | AddDevice | RemoveDevice | SetSlack | ReleaseAll
 )
 """Edits that change wishes, so that the regions are solved again."""
 Edit = Solved | AdoptPlan
-EDITS: tuple[type[Any], ...] = (*SOLVED, AdoptPlan)
+EDITS: tuple[type[Any], ...] = get_args(Edit)
 
 
 def apply_edit(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: bool = True) -> EditedPlan:
-    """Return the plan after an edit, without strips during a drag; BadInput with one sentence where it is impossible."""
+    """Return the plan after an edit, without strips in a drag; BadInput where it is impossible."""
     if isinstance(edit, AdoptPlan):
         return initial_plan(subject, before.wishes.system, edit.cloud, edit.edges)
     after = solve_regions(subject, edit.wishes(before, subject), before.cloud)
@@ -296,7 +296,7 @@ def apply_edit(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: 
 def _require_edge(system: System, name: str) -> Edge:
     found = [edge for edge in system.edges if edge.id == name]
     if not found:
-        raise BadInput(f"there is no edge {name!r}: there are {_some(edge.id for edge in system.edges)}.")
+        raise BadInput(f"there is no edge {name!r}: there are {_list_names(edge.id for edge in system.edges)}.")
     return found[0]
 
 
@@ -304,8 +304,8 @@ def _replace_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanW
     return replace(wishes, system=replace(wishes.system, edges=tuple(changed(edge) for edge in wishes.system.edges)))
 
 
-def _without(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanConstraints:
-    """Return the constraints without lock and fixed weight of an edge, and without its pins if `pins`."""
+def _release_edge(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanConstraints:
+    """Return the constraints without lock, fixed weight and, if `pins`, pins of an edge."""
     return PlanConstraints(
         fixed_weights_m2={edge: weight for edge, weight in constraints.fixed_weights_m2.items() if edge != name},
         locked=tuple(edge for edge in constraints.locked if edge != name),
@@ -313,6 +313,6 @@ def _without(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanCons
     )
 
 
-def _some(names: Iterable[str]) -> str:
+def _list_names(names: Iterable[str]) -> str:
     listed = list(names)
     return ", ".join(listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")

@@ -37,7 +37,7 @@ SAME_PLACE_M = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSetting:
-    """What the editing of a plan needs: its machines, the file of edits, and writers of systems and constraints."""
+    """What editing a plan needs: machines, file of edits, writers of systems and constraints."""
 
     system: System | None
     """None where it is unknown: the plan cannot be changed."""
@@ -69,7 +69,8 @@ def plan_subject(run: RunView) -> PlanSubject:
 
 
 def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting: PlanSetting) -> tuple[Path, ...]:
-    """Write a plan with its system, lists and constraints; return the files. BadInput for a name without .json."""
+    """Write a plan with its system, lists and constraints; return the files. BadInput for a name
+    without .json."""
     if path.suffix != ".json":
         raise BadInput(f"{path.name} is no name for a plan: choose one that ends in .json.")
     waypoints, shift = _geo_waypoints(subject, setting.waypoints)
@@ -97,7 +98,8 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
 def save_plan_geojson(
     path: Path, subject: PlanSubject, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], setting: PlanSetting | None = None
 ) -> None:
-    """Write regions, strips and cameras as GeoJSON; BadInput where they are not on the globe, and as `write_features`."""
+    """Write regions, strips and cameras as GeoJSON; BadInput where they are not on the globe, and
+    as `write_features`."""
     if path.suffix.lower() not in (".geojson", ".json"):
         raise BadInput(f"{path.name} is no name for regions: choose one that ends in .geojson.")
     waypoints, shift = _geo_waypoints(subject, None if setting is None else setting.waypoints)
@@ -108,7 +110,7 @@ def save_plan_geojson(
 
 
 def _save_lists(folder: Path, cloud: CloudPlan, edges: Sequence[EdgePlan], waypoints: Waypoints) -> None:
-    """Write a list per device in `folder` and remove those of an earlier plan of this name; BadInput where that fails."""
+    """Write a list per device in place of an earlier plan's; BadInput where that fails."""
     try:
         folder.mkdir(exist_ok=True)
         for old in (*folder.glob("*.csv"), *folder.glob("edges/*.csv")):
@@ -119,7 +121,7 @@ def _save_lists(folder: Path, cloud: CloudPlan, edges: Sequence[EdgePlan], waypo
 
 
 def load_other_plan(path: Path, subject: PlanSubject) -> AdoptPlan:
-    """Read a plan of the same cameras in this frame and order; BadInput where it is of other cameras."""
+    """Read a plan of the same cameras in this frame and order; BadInput for other cameras."""
     cloud, edges = load_plan(path)
     waypoints = load_plan_waypoints(path)
     count = len(cloud.edge_of_camera)
@@ -147,7 +149,8 @@ def shift_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) 
 
 
 def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
-    """Return the cameras as waypoints if they are on the globe, and the waypoints' origin (2,) in the subject's frame."""
+    """Return the cameras as waypoints if they are on the globe, and the waypoints' origin (2,) in
+    the subject's frame."""
     if known is not None:
         return known, np.zeros(2)
     if subject.origin is None:

@@ -1,4 +1,4 @@
-"""The layers that an edit draws again, and those of footprints. Pure; once per edit or frame of a drag."""
+"""The layers that an edit draws again, and footprints. Pure; once per edit or frame of a drag."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 PYRAMIDS_IN_DRAGS = 500
-"""With more cameras a drag draws dots only: the lines of 2,000 take 15 % of a frame, and are 3 px long on a map."""
+"""With more cameras a drag draws dots only: the lines of 2,000 take 15 % of a frame."""
 
 
 def edited_layers(run: RunView, subject: PlanSubject, plan: EditedPlan, base: EditedPlan) -> list[Layer]:
-    """Return the layers that depend on a plan; without strips, as during a drag, those of devices are left out."""
+    """Return the layers that depend on a plan; those of devices only where it has strips."""
     ground = ground_height(run.scene)
     cloud = plan.cloud
     roles = edited_roles(run, plan)
@@ -51,7 +51,7 @@ def edited_roles(run: RunView, plan: EditedPlan) -> CameraRoles:
 
 
 def add_planning_layers(run: RunView, layers: list[Layer]) -> list[Layer]:
-    """Insert footprints, changes, constraints and loads into the layers of a run, in drawing order."""
+    """Insert footprints, changes, constraints and loads into a run's layers, in drawing order."""
     ground = ground_height(run.scene)
     positions = run.scene.cameras.centers
     below = sight_layers(run.scene, run, ground)

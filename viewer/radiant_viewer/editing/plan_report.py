@@ -1,4 +1,4 @@
-"""The figures of an edited plan: makespan against its bound, loads of edges and devices, the certificate. Once per edit."""
+"""The figures of an edited plan: makespan, bound, loads, and the certificate. Once per edit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from radiant_viewer.layers.region_layer import duration_text
 
 @dataclass(frozen=True, kw_only=True)
 class LoadRow:
-    """One edge, or one device of the edge above it: its cameras, seconds, and share of the makespan (0 to 1)."""
+    """One edge, or a device of the edge above: cameras, seconds, share of the makespan (0 to 1)."""
 
     name: str
     edge: str
@@ -27,10 +27,10 @@ class LoadRow:
 
 
 def load_rows(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, constraints: PlanConstraints) -> tuple[LoadRow, ...]:
-    """Return every edge with its devices below it; devices have no numbers while cameras are not dealt."""
+    """Return each edge with its devices below, which have no numbers until cameras are dealt."""
     makespan_s = cloud.makespan_s or 1.0
     pins = {edge: list(constraints.pinned.values()).count(edge) for edge in set(constraints.pinned.values())}
-    dealt = {plan.edge_id: plan for plan in edges}
+    dealt = {plan.edge_id: plan for plan in edges if plan.dealt}
     rows: list[LoadRow] = []
     counts = cloud.counts
     for index, edge in enumerate(system.edges):
@@ -53,18 +53,16 @@ def load_rows(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, const
         )
         plan = dealt.get(edge.id)
         for place, device in enumerate(edge.devices):
-            limit = "" if device.max_cameras is None else f"holds {device.max_cameras}"
-            known = plan is not None and plan.dealt
-            spent_s = float(plan.device_time_s[place]) if plan is not None and known else None
+            spent_s = None if plan is None else float(plan.device_time_s[place])
             rows.append(
                 LoadRow(
                     name=device.id,
                     edge=edge.id,
                     is_edge=False,
-                    num_cameras=int((plan.device_of_camera == place).sum()) if plan is not None and known else 0,
+                    num_cameras=0 if plan is None else int((plan.device_of_camera == place).sum()),
                     time_s=spent_s,
                     share=(spent_s or 0.0) / makespan_s,
-                    note=limit,
+                    note="" if device.max_cameras is None else f"holds {device.max_cameras}",
                 )
             )
     return tuple(rows)
@@ -80,7 +78,7 @@ class ComparedRow:
 
 
 def compare_figures(mine: CloudPlan, other: CloudPlan) -> tuple[ComparedRow, ...]:
-    """Return makespan, ratio to the bound, and cameras and time per edge of two plans, the largest differences first."""
+    """Return makespan, ratio to the bound, cameras and time per edge, greatest change first."""
     rows = [
         ComparedRow(name="makespan", mine=duration_text(mine.makespan_s), other=duration_text(other.makespan_s)),
         ComparedRow(name="over the bound", mine=_over_bound(mine), other=_over_bound(other)),

@@ -1,5 +1,4 @@
-"""`PlanSession`: a `PlanEditor` whose plans are solved beside the window. Needs the `desktop`
-extra.
+"""`PlanSession`: a `PlanEditor` solving beside the window. Needs the `desktop` extra.
 
 One thread solves. Edits are solved in the order of their calls; of the frames of a drag only the
 latest waits, so a slow plan skips frames instead of queueing them. An edit that is unsolved when
@@ -71,7 +70,7 @@ class PlanSession(QObject):
         self._step(self.editor.redo)
 
     def resolve_conflict(self, *, take_over: bool) -> None:
-        """Keep this window's edits or adopt those of the other window; emits `conflict_resolved`."""
+        """Keep this window's edits or adopt the other window's; emits `conflict_resolved`."""
         sentences: list[str] = []
         self._step(lambda: sentences.extend(self.editor.take_over() if take_over else self.editor.adopt_other()))
         if sentences:

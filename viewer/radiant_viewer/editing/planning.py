@@ -1,8 +1,5 @@
-"""`Planning`: the docks and map tools with which a plan is edited, and how the window shows what
-they change. Needs the `desktop` extra.
-
-Frames of a drag redraw the map alone; 3D view and tables follow when the edit is done.
-"""
+"""`Planning`: docks and map tools that edit a plan, and how the window shows it. Frames of a drag
+redraw the map alone; 3D view and tables follow the finished edit. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ WATCH_MS = 1000
 
 
 def make_planning(host: PlanHost, run: RunView | None, setting: PlanSetting | None) -> Planning | None:
-    """Return the editing of a run's plan; None for a model alone, or for what was made without a plan."""
+    """Return the editing of a run's plan; None for a model alone, or where there is no plan."""
     if run is None or run.kind != "run" or not len(run.scene.cameras):
         return None
     return Planning(host, PlanActions(host, run, setting))
@@ -90,7 +87,7 @@ class Planning:
                 self._host.show_status("Drag an edge's square or a border; Shift and drag selects cameras; E ends.")
 
     def end(self) -> None:
-        """Close the session: a drag counts as released, and an edit that is being solved stays in the file."""
+        """Close the session: a drag counts as released; an edit being solved stays in the file."""
         edit = self.tools.end_drag()
         self.tools.close()
         if self.session is not None:
@@ -129,7 +126,6 @@ class Planning:
         self._show_conflict()
 
     def _look_for_conflict(self) -> None:
-        """Show a conflict as soon as another window has changed the edits of this plan."""
         assert self.session is not None
         was_known = bool(self.session.editor.conflict)
         if not was_known and not self.session.is_busy and self.session.editor.find_conflict():

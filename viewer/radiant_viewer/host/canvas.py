@@ -1,5 +1,4 @@
-"""`Canvas`: one of the two views of the window, a map or 3D: its layers as actors, projections to
-pixels, and clicks.
+"""`Canvas`: one view of the window, a map or 3D: layers as actors, projections, and clicks.
 
 Coordinates of the world are float64; VTK sees them relative to `origin`. A click is a press and
 release within 4 px. Needs the `desktop` extra.
@@ -40,7 +39,7 @@ ClickTaker = Callable[["Canvas", tuple[int, int]], bool]
 
 
 class Canvas:
-    """A plotter in a frame with a heading; a click goes to the first of `click_takers` that uses it."""
+    """A plotter with a heading; a click goes to the first of `click_takers` that uses it."""
 
     def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray, unit: str = "m") -> None:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
@@ -59,8 +58,7 @@ class Canvas:
         self.plotter = _View(self.frame, auto_update=False, multi_samples=4)
         # Else the first look at the camera, and the first layer, would each draw a frame.
         self.plotter.camera_set = True
-        # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its
-        # own.
+        # VTK's own keys would end the view (q, e) or draw wires (w); the window has its own.
         self.plotter.reset_key_events()
         self.plotter.iren.interactor.RemoveObservers("CharEvent")
         self.plotter.setToolTip("")
@@ -85,7 +83,7 @@ class Canvas:
         self.plotter.background_color = pv.Color(theme.view)
 
     def draw(self, layer: Layer, slot: int, *, visible: bool = True) -> None:
-        """Draw a layer in place of the one of its name; on a map a higher slot covers a lower one."""
+        """Draw a layer in place of the one of its name; on a map higher slots cover lower ones."""
         height = float(SLOTS_PER_LAYER * slot)
         flat_height = height if self.is_map else None
         shown, before = apply_theme(layer, self.theme), self._drawn.get(layer.name)
@@ -105,8 +103,7 @@ class Canvas:
         self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in actors[-1:]:
-                # A view of the window is a quarter of a picture's size: points as large would bury
-                # what lies below.
+                # A quarter of a picture's size: points as large would bury what is below.
                 actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
         if layer.labels and self.is_map:
             self.actors[layer.name].append(add_map_labels(self.plotter, layer.labels, self.origin, height, self.theme, LABEL_SIZE))
@@ -156,7 +153,7 @@ class Canvas:
         )
 
     def set_pose(self, pose: ViewPose) -> None:
-        """Move the camera; a map keeps looking straight down and is only centred on the focal point."""
+        """Move the camera; a map still looks straight down, centred on the focal point."""
         camera = self.plotter.camera
         if self.is_map:
             self.center_on(pose.focal_point[:2])
@@ -167,7 +164,7 @@ class Canvas:
         self.plotter.renderer.reset_camera_clipping_range()
 
     def center_on(self, place: FloatArray, half_height: float | None = None) -> None:
-        """Centre the map on `place` (2,); `half_height` is how much of the world it shows above and below."""
+        """Centre the map on `place` (2,), with `half_height` of the world above and below."""
         camera = self.plotter.camera
         x, y = (float(value) for value in np.asarray(place) - self.origin[:2])
         top = camera.position[2]
@@ -194,7 +191,8 @@ class Canvas:
         self.plotter.renderer.reset_camera_clipping_range()
 
     def pixels_of(self, positions: FloatArray) -> FloatArray:
-        """Project positions (K,3) of the world to pixels (K,2) from the lower left; NaN behind the camera."""
+        """Project positions (K,3) of the world to pixels (K,2) from the lower left; NaN behind the
+        camera."""
         width, height = self.size_wh
         matrix = self.plotter.camera.GetCompositeProjectionTransformMatrix(width / max(height, 1), -1, 1)
         projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
@@ -224,7 +222,7 @@ class Canvas:
 
 
 class _View(QtInteractor):
-    """A view that draws a frame only when Qt paints it: pyvistaqt 0.13 draws once for VTK and again for Qt."""
+    """Draws a frame only when Qt paints it: pyvistaqt 0.13 draws for VTK and again for Qt."""
 
     _is_painting = False
 
@@ -233,7 +231,7 @@ class _View(QtInteractor):
         self.iren.interactor.AddObserver(vtkCommand.RenderEvent, lambda *_: None if self._is_painting else self.update())
 
     def paintGL(self) -> None:
-        """Called by Qt where this version of pyvistaqt is an OpenGL widget; others draw as before."""
+        """Called by Qt where pyvistaqt's widget is an OpenGL one; others draw as before."""
         interactor = self.iren.interactor
         self._is_painting = True
         interactor.EnableRenderOn()
@@ -245,7 +243,7 @@ class _View(QtInteractor):
 
 
 class _ClickFilter(QObject):
-    """Calls `clicked` with x and y from the upper left where the left button was pressed and released in one place."""
+    """Calls `clicked` with x and y from the upper left for a press and release in one place."""
 
     def __init__(self, watched: QWidget, clicked: Callable[[float, float], None]) -> None:
         super().__init__(watched)

@@ -1,4 +1,4 @@
-"""A picture scaled to its widget, or two pictures divided by a movable wipe. Needs the `desktop` extra."""
+"""A picture scaled to its widget, or two with a movable wipe. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MIN_WH = (160, 110)
 
 
 class PictureLabel(QWidget):
-    """Shows `left` up to the wipe and `right` beyond it, `left` alone, or `message` where there is no picture."""
+    """Shows `left` up to the wipe and `right` beyond it, `left` alone, or else `message`."""
 
     wiped = Signal(float)
 

@@ -1,7 +1,6 @@
-"""What docks and tools see of the window that holds them; each asks for the least of these that
-serves it.
+"""What docks and tools see of the window that holds them; each asks for the least it needs.
 
-    StatusHost   a status bar and a way to read the files again: also the window of a run without a plan
+    StatusHost   a status bar and a way to read the files again: also a window without a plan
     Host         both views, the layers and marks in them, the selected camera and the theme
     PlanHost     for editing a plan: layers that change and a run that is replaced
 
@@ -52,7 +51,7 @@ class Host(StatusHost, Protocol):
         ...
 
     def attempt(self, action: Callable[[], _Result]) -> _Result | None:
-        """Return what `action` returns; where it raises a RadiantError, show its sentence and return None."""
+        """Return what `action` returns; for a RadiantError show its sentence and return None."""
         ...
 
     def set_layer_visible(self, name: str, visible: bool) -> None:

@@ -1,1 +1,1 @@
-"""Layers, which are plain numbers, and how they are drawn: the same in window, page, pictures and tests."""
+"""Layers as plain numbers, and how they are drawn: the same in window, page and pictures."""

@@ -1,9 +1,5 @@
-"""Layers of cameras: a dot at each centre and its viewing pyramid, coloured by region, device,
-split or error.
-
-Built once per picture; the pyramid of camera c has its tip at −Rᵀt and its base where the image
-corners lie at one depth.
-"""
+"""Layers of cameras: dots and pyramids, coloured by region, device, split or error. The pyramid of
+camera c has its tip at −Rᵀt, its base where image corners lie at one depth. Once per picture."""
 
 from __future__ import annotations
 
@@ -20,17 +16,14 @@ from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
 from radiant_viewer.layers.palette import BLUE, GREY, VERMILLION, WHITE, ColorArray, category_colors, heat_colors, shade_colors
 
 Coloring = Literal["region", "device", "split", "psnr"]
-"""region: the edge's colour; device: a shade of it; split: trained or held out; psnr: the error of held-out photographs."""
+"""region: the edge's colour; device: a shade of it; split: trained or held out; psnr: error."""
 
 
 def camera_layer(
     cameras: Cameras, roles: CameraRoles, coloring: Coloring, psnr_db: Mapping[str, float] | None = None, *, pyramids: bool = True
 ) -> Layer:
-    """Return all C cameras as dots, coloured by region with their pyramids, or without where
-    `pyramids` is False.
-
-    Raises: BadInput for an unknown colouring, or "psnr" without figures.
-    """
+    """Return all C cameras as dots with pyramids; by region as dots alone if `pyramids` is False.
+    BadInput for an unknown colouring, or "psnr" without figures."""
     if coloring == "region":
         return _layer(cameras, "Cameras by region", _region_colors(roles), _held_out_legend(roles), pyramids=pyramids)
     if coloring == "device":
@@ -44,7 +37,7 @@ def camera_layer(
 
 
 def highlight_layer(cameras: Cameras, index: int) -> Layer:
-    """Return one camera, enlarged and in a colour that no region has, as the mark of a selection."""
+    """Return one camera, enlarged, in a colour that no region has, as the mark of a selection."""
     one = cameras.select([index])
     size = _pyramid_depth(cameras)
     segments = pyramid_segments(one, 2 * size)
@@ -61,7 +54,8 @@ def highlight_layer(cameras: Cameras, index: int) -> Layer:
 
 
 def pyramid_segments(cameras: Cameras, depth: float) -> FloatArray:
-    """Return eight lines per camera (8C,2,3): from the centre to the image corners at `depth`, and around them."""
+    """Return eight lines per camera (8C,2,3): from the centre to the image corners at `depth`, and
+    around them."""
     widths, heights = cameras.sizes_wh.astype(np.float64).T
     zero = np.zeros_like(widths)
     corners_px = np.stack([np.stack([zero, widths, widths, zero]), np.stack([zero, zero, heights, heights]), np.ones((4, len(cameras)))])
@@ -144,7 +138,7 @@ def _split_legend(roles: CameraRoles) -> tuple[LegendEntry, ...]:
 
 
 def _pyramid_depth(cameras: Cameras) -> float:
-    """Half the median distance to the nearest other camera, so that pyramids do not hide each other."""
+    """Half the median distance to the nearest camera, so that pyramids do not hide each other."""
     if len(cameras) < 2:
         return 1.0
     from scipy.spatial import KDTree

@@ -1,4 +1,4 @@
-"""`CameraRoles`: for each camera of a scene its edge, its device, and whether it is held out. Built once per run or plan."""
+"""`CameraRoles`: edge, device and use of each camera of a scene. Once per run or plan."""
 
 from __future__ import annotations
 
@@ -18,11 +18,8 @@ NOBODY = -1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraRoles:
-    """edge_of_camera (C,), device_of_camera (C,) into edge_ids and device_ids, or -1; held_out (C,)
-    bool.
-
-    edge_of_device (D,) into edge_ids, for devices of all edges in order.
-    """
+    """edge_of_camera, device_of_camera (C,) into edge_ids, device_ids, or -1; held_out (C,) bool;
+    edge_of_device (D,) into edge_ids, for devices of all edges in order."""
 
     edge_ids: tuple[str, ...]
     device_ids: tuple[str, ...]
@@ -33,11 +30,8 @@ class CameraRoles:
 
 
 def camera_roles(cameras: Cameras, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], held_out: Collection[str]) -> CameraRoles:
-    """Return the roles of all C cameras of a scene under a plan.
-
-    The plan covers all C cameras, or those that are not held out, in the scene's order. Raises
-    BadInput where it fits neither, or where a held-out name or an edge is unknown.
-    """
+    """Return the roles of all C cameras of a scene under a plan of all, or of those not held out,
+    in the scene's order. BadInput where it fits neither, or a held-out name or edge is unknown."""
     unknown = sorted(set(held_out) - set(cameras.names))
     if unknown:
         raise BadInput(f"the held-out photograph {unknown[0]!r} is none of the scene's {len(cameras)} cameras: plan this scene again.")

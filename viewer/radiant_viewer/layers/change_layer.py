@@ -1,8 +1,5 @@
 """Layers of an edit: rings around cameras that moved to another edge, marks on pinned ones, rims of
-locked or dragged regions.
-
-Once per edit.
-"""
+locked or dragged regions. Once per edit."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ SELECTED_PX = 3.0
 
 
 def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
-    """Return larger dots for the cameras (C,3) that moved to another edge; draw it below the cameras."""
+    """Return larger dots for cameras (C,3) that moved to another edge; draw it below cameras."""
     shown = positions[changed]
     legend = (LegendEntry(text=f"Changed hands since the opening ({len(shown)})", color=YELLOW, marker="ring"),) if len(shown) else ()
     return Layer(
@@ -37,7 +34,8 @@ def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
 
 
 def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: PlanConstraints, height: float = 0.0) -> Layer:
-    """Return squares on pinned cameras (C,3), and rims just inside locked regions (dark) and dragged ones (vermillion)."""
+    """Return squares on pinned cameras (C,3), and rims just inside locked regions (dark) and
+    dragged ones (vermillion)."""
     pinned = positions[sorted(constraints.pinned)] if constraints.pinned else np.zeros((0, 3))
     segments, colors, legend = [np.zeros((0, 2, 3))], [np.zeros((0, 3), np.uint8)], []
     for ids, color, text in (
@@ -78,7 +76,7 @@ def selection_layer(positions: FloatArray) -> Layer:
 
 
 def _shrink(border: FloatArray) -> FloatArray:
-    """Shrink a convex border (V,2) about its middle, so that the rims of two neighbours do not overlap."""
+    """Shrink a convex border (V,2) about its middle, so that neighbours' rims do not overlap."""
     middle = border.mean(axis=0)
     return middle + 0.98 * (border - middle)
 

@@ -1,7 +1,8 @@
 """Level of detail of a large cloud: few points while a view moves, every visible one at rest.
 
-    moving:  at most 50,000, one per occupied cell of the finest octree level with so few cells, the rest from the next level
-    at rest: of all N points the nearest to the camera in each cell of the picture; it covers those behind it
+    moving:  at most 50,000: one per occupied cell of the finest octree level with so few cells, the
+             rest from the next level
+    at rest: of all N points the nearest to the camera in each cell of the picture
 
 The first is chosen once per cloud, O(N log N), 0.27 to 0.36 s of CPU for a million points and 0.3
 to 0.5 s for five; the second once per view, O(N), 0.10 to 0.16 s per million (`radiant bench
@@ -31,12 +32,11 @@ _CHUNK = 1 << 18
 
 
 def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
-    """Return ascending indices (K,) of at most `limit` points (N,3), spread evenly over the
-    occupied space.
+    """Return ascending indices (K,) of at most `limit` points (N,3), evenly over occupied space.
 
     A point's level is the first octree level at which it has its own cell along the Morton curve,
-    so the points up to level L are one per occupied cell of that level. Raises BadInput for a limit
-    below 1 or a coordinate that is not finite.
+    so the points up to level L are one per occupied cell of that level. BadInput for a limit below
+    1 or a coordinate that is not finite.
     """
     if limit < 1:
         raise BadInput(f"{limit} points were asked for, expected at least 1.")
@@ -58,14 +58,14 @@ def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
 
 
 def _pick_per_cell(starts: NDArray[np.int64], stop: int) -> NDArray[np.int64]:
-    """Return one point per cell that begins at `starts`; always the first would lie in the same corner and draw a grid."""
+    """Return one point per cell that begins at `starts`; always the first would draw a grid."""
     sizes = np.diff(np.append(starts, stop))
     shares = (np.arange(len(starts)) * 0.6180339887498949) % 1.0
     return starts + (shares * sizes).astype(np.int64)
 
 
 def _morton_codes(positions: FloatArray) -> NDArray[np.uint64]:
-    """Return Morton codes (N,): the interleaved bits of the three axes' cells in a cube around all positions."""
+    """Return Morton codes (N,): interleaved bits of the axes' cells in a cube around everything."""
     low = positions.min(axis=0)
     side = float((positions.max(axis=0) - low).max())
     scale = (2**BITS_PER_AXIS - 1) / side if side > 0 else 0.0
@@ -85,7 +85,8 @@ def _spread_bits(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _first_levels(sorted_codes: NDArray[np.uint64]) -> NDArray[np.int64]:
-    """Return the level (N,) at which each code first differs from the previous one: 0 for the first, 17 for equal codes."""
+    """Return the level (N,) at which each code first differs from the previous one: 0 for the
+    first, 17 for equal codes."""
     differing = sorted_codes[1:] ^ sorted_codes[:-1]
     # Bit lengths up to 48 are exact in float64.
     lengths = np.frexp(differing.astype(np.float64))[1].astype(np.int64)
@@ -94,12 +95,9 @@ def _first_levels(sorted_codes: NDArray[np.uint64]) -> NDArray[np.int64]:
 
 def visible_subset(points: NDArray[np.float32], clip_from_world: FloatArray, size_wh: tuple[int, int], cell_px: float) -> NDArray[np.int64]:
     """Return ascending indices (K,) of the points (N,3) nearest to the camera in their cell of
-    `cell_px` px of a picture `size_wh`.
-
-    clip_from_world (4,4) maps to OpenGL's clip space; points behind the camera or outside the
-    picture are in no cell. Near and far planes do not clip. Raises BadInput for a cell or a picture
-    without size.
-    """
+    `cell_px` px of a picture. clip_from_world (4,4) maps to OpenGL's clip space; points behind the
+    camera or outside the picture are in no cell, near and far planes do not clip. BadInput for a
+    cell or a picture without size."""
     columns, rows = (int(np.ceil(side / cell_px)) if cell_px > 0 else 0 for side in size_wh)
     if columns < 1 or rows < 1:
         raise BadInput(f"cells of {cell_px} px in a picture of {size_wh[0]} × {size_wh[1]} px came, expected positive sizes.")

@@ -1,5 +1,4 @@
-"""Draws a `Layer` in a pyvista plotter: the only place that turns layers into VTK geometry, for
-windows and pictures.
+"""Draws a `Layer` in a pyvista plotter: the only place that turns layers into VTK geometry.
 
 VTK keeps float32 on the graphics side, so every coordinate is taken relative to a float64 origin
 first: at UTM eastings float32 steps are 6 cm, near a local origin they are micrometres. Once per
@@ -28,11 +27,9 @@ SLOTS_PER_LAYER = 4
 RIM_PX = 3.5
 _Kind = Literal["polygons", "segments", "rims", "points"]
 ROUND_SHADER = "//VTK::Color::Impl\n  vec2 off = gl_PointCoord - vec2(0.5); if (dot(off, off) > 0.25) { discard; }\n"
-"""Flat discs: VTK's points are square, and its spheres rise towards the camera and cover higher layers of a map."""
+"""Flat discs: VTK's points are square, and its spheres rise over higher layers of a map."""
 FRONT_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = 0.001 * gl_FragCoord.z;\n"
 """Scale of depth for layers in front of all others, which keep their order."""
-
-
 BEHIND_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = min(1.0, gl_FragCoord.z + 1e-5);\n"
 """A hundred roundings of float32: VTK rounds the same place differently for each actor."""
 
@@ -46,11 +43,9 @@ def add_layer(
     flat_height: float | None = None,
     detail: PointDetail | None = None,
 ) -> list[pv.Actor]:
-    """Draw one layer relative to `origin` (3,) and return its actors.
-
-    `line_scale` multiplies widths in pixels; `flat_height` flattens the layer for a map from that
-    height on, in painter's order; `detail` thins large clouds.
-    """
+    """Draw one layer relative to `origin` (3,) and return its actors; `line_scale` multiplies
+    widths in pixels; `flat_height` flattens the layer for a map from that height on, in painter's
+    order; `detail` thins large clouds."""
     if len(layer.points) and detail is not None and is_thinned(layer):
         flat = replace(layer, points=np.zeros((0, 3)), point_colors=np.zeros((0, 3), np.uint8))
         actors = [_add_part(plotter, layer, part, line_scale, flat_height) for part in _parts(flat, origin, flat_height)]
@@ -65,13 +60,13 @@ def add_layer(
 
 
 def update_layer(actors: Sequence[pv.Actor], layer: Layer, origin: FloatArray, flat_height: float | None = None) -> None:
-    """Let the actors of a layer draw another one that `has_same_structure`, in a third of the time of new actors."""
+    """Let a layer's actors draw another that `has_same_structure`, in a third of the time."""
     for actor, (_, mesh) in zip(actors, _parts(layer, origin, flat_height), strict=True):
         actor.mapper.SetInputData(mesh)
 
 
 def has_same_structure(layer: Layer, other: Layer) -> bool:
-    """Return whether two layers differ in positions, colours and labels only, and neither is a large cloud."""
+    """Return whether layers differ in positions, colours, labels only, and neither is thinned."""
     styles = [
         (
             [bool(len(part)) for part in (one.polygons, one.segments, one.points)],
@@ -89,16 +84,16 @@ def _parts(layer: Layer, origin: FloatArray, flat_height: float | None) -> list[
     if layer.polygons:
         parts.append(("polygons", _polygon_mesh(layer, origin, slots[0])))
     if len(layer.segments):
-        ends = _placed(layer.segments.reshape(-1, 3), origin, slots[1])
+        ends = _local_positions(layer.segments.reshape(-1, 3), origin, slots[1])
         mesh = pv.PolyData(ends, lines=_cells(np.arange(len(ends)).reshape(-1, 2)))
         mesh.cell_data["colors"] = layer.segment_colors
         parts.append(("segments", mesh))
     if len(layer.points) and layer.point_rim:
         # Drawn first: the dot, at the same depth, covers the middle of its rim.
         dark = np.tile(np.array(INK, np.uint8), (len(layer.points), 1))
-        parts.append(("rims", point_mesh(_placed(layer.points, origin, slots[2]), dark)))
+        parts.append(("rims", point_mesh(_local_positions(layer.points, origin, slots[2]), dark)))
     if len(layer.points):
-        parts.append(("points", point_mesh(_placed(layer.points, origin, slots[3]), layer.point_colors)))
+        parts.append(("points", point_mesh(_local_positions(layer.points, origin, slots[3]), layer.point_colors)))
     return parts
 
 
@@ -120,10 +115,8 @@ def _add_cloud(
     plotter: pv.Plotter, layer: Layer, origin: FloatArray, line_scale: float, height: float | None, detail: PointDetail
 ) -> pv.Actor:
     # `detail` chooses its points before the first frame.
-    actor = _add(plotter, point_mesh(_placed(layer.points[:1], origin, height), layer.point_colors[:1]))
-    actor.prop.point_size = layer.point_size_px * line_scale
-    if not layer.square_points:
-        actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Color::Impl", True, ROUND_SHADER, False)
+    first = point_mesh(_local_positions(layer.points[:1], origin, height), layer.point_colors[:1])
+    actor = _add_part(plotter, layer, ("points", first), line_scale, height)
     detail.add(local_cloud(layer, origin), height, layer.point_colors, actor)
     return actor
 
@@ -146,7 +139,7 @@ def _add(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
 
 
 def _polygon_mesh(layer: Layer, origin: FloatArray, height: float | None) -> pv.PolyData:
-    corners = _placed(np.concatenate(layer.polygons), origin, height)
+    corners = _local_positions(np.concatenate(layer.polygons), origin, height)
     sizes = [len(polygon) for polygon in layer.polygons]
     starts = np.concatenate([[0], np.cumsum(sizes)])
     faces = np.concatenate([[size, *range(start, start + size)] for start, size in zip(starts, sizes, strict=False)])
@@ -158,7 +151,7 @@ def _polygon_mesh(layer: Layer, origin: FloatArray, height: float | None) -> pv.
     return triangles
 
 
-def _placed(positions: FloatArray, origin: FloatArray, height: float | None) -> NDArray[np.float32]:
+def _local_positions(positions: FloatArray, origin: FloatArray, height: float | None) -> NDArray[np.float32]:
     local = positions - origin
     if height is not None:
         local[:, 2] = height

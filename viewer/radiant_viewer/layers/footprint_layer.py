@@ -50,7 +50,8 @@ def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: Clou
 
 
 def overlap_layer(footprints: Footprints, cloud_plan: CloudPlan, height: float = 0.0, cells_a_side: int = CELLS_A_SIDE) -> Layer:
-    """Return the number of images that see each cell of the regions; unseen cells stay empty. BadInput without regions."""
+    """Return the number of images that see each cell of the regions; unseen cells stay empty.
+    BadInput without regions."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if len(corners) < 3 or not 2 <= cells_a_side <= 1000:
         raise BadInput(
@@ -72,7 +73,7 @@ def overlap_layer(footprints: Footprints, cloud_plan: CloudPlan, height: float =
 
 
 def overlap_counts(footprints: Footprints, low: FloatArray, size: float, shape_xy: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Count the footprints over the centre of each cell of a grid that begins at `low` (2,); returns (rows, columns)."""
+    """Count footprints over the cell centres (rows, columns) of a grid from `low` (2,) on."""
     counts = np.zeros((int(shape_xy[1]), int(shape_xy[0])), np.int64)
     for polygon in footprints.polygons[footprints.areas_m2 > 0]:
         # Relative to the grid: products of UTM coordinates would lose metres.
@@ -88,7 +89,7 @@ def overlap_counts(footprints: Footprints, low: FloatArray, size: float, shape_x
 
 
 def _clip_segments(segments: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Clip segments (S,2,2) to a box, and return which of them (S,) have a part in it (Liang, Barsky 1984)."""
+    """Clip segments (S,2,2) to a box; return which (S,) have a part in it (Liang, Barsky 1984)."""
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([(low - start) / along, (high - start) / along])

@@ -1,4 +1,4 @@
-"""Layers of a plan's forecast: borders coloured by their risk, and buffer captures. Once per picture."""
+"""Layers of a plan's forecast: borders by their risk, and buffer captures. Once per picture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_DOTS = 20_000
 
 
 def forecast_layers(forecasts: Sequence[BorderForecast], height: float = 0.0) -> tuple[Layer, ...]:
-    """Return every border as a dark line, and over it as a line in the colour of its risk; empty without borders."""
+    """Return every border as a dark line, over it one in the colour of its risk; () without any."""
     if not forecasts:
         return ()
     ends = np.stack([at_height(forecast.ends, height) for forecast in forecasts])

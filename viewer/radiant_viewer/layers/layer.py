@@ -1,5 +1,4 @@
-"""`Layer`: one thing to draw, in plain numbers. Window, headless pictures, report and tests all
-draw the same layers.
+"""`Layer`: one thing to draw, in plain numbers, the same in window, pictures, report and tests.
 
 A layer is independent of toolkits: points, segments and polygons in world coordinates (float64,
 metres or the frame's unit, z up), colours (…,3) uint8, labels and legend. Built once per picture or
@@ -24,11 +23,11 @@ CLOUD_SIZE = 100
 REACH_POINTS = 200_000
 """Larger clouds are subsampled for their extent."""
 MARGIN = 0.25
-"""Margin around borders and markers within which a cloud counts for the frame, as a share of their longest side."""
+"""Margin around borders and markers in which clouds count for a frame, over their longest side."""
 STRAYS = 0.005
-"""Share of a cloud's points ignored at each end of x and y: in the sample town 0.3 % doubled the picture's width."""
+"""Share of strays at each end of x and y: 0.3 % doubled the width of the sample town's picture."""
 Marker = Literal["area", "line", "dot", "ring", "square"]
-"""How a legend shows an entry: a filled box, a stroke, a filled dot, a dot or a small square with a dark rim."""
+"""In a legend: a filled box, a stroke, a filled dot, a dot or small square with a dark rim."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +47,7 @@ class HeatScale:
     low: float
     high: float
     start: float = 0.0
-    """Share of the colour table where the lowest value lies: on dark ground the first colours are invisible."""
+    """Share of the colour table at the lowest value: the first colours vanish on dark ground."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,26 +59,15 @@ class Label:
     strong: bool = False
 
 
-def _no_positions() -> FloatArray:
-    return np.zeros((0, 3))
-
-
-def _no_colors() -> ColorArray:
-    return np.zeros((0, 3), np.uint8)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
     """points (N,3), segments (S,2,3) and polygons R × (V,3), each with one colour; later layers lie
-    over earlier ones on a map.
-
-    Raises BadInput when a shape is wrong, colours do not match in number, or a coordinate is not
-    finite.
-    """
+    over earlier ones on a map. BadInput when a shape is wrong, colours do not match in number, or a
+    coordinate is not finite."""
 
     name: str
-    points: FloatArray = field(default_factory=_no_positions)
-    point_colors: ColorArray = field(default_factory=_no_colors)
+    points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    point_colors: ColorArray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     point_size_px: float = 3.0
     point_rim: bool = False
     """Whether each point has a dark rim, which sets off light colours; labels avoid such points."""
@@ -88,14 +76,14 @@ class Layer:
     in_front: bool = False
     """Whether a 3D view draws it in front of everything, as borders below a model need."""
     behind: bool = False
-    """Whether a 3D view draws it slightly farther away, so that a mark at the same place covers its middle."""
+    """Whether a 3D view draws it slightly farther away, so that a mark covers its middle."""
     segments: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
-    segment_colors: ColorArray = field(default_factory=_no_colors)
+    segment_colors: ColorArray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     line_width_px: float = 1.5
     polygons: tuple[FloatArray, ...] = ()
-    polygon_colors: ColorArray = field(default_factory=_no_colors)
+    polygon_colors: ColorArray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     pale_fills: bool = False
-    """Whether fills are mixed with white, which a dark theme mixes with its ground; other fills are data and stay."""
+    """Whether fills are mixed with white, in a dark theme with its ground; other fills are data."""
     labels: tuple[Label, ...] = ()
     legend: tuple[LegendEntry, ...] = ()
     heat: HeatScale | None = None
@@ -116,11 +104,8 @@ class Layer:
 
 def framing_positions(layers: Sequence[Layer]) -> FloatArray:
     """Return the positions (K,3) that a picture must hold: ends, corners, markers, and the points
-    of clouds near those.
-
-    Clouds (of 100 points or more) hold strays, far ground and a sky; without anything else they
-    count as far as Tukey's outer fence. BadInput when the layers hold no geometry at all.
-    """
+    of clouds near those. Clouds (of 100 points or more) hold strays, far ground and a sky; without
+    anything else they count as far as Tukey's outer fence. BadInput without any geometry."""
     # A subsample of ten million points gives the extent in a fiftieth of the time.
     clouds = [layer.points[:: 1 + len(layer.points) // REACH_POINTS] for layer in layers if len(layer.points) >= CLOUD_SIZE]
     markers = [layer.points for layer in layers if len(layer.points) < CLOUD_SIZE]

@@ -1,4 +1,4 @@
-"""Layer of loads: under each edge a bar, filled by its time over the slowest edge's. Once per plan or edit."""
+"""Loads: under each edge a bar, filled by its time over the slowest. Once per plan or edit."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from radiant_viewer.layers.palette import INK, WHITE, category_colors
 from radiant_viewer.layers.region_layer import duration_text, is_near_map
 
 WIDTH, FLATNESS, DROP = 0.13, 0.18, 0.06
-"""Width of a bar and its distance below the edge as shares of the regions' longer side, and its height as a share of its width."""
+"""Width of a bar and its distance below the edge as shares of the regions' longer side; between
+them its height as a share of its width."""
 
 
 def load_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Return a white bar under every edge near the map, filled by its time over the makespan. Empty without regions."""
+    """Return a white bar under every edge near the map, filled by its time over the makespan."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     shown = np.flatnonzero(is_near_map(cloud_plan)) if len(corners) else np.zeros(0, np.int64)
     side = float(np.ptp(corners, axis=0).max()) if len(corners) else 1.0

@@ -1,9 +1,5 @@
-"""Colours that stay apart for colour-blind readers: the eight of Okabe and Ito, their shades, and
-one perceptual heat scale.
-
-Runs once per layer. Colours are (3,) uint8, sRGB. Source: Okabe & Ito, Color Universal Design
-(2008).
-"""
+"""Colours that stay apart for colour-blind readers: the eight of Okabe and Ito (Color Universal
+Design, 2008), shades, and one perceptual heat scale; (3,) uint8, sRGB. Once per layer."""
 
 from __future__ import annotations
 
@@ -30,7 +26,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h", "<", ">")
 
 @dataclass(frozen=True, kw_only=True)
 class CurveStyle:
-    """How one curve is drawn: colour with channels in 0..1, matplotlib's names of the dash and of the marker."""
+    """How a curve is drawn: colour, channels in 0..1, matplotlib's names of dash and marker."""
 
     color: tuple[float, float, float]
     dash: str
@@ -38,7 +34,7 @@ class CurveStyle:
 
 
 def curve_style(index: int) -> CurveStyle:
-    """Return the style of curve `index` ≥ 0; styles repeat after 308 curves, markers after eleven."""
+    """Return the style of curve `index` ≥ 0; styles repeat after 308 curves, markers after 11."""
     dash = DASHES[index // len(CURVE_COLORS) % len(DASHES)]
     return CurveStyle(color=unit_rgb(CURVE_COLORS[index % len(CURVE_COLORS)]), dash=dash, marker=MARKERS[index % len(MARKERS)])
 
@@ -60,7 +56,8 @@ def tint(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
 
 
 def category_colors(count: int) -> ColorArray:
-    """Return colours (count,3) of regions: seven hues, then lighter, then darker ones; they repeat from the 22nd on."""
+    """Return colours (count,3) of regions: seven hues, then lighter, then darker ones; they repeat
+    from the 22nd on."""
     hues = np.array(CATEGORIES, np.uint8)
     shades = np.concatenate([hues, tint(hues, WHITE, 0.45), tint(hues, BLACK, 0.4)])
     return shades[np.arange(count) % len(shades)]
@@ -83,7 +80,7 @@ def heat_table(start: float = 0.0) -> ColorArray:
 
 
 def trim_heat_colors(colors: ColorArray, start: float) -> ColorArray:
-    """Map colours (N,3) of the whole scale to the scale that begins at `start`; other colours stay."""
+    """Map colours (N,3) of the whole scale to the one that begins at `start`; others stay."""
     packed, whole = (table.astype(np.int64) @ (1 << 16, 1 << 8, 1) for table in (colors, heat_table()))
     order = np.argsort(whole)
     places = order[np.clip(np.searchsorted(whole[order], packed), 0, len(order) - 1)]

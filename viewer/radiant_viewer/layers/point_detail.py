@@ -1,5 +1,4 @@
-"""`PointDetail`: the level of detail of large clouds in one plotter, few points while its view
-moves and all visible ones at rest.
+"""`PointDetail`: few points of large clouds while a view moves, and all visible ones at rest.
 
 A window passes `later`, which calls back after some seconds; without it (pictures) the view is
 always at rest. `detail.py` chooses the points. Actors are reused, so that hiding, showing and
@@ -34,11 +33,11 @@ Later = Callable[[float, Callable[[], None]], object]
 
 @dataclass(eq=False)
 class LocalCloud:
-    """The points (N,3) of a layer relative to an origin, shared by map and 3D view, with the chosen subsets."""
+    """A layer's points (N,3) relative to an origin, shared by map and 3D view, with subsets."""
 
     points: NDArray[np.float32]
     ends: NDArray[np.int64] = field(init=False)
-    """Indices of the outermost points (6,); always drawn, since they set the near and far planes."""
+    """Indices of the outermost points (6,); always drawn: they set near and far planes."""
     subsets: dict[int, NDArray[np.int64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -56,7 +55,7 @@ _LOCAL: WeakKeyDictionary[Layer, tuple[bytes, LocalCloud]] = WeakKeyDictionary()
 
 
 def local_cloud(layer: Layer, origin: FloatArray) -> LocalCloud:
-    """Return the points of a layer relative to `origin` (3,) in float32; cached with the layer, since two views draw it. O(N)."""
+    """Return a layer's points relative to `origin` (3,), float32; cached for two views. O(N)."""
     key = np.asarray(origin, np.float64).tobytes()
     known = _LOCAL.get(layer)
     if known is not None and known[0] == key:
@@ -71,7 +70,7 @@ def local_cloud(layer: Layer, origin: FloatArray) -> LocalCloud:
 
 @dataclass(eq=False)
 class _Cloud:
-    """A large cloud in one view: points, height on a map (None: their own heights), colours (N,3), and actor."""
+    """A large cloud in one view; height: on a map, None for its own heights; colours (N,3)."""
 
     local: LocalCloud
     height: float | None
@@ -80,16 +79,9 @@ class _Cloud:
     shown: object = None
     """What the actor draws now: a limit of points, or a view."""
 
-    def placed(self, indices: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the drawn positions (K,3) of points."""
-        positions = self.local.points[indices]
-        if self.height is not None:
-            positions[:, 2] = self.height
-        return positions
-
 
 class PointDetail:
-    """The large clouds of one plotter; `later(seconds, call)` delays a call on the window's thread, `redraw` draws a frame."""
+    """Large clouds of one plotter; `later(seconds, call)` delays a call, `redraw` draws a frame."""
 
     def __init__(self, plotter: pv.Plotter, later: Later | None = None, redraw: Callable[[], object] | None = None) -> None:
         self._plotter, self._later, self._redraw = plotter, later, redraw or plotter.render
@@ -107,11 +99,11 @@ class PointDetail:
         self._clouds.append(cloud)
 
     def coarsen(self) -> None:
-        """Draw the next frames with few points although the view is at rest, as while an edge is dragged."""
+        """Draw the next frames with few points although the view is at rest, as during a drag."""
         self._seen = None
 
     def refine(self) -> None:
-        """Choose all points that the present camera sees of every visible cloud, without drawing."""
+        """Choose all points of every visible cloud that the camera sees, without drawing."""
         self._num_moves += 1
         self._seen = self._view()
         self.is_moving = False
@@ -159,17 +151,15 @@ class PointDetail:
         return (*camera.position, *camera.focal_point, *camera.up, camera.parallel_scale, camera.view_angle, *size_wh)
 
     def _show_few(self, cloud: _Cloud, limit: int) -> None:
-        if cloud.shown == limit:
-            return
-        self._draw(cloud, cloud.local.even(limit), shown=limit)
+        if cloud.shown != limit:
+            self._draw(cloud, cloud.local.even(limit), shown=limit)
 
     def _show_all(self, cloud: _Cloud) -> None:
         count = len(cloud.local.points)
         view = self._seen if count > WHOLE_POINTS else "whole"
-        if cloud.shown == view:
-            return
-        kept = self._in_view(cloud) if count > WHOLE_POINTS else np.arange(count)
-        self._draw(cloud, kept, shown=view)
+        if cloud.shown != view:
+            kept = self._in_view(cloud) if count > WHOLE_POINTS else np.arange(count)
+            self._draw(cloud, kept, shown=view)
 
     def _in_view(self, cloud: _Cloud) -> NDArray[np.int64]:
         width, height = self._plotter.window_size
@@ -180,7 +170,10 @@ class PointDetail:
 
     def _draw(self, cloud: _Cloud, kept: NDArray[np.int64], shown: object) -> None:
         drawn = np.append(kept, cloud.local.ends)
-        cloud.actor.mapper.SetInputData(point_mesh(cloud.placed(drawn), cloud.colors[drawn]))
+        positions = cloud.local.points[drawn]
+        if cloud.height is not None:
+            positions[:, 2] = cloud.height
+        cloud.actor.mapper.SetInputData(point_mesh(positions, cloud.colors[drawn]))
         cloud.shown = shown
 
 

@@ -1,8 +1,5 @@
-"""Layers of a plan: regions with their borders, the strips of the devices, and the edges with
-counts and predicted times.
-
-Pure functions of `CloudPlan` and `EdgePlan`, once per plan or edit.
-"""
+"""Layers of a plan: regions, borders, devices' strips, and edges with counts and predicted times.
+Pure functions of `CloudPlan` and `EdgePlan`, once per plan or edit."""
 
 from __future__ import annotations
 
@@ -47,7 +44,8 @@ def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 
 def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: float = 0.0) -> Layer:
-    """Return each device's strip in a shade of its edge's colour; devices without cameras are in the legend only."""
+    """Return each device's strip in a shade of its edge's colour; devices without cameras are in
+    the legend only."""
     edge_colors = category_colors(len(cloud_plan.edge_ids))
     polygons, fills, labels, legend = [], [], [], []
     for plan in (plan for plan in edge_plans if plan.device_ids):
@@ -86,7 +84,8 @@ def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 
 def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Return the site of each edge with its id, number of cameras and predicted time; sites far outside the map are only counted."""
+    """Return the site of each edge with id, number of cameras and predicted time; sites far outside
+    the map are only counted."""
     near = is_near_map(cloud_plan)
     sites = at_height(cloud_plan.sites, height)
     labels = [Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near).tolist()]
@@ -105,7 +104,8 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 
 def is_near_map(cloud_plan: CloudPlan) -> np.ndarray:
-    """Return whether each site (E,) lies within half a diagonal of the regions: one 10 km off would shrink the map to a dot."""
+    """Return whether each site (E,) lies within half a diagonal of the regions: one 10 km off would
+    shrink the map to a dot."""
     corners: FloatArray = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if not len(corners):
         return np.ones(len(cloud_plan.edge_ids), bool)

@@ -1,5 +1,4 @@
-"""Seams: the borders between regions in short pieces, the colour steps across them, and their
-layer.
+"""Seams: borders between regions in short pieces, the colour steps across them, and their layer.
 
     step(x)²    = max(0, ‖c₊(x) − c₋(x)‖² − texture(x)²)
     texture(x)² = median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖²
@@ -26,7 +25,7 @@ from radiant_core.plan.plans import CloudPlan
 from radiant_core.splats import Splats
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
 from radiant_viewer.layers.palette import GREY, heat_colors
-from radiant_viewer.layers.splat_layer import splat_colors
+from radiant_viewer.layers.splat_layer import base_colors
 
 PARALLELS = (-3.0, -2.0, 2.0, 3.0)
 """Distances from the border at which the scene's texture is measured, in band widths."""
@@ -38,7 +37,7 @@ POOLED_WIDTHS = 2.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamPieces:
-    """S pieces of borders: ends (S,2,2) on the map, edge_pairs (S,2) indices of the regions on either side."""
+    """S pieces of borders: ends (S,2,2) on the map, edge_pairs (S,2), the regions beside them."""
 
     ends: FloatArray
     edge_pairs: NDArray[np.int64]
@@ -56,7 +55,7 @@ class ColorSteps:
 
 
 def seam_pieces(cloud_plan: CloudPlan, length: float) -> SeamPieces:
-    """Return the shared borders of regions in pieces of about `length`, without the outer edge of the scene."""
+    """Return the regions' shared borders in pieces of about `length`, without the outer edge."""
     ends, pairs = [np.zeros((0, 2, 2))], [np.zeros((0, 2), np.int64)]
     for border in shared_borders(cloud_plan):
         count = max(1, int(np.ceil(border.length_m / length)))
@@ -76,24 +75,21 @@ def color_steps(
     splats: Splats, pieces: SeamPieces, width: float, shares: ArrayLike | None = None, *, pooled_widths: float = POOLED_WIDTHS
 ) -> ColorSteps:
     """Return the colour steps across each piece; NaN where too few Gaussians lie beside it or its
-    share (S,) of coverage is 0.
-
-    `width` of a band > 0; `shares`: weights of the pieces, equal by default; `pooled_widths` =
-    infinity gives all pieces of a border one figure. Raises BadInput for a bad width.
-    """
+    share (S,) of coverage is 0. `width` of a band > 0; `shares`: weights of the pieces, equal by
+    default; `pooled_widths` = infinity gives all pieces of a border one figure. BadInput for a bad
+    width."""
     if not (np.isfinite(width) and width > 0):
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
     counts = np.ones(len(pieces.ends)) if shares is None else check_array("shares", shares, (len(pieces.ends),))
     weights = _visible_weights(splats, width)
-    weighted = np.column_stack([weights[:, None] * splat_colors(splats), weights, np.ones(len(splats))])
+    weighted = np.column_stack([weights[:, None] * base_colors(splats.sh0), weights, np.ones(len(splats))])
     tree = KDTree(splats.means[:, :2].astype(np.float64))
     middles, normals = pieces.ends.mean(axis=1), piece_normals(pieces)
     same_border = (pieces.edge_pairs[:, None] == pieces.edge_pairs).all(axis=2)
     pooled = same_border & (np.linalg.norm(middles[:, None] - middles, axis=2) <= pooled_widths * width)
 
     def band_colors(offset_widths: float) -> FloatArray:
-        # The border of the lower region runs counter-clockwise, so "left" is the same side in all
-        # its pieces.
+        # The lower region's border runs counter-clockwise: "left" is one side in all its pieces.
         chosen = tree.query_ball_point(middles + offset_widths * width * normals, 0.5 * width)
         own = np.array([weighted[rows].sum(axis=0) for rows in chosen]).reshape(-1, 5)
         sums, numbers = (pooled * counts) @ own[:, :4], (pooled & (counts > 0)) @ own[:, 4:]
@@ -115,11 +111,8 @@ def color_steps(
 
 def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0, least_high: float = 0.0) -> Layer:
     """Return the pieces of the borders coloured by one value (S,) each; `label` names quantity and
-    unit, NaN is grey.
-
-    The scale ends at the highest value or at `least_high`, so that invisible steps do not get the
-    brightest colour. Raises BadInput where the number of values differs from the number of pieces.
-    """
+    unit, NaN is grey. The scale ends at the highest value or at `least_high`, so that invisible
+    steps do not get the brightest colour. BadInput for another number of values."""
     # A value that is not finite becomes one grey piece, counted in the legend.
     raw = np.asarray(values, np.float64)
     known = np.isfinite(raw)
@@ -142,7 +135,8 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
 
 
 def _visible_weights(splats: Splats, width: float) -> FloatArray:
-    """Return opacity times covered area (N,): the product of the two longer axes, at most a quarter of the band's square."""
+    """Return opacity times covered area (N,): the product of the two longer axes, at most a quarter
+    of the band's square."""
     opacities = splats.opacities
     log_areas = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
     # Relative to the band: neither a tiny nor a huge scene under- or overflows.
@@ -150,7 +144,7 @@ def _visible_weights(splats: Splats, width: float) -> FloatArray:
 
 
 def _round_up(value: float) -> float:
-    """Round up to one digit, for the end of a colour bar: 36.8 gives 40; 1 for nothing above zero."""
+    """Round up to one digit, for the end of a colour bar: 36.8 gives 40; 1 for a value ≤ 0."""
     if value <= 0:
         return 1.0
     step = 10.0 ** np.floor(np.log10(value))

@@ -16,7 +16,7 @@ from radiant_viewer.layers.palette import GREY
 
 _BLOCK = 1 << 16
 MAX_POINTS = 10_000_000
-"""Most points kept, 60 bytes each; the legend says if some were left out. `detail.py` chooses the drawn ones."""
+"""Most points kept, 60 bytes each; the legend counts them. `detail.py` chooses the drawn ones."""
 
 
 def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
@@ -36,7 +36,7 @@ def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
 
 
 def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_POINTS) -> Layer:
-    """Return the centres of the Gaussians with an opacity of at least `min_opacity` (0 to 1), in their colours."""
+    """Return the centres of Gaussians of opacity ≥ `min_opacity` (0 to 1), in their colours."""
     logit = float(np.log(min_opacity / (1 - min_opacity))) if 0 < min_opacity < 1 else -np.inf
     is_opaque = splats.logit_opacities >= logit
     # Indexing with all of them would copy them.
@@ -49,7 +49,7 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
     return Layer(
         name="Gaussians",
         points=points,
-        point_colors=_base_colors(sh0),
+        point_colors=base_colors(sh0),
         point_size_px=_point_size_px(len(points)),
         legend=(
             LegendEntry(text=_count_text("Gaussians", len(points), len(splats)), color=GREY, marker="dot"),
@@ -58,13 +58,9 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
     )
 
 
-def splat_colors(splats: Splats) -> NDArray[np.uint8]:
-    """Return view-independent colours (N,3) uint8."""
-    return _base_colors(splats.sh0)
-
-
-def _base_colors(sh0: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the colours (N,3) of coefficients (N,1,3), in blocks that stay in the cache."""
+def base_colors(sh0: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return view-independent colours (N,3) uint8 of coefficients (N,1,3), in blocks that stay in
+    the cache."""
     colors = np.empty((len(sh0), 3), np.uint8)
     for start in range(0, len(sh0), _BLOCK):
         part = slice(start, start + _BLOCK)
@@ -78,5 +74,4 @@ def _count_text(what: str, shown: int, total: int) -> str:
 
 
 def _point_size_px(count: int) -> float:
-    """Return a size that is larger for fewer points."""
     return float(np.clip(700 / np.sqrt(max(count, 1)), 2.0, 4.5))

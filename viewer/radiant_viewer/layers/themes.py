@@ -11,18 +11,18 @@ from typing import Literal
 import numpy as np
 
 from radiant_viewer.layers.layer import HeatScale, Layer
-from radiant_viewer.layers.palette import BLUE, INK, SKY, WHITE, ColorArray, tint, trim_heat_colors
+from radiant_viewer.layers.palette import BLUE, INK, SKY, WHITE, ColorArray, rgb, tint, trim_heat_colors
 
 ThemeName = Literal["light", "dark"]
 DARK_HEAT_START = 0.4
-"""Of viridis: its blue-green stands out from a dark view by 3.5 : 1 in luminance, its violet by 1.1 : 1."""
+"""Of viridis: its blue-green stands out from a dark view by 3.5 : 1 in luminance, violet by 1.1."""
 FILL_SHARE = 0.62
-"""Share of the background in fills of regions in a dark view, as that of white in a light one."""
+"""Share of the background in fills of regions in a dark view, as of white in a light one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Theme:
-    """Colours (3,) 0 to 255 of panels, fields, text, selection, and the background and ink of the views."""
+    """Colours (3,), 0 to 255, of panels, fields, text, selection, and the views' ground and ink."""
 
     name: ThemeName
     panel: tuple[int, int, int]
@@ -90,7 +90,7 @@ def style_sheet(theme: Theme) -> str:
     panel, field, line, text, soft, accent = (
         hex_color(color) for color in (theme.panel, theme.field, theme.line, theme.text, theme.soft_text, theme.accent)
     )
-    chosen = hex_color(tuple(tint(theme.accent, theme.field, 0.72).tolist()))  # type: ignore[arg-type]
+    chosen = hex_color(rgb(tint(theme.accent, theme.field, 0.72)))
     return f"""
 QMainWindow::separator {{ background: {panel}; width: 5px; height: 5px; }}
 QDockWidget {{ font-weight: 600; }}
@@ -119,14 +119,13 @@ QScrollArea {{ border: none; }}
 
 
 def _recolor_ink(colors: ColorArray, theme: Theme) -> ColorArray:
-    """Return segment colours (S,3) with ink, and greys between ink and white, in the theme's ink."""
+    """Return colours (S,3) with ink, and greys between ink and white, in the theme's ink."""
     spread = colors.max(axis=1, initial=0).astype(int) - colors.min(axis=1, initial=255).astype(int) if len(colors) else np.zeros(0, int)
     is_ink = (spread < 20) & (colors.mean(axis=1) < 130) if len(colors) else np.zeros(0, bool)
     return np.where(is_ink[:, None], np.array(theme.ink, np.uint8), colors)
 
 
 def _trim_dark_end(layer: Layer, heat: HeatScale) -> Layer:
-    """Return a layer whose heat scale has no dark end."""
     return replace(
         layer,
         point_colors=trim_heat_colors(layer.point_colors, DARK_HEAT_START),

@@ -1,4 +1,4 @@
-"""Layer of waypoints: a dot at each planned photograph, in its region's colour. Once per picture."""
+"""Waypoints: a dot at each planned photograph, in its region's colour. Once per picture."""
 
 from __future__ import annotations
 

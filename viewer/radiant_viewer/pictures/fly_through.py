@@ -1,8 +1,7 @@
 """A flight through keyframes along smooth curves of position and focal point. Once per frame.
 
 Positions and focal points: PCHIP (Fritsch & Carlson 1980) over time, which never overshoots a
-keyframe; the upward vector and the angle are interpolated linearly. Frame f of n at time T · f / (n
-− 1).
+keyframe; the upward vector and the angle are interpolated linearly. Frame f of n: T · f / (n − 1).
 """
 
 from __future__ import annotations
@@ -18,7 +17,8 @@ MAX_FRAMES = 20_000
 
 
 def flight_poses(keyframes: Sequence[ViewPose], seconds_per_leg: float, frames_per_s: float) -> list[ViewPose]:
-    """Return the poses of a flight, from the first to the last keyframe; BadInput for fewer than two keyframes or bad times."""
+    """Return the poses of a flight, from the first to the last keyframe; BadInput for fewer than
+    two keyframes or bad times."""
     if len(keyframes) < 2:
         raise BadInput(f"a flight goes through two keyframes or more, {len(keyframes)} came: move the view and add another.")
     if not (np.isfinite(seconds_per_leg) and seconds_per_leg > 0 and np.isfinite(frames_per_s) and 0 < frames_per_s <= 120):

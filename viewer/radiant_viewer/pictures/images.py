@@ -33,7 +33,8 @@ class Drawing:
 
 
 def save_png(path: Path, image: Image) -> None:
-    """Write an image (H,W,3) uint8 as PNG, atomically; BadInput for another shape, type or ending, or where it cannot be written."""
+    """Write an image (H,W,3) uint8 as PNG, atomically; BadInput for another shape, type or ending,
+    or where it cannot be written."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
         raise BadInput(f"a picture of shape {image.shape} and type {image.dtype} came, expected (H, W, 3) uint8.")
     if path.suffix.lower() != ".png":

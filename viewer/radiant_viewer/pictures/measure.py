@@ -1,6 +1,6 @@
 """Lengths and areas on the map, and the length of its scale bar. Once per click; K corners.
 
-length = Σ ‖x_{k+1} − x_k‖,  area = ½ |Σ x_k y_{k+1} − x_{k+1} y_k|  (the shoelace formula, about the first corner)
+length = Σ ‖x_{k+1} − x_k‖,  area = ½ |Σ x_k y_{k+1} − x_{k+1} y_k|  (the shoelace formula)
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def polygon_area(corners: FloatArray) -> float:
 
 
 def scale_bar_length(limit: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is at most `limit` > 0: 73 gives 50."""
+    """Return the largest of 1, 2, 5 times a power of ten up to `limit` > 0: 73 gives 50."""
     power = 10.0 ** np.floor(np.log10(limit))
     return float(max(step * power for step in (1, 2, 5) if step * power <= limit * (1 + 1e-9)))
 

@@ -1,5 +1,4 @@
-"""Frames (H,W,3) uint8 into a film: MP4 or WebM by OpenCV's own encoder, GIF by Pillow. Written
-whole or not at all.
+"""Frames (H,W,3) uint8 into a film, whole or not at all: MP4 or WebM by OpenCV, GIF by Pillow.
 
 MP4 holds MPEG-4 Part 2, which desktop players show and browsers do not: OpenCV's wheel encodes
 H.264 and H.265 only on a video chip, AV1 not at all, and VP9 in 118 s for 24 frames of 640×480.
@@ -32,16 +31,14 @@ MAX_GIF_BYTES = 1 << 30
 
 
 class MovieWriter:
-    """A context manager: `add` frames of one size; the file appears if the block succeeds, else
-    nothing is left.
+    """A context manager: `add` frames of one size; if the block fails, nothing is left.
 
     Args:
         path: the film; its ending, one of `ENDINGS`, chooses the format.
         size_wh: of the frames, even and at least 16 px.
         frames_per_s: frames per second.
 
-    Raises: BadInput for another ending or size, a folder that cannot be written, or frames of
-    another size.
+    Raises: BadInput for another ending or size, or a folder that cannot be written.
     """
 
     def __init__(self, path: Path, size_wh: tuple[int, int], frames_per_s: float) -> None:
@@ -125,7 +122,7 @@ class MovieWriter:
 
 @contextmanager
 def _quiet_stderr() -> Iterator[None]:
-    """Silence OpenCV's encoder, which prints from C that VP80 is no tag of WebM and then writes it."""
+    """Silence OpenCV's encoder, which prints from C that VP80 is no tag of WebM, yet writes it."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

@@ -1,5 +1,4 @@
-"""Layers as pictures without a window: a map seen from above, and a view in perspective. 100 ms to
-1 s per picture.
+"""Layers as pictures without a window: maps from above, views in perspective. 0.1 to 1 s each.
 
 Drawn at twice the size and averaged, so that edges are smooth and the same on every machine. The
 map is orthographic: px = (x − x_min) / (x_max − x_min) · W, rows downwards from y_max. Titles,
@@ -30,16 +29,12 @@ MAX_SIDE_PX = 4096
 
 
 def render_map(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), text: PageText | None = None) -> Image:
-    """Return a finished map (H,W,3) with title, axes, scale bar, legend and labels; BadInput without anything to draw."""
+    """Return a finished map (H,W,3) with axes, legend and labels; BadInput without any geometry."""
     page = text or PageText()
     return compose_page(draw_map(layers, drawing_size_wh(size_wh, is_map=True)), layers, size_wh, page)
 
 
-def render_view(
-    layers: Sequence[Layer],
-    size_wh: tuple[int, int] = (1280, 900),
-    text: PageText | None = None,
-) -> Image:
+def render_view(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), text: PageText | None = None) -> Image:
     """Return a finished view (H,W,3) in perspective; BadInput without anything to draw."""
     page = text or PageText()
     return compose_page(draw_view(layers, drawing_size_wh(size_wh, is_map=False)), layers, size_wh, page)
@@ -82,7 +77,7 @@ def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: 
 
 
 def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[float, float] = (205, 42)) -> None:
-    """Look from (azimuth from north, elevation) so that all positions (K,3) just fit into the picture."""
+    """Look from (azimuth from north, elevation) so that positions (K,3) just fit the picture."""
     azimuth, elevation = np.radians(direction_deg)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     across = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
@@ -96,8 +91,7 @@ def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[
 
 
 def fit_distance(positions: FloatArray, toward: FloatArray, slopes: Sequence[tuple[FloatArray, float]]) -> tuple[float, FloatArray]:
-    """Return the least distance from which all positions (K,3) are in view, and the target (3,) to
-    look at.
+    """Return the least distance with all positions (K,3) in view, and the target (3,) to look at.
 
     `toward` (3,) points at the viewer; `slopes` holds per image axis (3,) the tangent k of half its
     angle. A position with coordinates x along the axis and t towards the viewer is in view for |x −
@@ -132,7 +126,7 @@ def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
 
 @contextmanager
 def egl_rendering() -> Iterator[None]:
-    """Let VTK render by EGL: it reads this variable when it makes a window, and otherwise tries an X server first."""
+    """Let VTK render by EGL: a new window reads this variable, and else tries an X server first."""
     name = "VTK_DEFAULT_OPENGL_WINDOW"
     before = os.environ.get(name)
     os.environ[name] = before or "vtkEGLRenderWindow"
@@ -175,7 +169,7 @@ def _label_places(layers: Sequence[Layer]) -> FloatArray:
 
 
 def _project(plotter: pv.Plotter, places: FloatArray) -> FloatArray:
-    """Project places (L,3) to shares (L,2) of width and height from the top left; NaN behind the camera."""
+    """Project places (L,3) to shares (L,2) of the picture from the top left; NaN if behind."""
     width, height = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)
     projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])

@@ -1,5 +1,4 @@
-"""The page around a drawing: title, labels, axes and scale bar in the frame's unit, legend with
-units.
+"""The page around a drawing: title, labels, axes and scale bar in the frame's unit, and legend.
 
 Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels
 that would cover each other or leave the drawing are moved, and the less important ones dropped.
@@ -48,7 +47,7 @@ class PageText:
 
 
 def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
-    """Return the size in px that a page of `size_wh` leaves for the drawing; BadInput for a page too small to read."""
+    """Return the px that a page of `size_wh` leaves for the drawing; BadInput for a small page."""
     if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
         raise BadInput(f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}.")
     left, bottom = (LEFT_PX, BOTTOM_PX) if is_map else (GAP_PX, GAP_PX)
@@ -83,7 +82,7 @@ def new_figure(size_wh: tuple[int, int]) -> Figure:
 
 
 def titled_figure(size_wh: tuple[int, int], title: str, detail: str = "") -> Figure:
-    """Return a figure of `size_wh` px with a bold title at the upper left and a line of detail below it."""
+    """Return a figure of `size_wh` px with a bold title and a line of detail at the upper left."""
     figure = new_figure(size_wh)
     figure.text(16 / size_wh[0], 1 - 14 / size_wh[1], title, size=14, weight="bold", color=INK_COLOR, va="top")
     figure.text(16 / size_wh[0], 1 - 40 / size_wh[1], detail, size=9.5, color=SOFT_COLOR, va="top")
@@ -91,7 +90,7 @@ def titled_figure(size_wh: tuple[int, int], title: str, detail: str = "") -> Fig
 
 
 def style_axes(axes: Axes, x_label: str, y_label: str, *, grid: bool = True) -> None:
-    """Label axes in the soft colour, without a box around them, with horizontal lines at the ticks."""
+    """Label axes in the soft colour, without a box, with horizontal lines at the ticks."""
     axes.set_xlabel(x_label, color=SOFT_COLOR)
     axes.set_ylabel(y_label, color=SOFT_COLOR)
     axes.tick_params(colors=SOFT_COLOR, labelsize=8)
@@ -120,8 +119,7 @@ def _add_title(figure: Figure, text: PageText, left_px: int) -> None:
     line = figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top")
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
-    # On a small page a long line is set smaller rather than cut off; twice, since the widths of
-    # letters are whole pixels.
+    # A long line is set smaller, not cut off; twice, since letters are whole pixels wide.
     room = width - left_px - GAP_PX
     size = 9.5
     for _ in range(2):
@@ -201,7 +199,7 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
 def _find_free_place(
     at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], taken: Sequence[Bbox], marks: NDArray[np.float64]
 ) -> Bbox | None:
-    """Return the box near a point that covers no label and the fewest markers, the nearest of equals."""
+    """Return the box near a point that covers no label and the fewest markers, nearest first."""
     best, fewest = None, np.inf
     for distance in (8, 20, 34):
         for step_x, step_y in LABEL_STEPS:
@@ -217,7 +215,7 @@ def _find_free_place(
 
 
 def _add_legend(figure: Figure, layers: Sequence[Layer], top_px: float) -> None:
-    """Draw the legend at the right: a heading per layer, its entries and colour bar; entries beyond the space are counted."""
+    """Draw the legend at the right, a heading per layer; entries beyond the space are counted."""
     width, _ = figure.get_size_inches() * DPI
     axes = axes_at(figure, (width - PANEL_PX, 0, PANEL_PX, top_px))
     axes.set(xlim=(0, PANEL_PX), ylim=(top_px, 0))

@@ -1,5 +1,4 @@
-"""Pictures of the model by our own rasterizer over white: from above below a map, or in perspective
-below lines.
+"""Pictures of the model by our own rasterizer over white: below a map, or in perspective.
 
 From above a pinhole `ALTITUDE` map widths away stands for the orthographic camera that the
 rasterizer lacks: rays are off the vertical by at most 1 / (2 · `ALTITUDE`). Gaussians are moved to
@@ -34,7 +33,8 @@ _FINE = 4
 
 
 def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int, int]) -> Drawing:
-    """Draw the map of `layers` as `draw_map` does, with the model from straight above where nothing is drawn."""
+    """Draw the map of `layers` as `draw_map` does, with the model from straight above where nothing
+    is drawn."""
     drawing = draw_map(layers, size_wh)
     assert drawing.extent is not None
     ground = _render_from_above(splats, drawing.extent, size_wh)
@@ -46,7 +46,8 @@ def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int,
 
 
 def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) -> Drawing:
-    """Draw the model for one camera, with the segments and labels of `layers` in front; BadInput for another number of cameras."""
+    """Draw the model for one camera, with the segments and labels of `layers` in front; BadInput
+    for another number of cameras."""
     if len(camera) != 1:
         raise BadInput(f"{len(camera)} cameras came, expected one: choose it with Cameras.named.")
     width, height = (int(side) for side in camera.sizes_wh[0])
@@ -60,7 +61,8 @@ def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) ->
 
 
 def fit_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
-    """Return a camera of 30° that looks down from the south-west and has all positions (K,3) just inside its picture."""
+    """Return a camera of 30° that looks down from the south-west and has all positions (K,3) just
+    inside its picture."""
     azimuth, elevation = np.radians(DIRECTION_DEG)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     right = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])

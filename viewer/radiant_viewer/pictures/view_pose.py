@@ -1,5 +1,4 @@
-"""A view as in VTK (position, focal point, up, angle), converted to and from a pinhole camera. Once
-per frame.
+"""A view as in VTK (position, focal point, up, angle), and as a pinhole camera. Once per frame.
 
 fy = H / (2 tan(angle / 2)), square pixels, middle of the picture at its centre; z forward, y down
 """
@@ -17,12 +16,8 @@ from radiant_core.numerics import FloatArray, check_array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewPose:
-    """position, focal_point (3,) in the world, up (3,) of any length, angle_deg from the lower to
-    the upper rim of the picture.
-
-    Raises BadInput where the direction or the upward vector is undefined, or the angle is not
-    between 0 and 180°.
-    """
+    """position, focal_point (3,) in the world, up (3,) of any length, angle_deg over the picture's
+    height. BadInput for an undefined direction or upward vector, or an angle outside (0°, 180°)."""
 
     position: FloatArray
     focal_point: FloatArray
@@ -62,7 +57,8 @@ class ViewPose:
 
 
 def camera_pose(cameras: Cameras, index: int, distance: float) -> ViewPose:
-    """Return the view of camera `index` with its focal point `distance` ahead and its picture's full height in view."""
+    """Return the view of camera `index` with its focal point `distance` ahead and its picture's
+    full height in view."""
     rotation = cameras.cam_from_world[index, :3, :3]
     position = cameras.centers[index]
     height = float(cameras.sizes_wh[index, 1])

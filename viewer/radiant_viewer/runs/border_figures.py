@@ -1,5 +1,4 @@
-"""Figures of each border of a plan in a model: its observed part, the colour step across it, and
-the texture beside it.
+"""Figures of each border of a plan in a model: observed part, colour step, texture beside it.
 
 A border has a verdict where at least `MIN_OBSERVED_SHARE` of its length was observed on both sides
 and has Gaussians. A step is detected from `VISIBLE_LEVELS` on where it exceeds that of every
@@ -62,7 +61,7 @@ class BorderFigures:
 
     @property
     def levels_above_texture(self) -> FloatArray:
-        """Steps of the pieces (K,), 0 where lines beside the border step as much, which is texture."""
+        """Steps of the pieces (K,), 0 where lines beside the border step as much (texture)."""
         return np.where(self.levels < self.limits, 0.0, self.levels)
 
     @property
@@ -108,7 +107,7 @@ class BorderFigures:
 
     @property
     def observed_ends(self) -> FloatArray:
-        """Ends (2,2) of the longest observed part without a gap; the whole border where nothing was observed."""
+        """Ends (2,2) of the longest observed part; of the border where nothing was observed."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.observed, [False]]).astype(np.int8)))
         if not len(edges):
             return self.border.ends
@@ -117,7 +116,8 @@ class BorderFigures:
 
 
 def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[BorderFigures, ...]:
-    """Return all borders, those with a verdict first, then by falling step; BadInput for a plan of one region."""
+    """Return all borders, those with a verdict first, then by falling step; BadInput for a plan of
+    one region."""
     width = seam_band_width(cloud_plan)
     pieces = seam_pieces(cloud_plan, width)
     if not len(pieces.ends):
@@ -148,14 +148,16 @@ def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tu
 
 
 def _shares(scene: SfmScene, pieces: SeamPieces, width: float) -> FloatArray:
-    """Return the share (S,) of the usual coverage of each piece on its less observed side: a step needs both."""
+    """Return the share (S,) of the usual coverage of each piece on its less observed side: a step
+    needs both."""
     middles, aside = pieces.ends.mean(axis=1), 0.5 * width * piece_normals(pieces)
     sides = observed_coverage(np.concatenate([middles + aside, middles - aside]), scene, width)
     return sides.reshape(2, -1).min(axis=0)
 
 
 def seam_band_width(cloud_plan: CloudPlan) -> float:
-    """Return the width of the bands beside a border: a twentieth of the regions' diagonal, at most a third of the deepest site."""
+    """Return the width of the bands beside a border: a twentieth of the regions' diagonal, at most
+    a third of the deepest site."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if len(corners) < 3:
         raise BadInput("the plan has no regions: there is no border and no seam to look at.")

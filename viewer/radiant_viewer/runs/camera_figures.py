@@ -1,7 +1,6 @@
 """The figures of a scene's cameras as a table that can be sorted and filtered. Pure; once per plan.
 
-psnr < 22 and region = north        a filter: all conditions must hold; = and != also compare names,
-~ finds a part of one
+psnr < 22 and region = north    a filter: all conditions hold; names: =, != and ~ (finds a part)
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _CONDITION = re.compile(r"\s*([a-z_]+)\s*(<=|>=|!=|<|>|=|~)\s*(.+?)\s*")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraFigures:
-    """columns: name → (C,) texts or float64, NaN where a camera has no such figure; headings: name → text with unit."""
+    """columns: name → (C,) texts or float64, NaN for no figure; headings: name → text with unit."""
 
     columns: Mapping[str, NDArray[Any]]
     headings: Mapping[str, str]
@@ -87,7 +86,7 @@ def camera_figures(
 
 
 def count_overlaps(footprints: Footprints) -> FloatArray:
-    """Return how many other footprints contain the middle of each footprint (P,), NaN where it has no area."""
+    """Return how many other footprints contain each one's middle (P,), NaN where it has no area."""
     middles = footprints.polygons.mean(axis=1)
     sees = footprints.areas_m2 > 0
     counts = np.full(len(footprints), np.nan)
@@ -104,7 +103,8 @@ def count_overlaps(footprints: Footprints) -> FloatArray:
 
 
 def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) -> NDArray[np.int64]:
-    """Return the rows (C,) in the order of a column, stable; cameras without the figure come last in both directions."""
+    """Return the rows (C,) in the order of a column, stable; cameras without the figure come last
+    in both directions."""
     values = figures.column(name)
     if values.dtype.kind == "f":
         unknown = np.isnan(values)
@@ -115,11 +115,8 @@ def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) ->
 
 
 def filter_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
-    """Return the rows (K,) that meet all conditions of a filter, all rows for an empty one; a
-    single word is searched in names.
-
-    Raises BadInput with an example for a condition that cannot be parsed.
-    """
+    """Return the rows (K,) that meet all conditions of a filter; a lone word is searched in names.
+    BadInput with an example for a condition that cannot be parsed."""
     kept = np.ones(len(figures), bool)
     for part in re.split(r"\s+and\s+|,", text.strip()) if text.strip() else []:
         match = _CONDITION.fullmatch(part)

@@ -1,5 +1,4 @@
-"""File names of the photographs of a run in the field, which have numbers for names, where a
-device's folder is on this machine.
+"""File names of photographs in the field, named by numbers, where a device's folder is here.
 
 A device sends neither file names nor the poses of held-out photographs: `edge-1-1/0003` is its
 fourth training photograph, `edge-1-1/held-out-0000` the first held-out one. The device's own
@@ -17,7 +16,7 @@ from radiant_core.io.records import load_cameras, load_scene
 
 
 def local_file_names(folder: Path, devices: Iterable[str]) -> dict[str, str]:
-    """Return number → file name below `devices/<id>/photos` of the run in `folder`, for devices whose records exist."""
+    """Return number → file name from the records in `devices/<id>` of the run in `folder`."""
     files: dict[str, str] = {}
     for device in devices:
         own = folder / "devices" / device

@@ -1,8 +1,6 @@
-"""Why a photograph may be rendered worse than others: what its camera saw, beside the median
-camera. Pure; once per selection.
+"""Why a photograph may be rendered worse than others: what its camera saw. Once per selection.
 
-points: sparse points that structure from motion placed from it; tilt: of its view from straight
-down, in degrees.
+points: sparse points placed from it; tilt: of its view from straight down, in degrees.
 """
 
 from __future__ import annotations
@@ -14,13 +12,14 @@ from radiant_core.scene import SfmScene
 
 
 def tilts_deg(scene: SfmScene) -> FloatArray:
-    """Return the angle (C,) between each camera's axis and straight down, 0 to 180 degrees; z is up."""
+    """Return the angle (C,) of each camera's axis to straight down, 0 to 180 degrees; z is up."""
     downwards = -scene.cameras.cam_from_world[:, 2, 2]
     return np.degrees(np.arccos(np.clip(downwards, -1.0, 1.0)))
 
 
 def reason_text(scene: SfmScene, index: int) -> str:
-    """Return points seen and tilt of camera `index`, each with the median, and the distance to the nearest camera."""
+    """Return points seen and tilt of camera `index`, each with the median, and the distance to the
+    nearest camera."""
     count = len(scene.cameras)
     points = np.bincount(scene.observations[:, 1], minlength=count)
     tilts = tilts_deg(scene)

@@ -1,8 +1,6 @@
-"""A plan without a run: the file of `radiant plan` as a `RunView` without model and figures. Once
-per window.
+"""A plan without a run: the file of `radiant plan` as a `RunView`. Once per window.
 
-Before capture poses are unknown: cameras stand at their waypoints with the flight plan's direction,
-else straight down.
+Before capture cameras stand at their waypoints, in the flight plan's direction or straight down.
 """
 
 from __future__ import annotations
@@ -27,19 +25,12 @@ from radiant_viewer.runs.run_view import RunView
 
 IMAGE_WIDTH_PX = 4000
 USUAL_OVERLAP, LARGEST_OVERLAP = 0.8, 0.95
-"""Overlap of consecutive images in flights for photogrammetry: the usual one, and more than any flight has."""
+"""Overlap of consecutive images in a flight: the usual one, and more than any flight has."""
 
 
 def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
-    """Read the plan in a file.
-
-    Args:
-        path: the plan's file.
-        scene: its cameras, in its order; for a plan that was made from a scene and holds no
-            waypoints.
-
-    Raises: BadInput where it has neither or they do not fit, and as `load_plan`.
-    """
+    """Read the plan in the file `path`; `scene`: its cameras in its order, for a plan without
+    waypoints. BadInput where it has neither or they do not fit, and as `load_plan`."""
     found = load_plan_file(path)
     cloud_plan, edge_plans = found.cloud, found.edges
     if found.waypoints is not None:
@@ -96,10 +87,11 @@ def estimate_ground_m(waypoints: Waypoints, optics: Optics) -> float:
 
 
 def _cameras_along(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:
-    """Return cameras at positions (P,3) whose corners, clockwise from the upper left, see along the rays (P,4,3)."""
+    """Return cameras at positions (P,3) whose corners, clockwise from the upper left, see along the
+    rays (P,4,3)."""
     left_up, right_up, right_down, left_down = (corner_rays[:, corner] for corner in range(4))
-    forward = _unit(corner_rays.sum(axis=1))
-    right = _unit(right_up + right_down - left_up - left_down)
+    forward = _normalize(corner_rays.sum(axis=1))
+    right = _normalize(right_up + right_down - left_up - left_down)
     rotations = np.stack([right, np.cross(forward, right), forward], axis=1)
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, :3, :3] = rotations
@@ -111,5 +103,5 @@ def _cameras_along(names: Sequence[str], positions: FloatArray, corner_rays: Flo
     return Cameras(names=tuple(names), Ks=np.tile(K, (count, 1, 1)), cam_from_world=poses, sizes_wh=np.tile([width, height], (count, 1)))
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def _normalize(vectors: FloatArray) -> FloatArray:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

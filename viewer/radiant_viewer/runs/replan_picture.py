@@ -1,4 +1,4 @@
-"""The map of a re-plan: regions, strips and positions, with marks on moved and lost ones. Once per re-plan."""
+"""The map of a re-plan, with marks on moved and lost positions. Once per re-plan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_MARKS = 20_000
 
 
 def replan_picture(positions: FloatArray, new: Replan) -> Image:
-    """Return the map (H,W,3) of positions (P,3) and the new plan; moved positions have a ring, lost ones a square."""
+    """Return the map (H,W,3) of positions (P,3); moved ones have a ring, lost ones a square."""
     cloud, edges = new.cloud, new.edges
     layers = [
         region_layer(cloud),

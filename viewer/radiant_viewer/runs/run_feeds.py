@@ -1,8 +1,5 @@
-"""What the application gives the window beside the run's files: progress of the stages, and the
-bars of plan and run.
-
-The window never imports the application; it calls these functions.
-"""
+"""What the application gives the window beside the run's files: progress, bars of plan and run. The
+window never imports the application; it calls these functions."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ State = Literal["running", "done", "skipped", "failed", "interrupted"]
 
 @dataclass(frozen=True, kw_only=True)
 class StageState:
-    """Progress of one stage or node: done and total in any unit while it runs, seconds once it is done."""
+    """Progress of a stage or node: done of total in any unit; seconds once it is done."""
 
     stage: str
     state: State
@@ -38,7 +35,7 @@ class StageState:
 
 @dataclass(frozen=True, kw_only=True)
 class RunProgress:
-    """All stages in the order they began, the warnings, and the remaining seconds of devices and edges, if known."""
+    """Stages in the order they began, warnings, and seconds left to devices and edges if known."""
 
     stages: tuple[StageState, ...] = ()
     expected: tuple[str, ...] = ()
@@ -58,7 +55,7 @@ def no_rows() -> Sequence[GanttRow]:
 
 @dataclass(frozen=True, kw_only=True)
 class RunFeeds:
-    """Functions that read the present state; they raise BadInput or StoreDamaged where a file cannot be read."""
+    """Functions that read the present state; BadInput or StoreDamaged for an unreadable file."""
 
     gantt_rows: Callable[[], Sequence[GanttRow]] = no_rows
     gantt_detail: Callable[[], str] = str

@@ -18,7 +18,7 @@ ImageFigures = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """A figure of a picture: its key in metrics.json, heading with unit, meaning, decimals to show."""
+    """A figure of a picture: key in metrics.json, heading with unit, meaning, decimals to show."""
 
     key: str
     heading: str
@@ -36,7 +36,8 @@ FIGURES = (
 
 
 def image_figures(folder: Path) -> ImageFigures:
-    """Return the finite figures by photograph, empty before evaluation. StoreDamaged for a broken metrics.json."""
+    """Return the finite figures by photograph, empty before evaluation. StoreDamaged for a broken
+    metrics.json."""
     path = folder / METRICS_NAME
     if not path.is_file():
         return {}

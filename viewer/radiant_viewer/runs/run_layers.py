@@ -1,4 +1,4 @@
-"""The layers of a run from the ground up: window, page and pictures take them from here. Once per run."""
+"""The layers of a run from the ground up, for window, page and pictures. Once per run."""
 
 from __future__ import annotations
 
@@ -23,11 +23,8 @@ COVERING = frozenset({"Device strips", "Gaussians", "Overlap", "Footprints", "Ca
 
 
 def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
-    """Return all layers of a run: points, plan, cameras and, as far as the run has them, model,
-    errors and seams.
-
-    A training or a scene has no plan: its layers are points, model, and cameras by split and error.
-    """
+    """Return the layers of a run: points, plan, cameras and, if it has them, model, errors, seams.
+    A training or a scene has no plan: points, model, and cameras by split and error."""
     # Before capture there are no points, and "0 points" in a legend looks like a run that failed.
     points = [sparse_point_layer(run.scene)] if len(run.scene.points) else []
     # The points of a run in the field are its Gaussians already.
@@ -47,7 +44,7 @@ def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
 
 
 def hidden_at_first(layers: Sequence[Layer]) -> frozenset[str]:
-    """Return the names of the layers that a window or page hides at first, since they cover others."""
+    """Return the names of the layers that are hidden at first, since they cover others."""
     names = {layer.name for layer in layers}
     # Without sparse points below them, the Gaussians are the ground.
     shown = {"Gaussians"} - ({"Gaussians"} if "Sparse points" in names else set())
@@ -67,12 +64,13 @@ def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[Edg
 
 
 def color_step_layer(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
-    """Return the layer of the borders' colour steps; BadInput where the plan has one region only."""
+    """Return the layer of the borders' colour steps; BadInput for a plan of one region."""
     return figures_layer(scene, cloud_plan, border_figures(scene, cloud_plan, splats))
 
 
 def figures_layer(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[BorderFigures]) -> Layer:
-    """Return the layer of borders whose figures are known; its scale ends at twice the levels that are visible, or higher."""
+    """Return the layer of borders whose figures are known; its scale ends at twice the visible
+    levels or higher."""
     pieces = SeamPieces(
         ends=np.concatenate([one.ends for one in figures]),
         edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),
@@ -83,5 +81,5 @@ def figures_layer(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[Bord
 
 
 def ground_height(scene: SfmScene) -> float:
-    """Return the height at which regions are drawn in 3D: the lowest tenth of the sparse points, 0 without points."""
+    """Return the height of regions in 3D: the lowest tenth of the sparse points, 0 without any."""
     return float(np.quantile(scene.points[:, 2], 0.1)) if len(scene.points) else 0.0

@@ -1,7 +1,12 @@
-"""The named views of a run as finished pictures, for `radiant inspect --view … --screenshot` and
-the report.
+"""The named views of a run as finished pictures, for `radiant inspect --view` and the report.
 
 Each view is a list of layers and a page. Once per picture, 0.5 to 2 s.
+
+    regions   the plan
+    cameras   held-out error or split
+    seams     colour steps along borders
+    splats    the model in 3D
+    compare   held-out photographs beside their renders: worst, middle and best
 """
 
 from __future__ import annotations
@@ -43,11 +48,7 @@ from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_vie
 from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, scene_box
 
-"""regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats:
-the model in 3D; compare: held-out photographs beside their renders, worst, middle and best."""
 SIZE_WH = (1280, 900)
-
-
 USUAL_VIEW: dict[FolderKind, View] = {"run": "regions", "training": "splats", "scene": "cameras"}
 
 
@@ -60,8 +61,7 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
         size_wh: of the picture, px; the height of "compare" follows from its rows.
         camera: name of a photograph: the viewpoint of "splats", or the only row of "compare".
 
-    Raises: BadInput for an unknown view or camera, or where the run lacks its files; StoreDamaged
-    for broken files.
+    Raises: BadInput for an unknown view or camera, or missing files; StoreDamaged for broken ones.
     """
     if view is not None and view not in get_args(View):
         raise BadInput(f"view {view!r} is unknown: use one of {', '.join(get_args(View))}.")
@@ -101,7 +101,7 @@ def plan_picture(  # noqa: PLR0913
     forecasts: Sequence[BorderForecast] = (),
     buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """Return the map of a plan: regions, strips, cameras, edges with counts and times, and borders by forecast if given."""
+    """Return the map of a plan: regions, strips, cameras, edges; with forecasts where given."""
     roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
     subtitle = f"{len(scene.cameras)} cameras, {_plan_text(cloud_plan, len(roles.device_ids))}"
     ground = ground_height(scene)
@@ -109,11 +109,7 @@ def plan_picture(  # noqa: PLR0913
     if buffers:
         layers.insert(-2, buffer_layer(scene.cameras.centers, cloud_plan, buffers))
     layers[-1:-1] = forecast_layers(forecasts, ground)
-    return render_map(
-        layers,
-        size_wh,
-        PageText(title="Plan", subtitle=subtitle, unit=scene.frame.unit),
-    )
+    return render_map(layers, size_wh, PageText(title="Plan", subtitle=subtitle, unit=scene.frame.unit))
 
 
 def waypoint_plan_picture(
@@ -125,7 +121,7 @@ def waypoint_plan_picture(
     forecasts: Sequence[BorderForecast] = (),
     buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """Return the map of a plan of waypoints (P,3) m before capture, with borders by forecast if given."""
+    """Return the map of a plan of waypoints (P,3) m before capture, with forecasts where given."""
     num_devices = sum(len(plan.device_ids) for plan in edge_plans)
     layers = [
         region_layer(cloud_plan),
@@ -150,7 +146,7 @@ def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
 def cameras_picture(
     scene: SfmScene, roles: CameraRoles, psnr_db: Mapping[str, float] | None = None, size_wh: tuple[int, int] = SIZE_WH
 ) -> Image:
-    """Return all cameras over the sparse points in 3D, coloured by PSNR if there are figures, else by split."""
+    """Return cameras over the sparse points in 3D, coloured by PSNR if known, else by split."""
     unplaced = len(set(psnr_db or ()) - set(scene.cameras.names))
     placed = psnr_db and len(psnr_db) > unplaced
     cameras = camera_layer(scene.cameras, roles, "psnr" if placed else "split", psnr_db)
@@ -179,10 +175,7 @@ def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_w
 
 def worst_border(run: RunView) -> Border:
     """Return the observed part of the border with the largest colour step of a run's model, without
-    a verdict the longest border.
-
-    Raises: BadInput without any border.
-    """
+    a verdict the longest border; BadInput without any border."""
     figures = border_figures(run.scene, run.cloud_plan, require_splats(run))
     worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)
     return replace(worst.border, ends=worst.observed_ends)
@@ -200,7 +193,8 @@ def _finding_label(finding: SeamFinding, ground: float) -> Label:
 def splats_picture(
     scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None
 ) -> Image:
-    """Return the model by our renderer, from obliquely above or from one of its cameras, with the regions' borders on the ground."""
+    """Return the model by our renderer, from obliquely above or from one of its cameras, with the
+    regions' borders on the ground."""
     ground = ground_height(scene)
     has_regions = any(len(border) for border in cloud_plan.borders)
     layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)] if has_regions else []
@@ -243,10 +237,7 @@ def _fit_to_page(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
 
 def comparisons_picture(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
     """Return photograph, render and difference of the held-out photographs with lowest, median and
-    highest PSNR, or of `camera`.
-
-    Raises: BadInput before evaluation, or where `camera` was trained on.
-    """
+    highest PSNR, or of `camera`; BadInput before evaluation, or where `camera` was trained on."""
     if not run.psnr_db:
         raise BadInput(f"{run.folder} has no figures of held-out photographs: {finish_command(run.folder)}.")
     psnr_db = run.psnr_db

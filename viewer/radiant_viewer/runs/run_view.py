@@ -1,5 +1,4 @@
-"""`RunView`: the contents of a run, a training or a scene, read through `radiant_core.io` and
-checked to fit together.
+"""`RunView`: the contents of a run, a training or a scene, read and checked to fit together.
 
 Read once per window or screenshot. The error for a broken or unfinished run names what is missing
 and what makes it.
@@ -72,7 +71,7 @@ class RunView:
         return {name: value for name, value in (self.psnr_db or {}).items() if name in known}
 
     def owner(self, index: int) -> str:
-        """Return the device of photograph `index` of `photographs`; empty where the plan has none."""
+        """Return the device of photograph `index` of `photographs`, empty where there is none."""
         if index < len(self.scene.cameras):
             device = int(self.roles.device_of_camera[index])
             return self.roles.device_ids[device] if device >= 0 else ""
@@ -86,15 +85,11 @@ class RunView:
 
 
 def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
-    """Read the run, training or scene in `folder`.
+    """Read the run, training or scene in `folder`, that of `radiant run`, `train` or `sfm`.
 
-    Args:
-        folder: the folder of `radiant run`, `radiant train` or `radiant sfm`.
-        with_files: fill `RunView.files` from the devices' records; for a window, which writes
-            nothing into the run.
-
-    Raises: BadInput where it is none of them or has no plan yet, StoreDamaged where a file is
-    broken.
+    `with_files` fills `RunView.files` from the devices' records; for a window, which writes nothing
+    into the run. Raises BadInput where it is none of them or has no plan yet, StoreDamaged where a
+    file is broken.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -138,8 +133,7 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
     is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
     psnr_db = _image_psnr_db(folder / METRICS_NAME) if is_scored else None
     names = scene.cameras.names
-    # Training drops copies of photographs before it splits: only its figures tell which were held
-    # out.
+    # Training drops copies of photographs before it splits: its figures name the held-out ones.
     held = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
     held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
     cloud_plan, edge_plans = single_region_plan(scene, int((~held).sum()))
@@ -167,16 +161,10 @@ def is_planned(folder: Path) -> bool:
 
 
 def file_stamps(path: Path) -> FileStamps:
-    """Return name, time and length of the files that `load_run_view` reads, or of the file `path`; equal stamps mean equal content."""
-    names = (
-        SCENE_NAME,
-        "scene.safetensors",
-        PLAN_NAME,
-        PLY_NAME,
-        METRICS_NAME,
-        f"{DELIVERED}/{PLAN_NAME}",
-        f"{DELIVERED}/scene.safetensors",
-    )
+    """Return name, time and length of the files that `load_run_view` reads, or of the file `path`;
+    equal stamps mean equal content."""
+    delivered = (f"{DELIVERED}/{PLAN_NAME}", f"{DELIVERED}/scene.safetensors")
+    names = (SCENE_NAME, "scene.safetensors", PLAN_NAME, PLY_NAME, METRICS_NAME, *delivered)
     stamps = []
     for file in [path / name for name in names] if path.is_dir() else [path]:
         with suppress(OSError):
@@ -198,7 +186,8 @@ def require_splats(run: RunView) -> Splats:
 
 
 def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
-    """Return the files of photograph, render and difference of a held-out photograph; BadInput where the run has none."""
+    """Return the files of photograph, render and difference of a held-out photograph; BadInput
+    where the run has none."""
     paths = tuple(run.folder / "pictures" / kind / f"{name}.png" for kind in COMPARISON_KINDS)
     missing = [path for path in paths if not path.is_file()]
     if missing and run.in_field:

@@ -1,5 +1,4 @@
-"""Seams at the borders of a plan in a model: colour steps of all borders, and the step detector
-where they are largest.
+"""Seams at the borders of a plan in a model: colour steps, and the step detector at the largest.
 
 A seam is found where the colour step exceeds the texture (`border_figures`), or where the step
 detector responds to colour, height, density or a gap on the observed part. No finding proves no
@@ -51,7 +50,8 @@ def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_ex
 
 
 def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
-    """Return the verdict on all borders with their observed length, and the largest step beside its texture."""
+    """Return the verdict on all borders with their observed length, and the largest step beside its
+    texture."""
     told = [finding.figures for finding in findings if finding.figures.has_verdict]
     if not told:
         return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
@@ -68,7 +68,7 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
 
 
 def step_text(figures: BorderFigures) -> str:
-    """Return the step of a border beside its texture, and whether it is visible; for the end of a sentence."""
+    """Return a border's step beside its texture, and whether it is visible, to end a sentence."""
     if not figures.has_verdict:
         return "too little observed for a verdict"
     size = "told from texture" if figures.has_step else "not visible" if figures.step_levels < VISIBLE_LEVELS else "not told from texture"

@@ -1,5 +1,4 @@
-"""The stops of a tour of the borders, worst seam first: the view and the figures of each. Once per
-run.
+"""The stops of a tour of the borders, worst seam first, with view and figures. Once per run.
 
 A stop is one border, with the colour step over its whole observed length; its place is the worst
 piece (`border_figures`).
@@ -55,7 +54,8 @@ class SeamStop:
         return self.figures.title
 
     def view(self, height: float) -> ViewPose:
-        """Return an oblique view along the border on its worst place, at ground height `height`, with a third of the border in view."""
+        """Return an oblique view along the border on its worst place, at ground height `height`,
+        with a third of the border in view."""
         along = (self.ends[1] - self.ends[0]) / max(float(np.linalg.norm(self.ends[1] - self.ends[0])), 1e-12)
         elevation = np.radians(ELEVATION_DEG)
         target = np.array([*self.worst, height])
@@ -65,5 +65,5 @@ class SeamStop:
 
 
 def seam_stops(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[SeamStop, ...]:
-    """Return a stop per border, the strongest step first, those without a verdict last; BadInput for a plan of one region."""
+    """Return a stop per border, in the order of `border_figures`; BadInput for one region."""
     return tuple(SeamStop(figures=figures) for figures in border_figures(scene, cloud_plan, splats))

@@ -1,10 +1,10 @@
-"""Folders without a plan: of `radiant train`, one machine's model, and of `radiant sfm`, cameras
-and points. Read once per view.
+"""Folders of `radiant train`, one machine's model, and of `radiant sfm`, which have no plan.
 
-    training    manifest.json with the settings of a training; scene.ply once it is trained; cameras in sfm/ or in the source it names
+    training    manifest.json with a training's settings; scene.ply once trained; cameras in sfm/
+                or in the source it names
     scene       scene.safetensors and result.json
 Where a plan is required, they get one of a single region without borders, which is neither drawn
-nor written.
+nor written. Read once per view.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def finish_command(folder: Path) -> str:
 
 
 def unplanned_scene(folder: Path) -> SfmScene:
-    """Read cameras and points of a training or a scene; BadInput with the next step where they are missing."""
+    """Read cameras and points of a training or a scene; BadInput with the next step if missing."""
     places = [folder / name for name in SCENE_NAMES]
     source = _settings(folder).get("source") if folder_kind(folder) == "training" else None
     if isinstance(source, str):
@@ -85,7 +85,7 @@ def has_unplanned_scene(folder: Path) -> bool:
 
 
 def scene_box(scene: SfmScene) -> FloatArray:
-    """Return lower and upper corner (2,3) of the ground below the cameras and of most of the points."""
+    """Return lower and upper corner (2,3) of the ground below the cameras and of most points."""
     box = middle_box(scene.points if len(scene.points) else scene.cameras.centers)
     places = scene.cameras.centers[:, :2]
     box[0, :2], box[1, :2] = np.minimum(box[0, :2], places.min(axis=0)), np.maximum(box[1, :2], places.max(axis=0))
@@ -93,7 +93,7 @@ def scene_box(scene: SfmScene) -> FloatArray:
 
 
 def single_region_plan(scene: SfmScene, num_trained: int) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """Return a plan of one region without borders and one machine, which has all `num_trained` cameras."""
+    """Return a plan of one region without borders, all `num_trained` cameras on one machine."""
     nobody = np.zeros(num_trained, np.int64)
     centers = scene.cameras.centers[:, :2]
     cloud = CloudPlan(
@@ -120,7 +120,7 @@ def single_region_plan(scene: SfmScene, num_trained: int) -> tuple[CloudPlan, tu
 
 
 def _settings(folder: Path) -> dict[str, Any]:
-    """Return the settings in the manifest, empty where it cannot be read; readers that need it raise."""
+    """Return the manifest's settings, empty where unreadable; readers that need it raise."""
     if not (folder / "manifest.json").is_file():
         return {}
     try:

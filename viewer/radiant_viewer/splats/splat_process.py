@@ -1,4 +1,4 @@
-"""The renderer process (`splat_worker`), driven through Qt's event loop. Needs the `desktop` extra."""
+"""The renderer process (`splat_worker`), driven by Qt's event loop. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class Frame:
 
 
 class SplatProcess(QObject):
-    """Draws one picture at a time: do not call `ask` while `is_busy`. `failed` carries why the process ended by itself."""
+    """Draws one picture at a time: do not call `ask` while `is_busy`. `failed` carries why the
+    process ended by itself."""
 
     ready = Signal()
     drawn = Signal(object)

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     import open3d as o3d
 
 NEAR_SHARE = 1e-3
-"""Near plane as a share of the distance to the farthest Gaussian: the one that Open3D chooses cuts what lies close to the camera."""
+"""Near plane as a share of the distance to the farthest Gaussian: the one that Open3D chooses cuts
+what lies close to the camera."""
 
 
 class Renderer(Protocol):
@@ -55,7 +56,7 @@ class OwnRenderer:
 
 
 class Open3DRenderer:
-    """Open3D's rasterizer on its graphics driver; harmonics up to degree 2, positions in 16 bits."""
+    """Open3D's rasterizer on its graphics driver; harmonics to degree 2, positions in 16 bits."""
 
     def __init__(self, splats: Splats) -> None:
         self._cloud = _open3d_cloud(splats)
@@ -161,8 +162,7 @@ def _answer(answers: IO[bytes], header: dict[str, Any], image: Image | None = No
 
 def main() -> int:
     """Run the process and return its exit code."""
-    # Graphics drivers write to standard output: it becomes standard error, and answers keep the
-    # pipe.
+    # Graphics drivers write to standard output: it becomes standard error; answers keep the pipe.
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     try:

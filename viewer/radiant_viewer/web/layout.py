@@ -1,5 +1,4 @@
-"""The layout of the page in Vuetify: layers left, map and 3D view, tables below, the selected
-camera's pictures beside them.
+"""The layout of the page in Vuetify: layers left, map and 3D view, tables and pictures below.
 
 Built once per server. Names in quotes with `trigger` are methods of the page; all others are its
 state.

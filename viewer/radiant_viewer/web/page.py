@@ -1,8 +1,7 @@
 """`WebPage`: the state of the page and its actions. Import only after `web.require_web`.
 
-The browser holds the lists; this machine renders. All open pages share one view and one selection.
-The run is not changed. Traffic: the lists once, pictures per selection, frames of two views as
-JPEG.
+The browser holds the lists; this machine renders. All open pages share one view and one selection,
+and the run is not changed. Traffic: the lists once, pictures per selection, frames as JPEG.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""The lists of the web page as JSON values: layers with legends, cameras with figures, borders, and
-pictures as data URLs.
+"""The lists of the web page as JSON values: layers, cameras, borders, and pictures as data URLs.
 
 Pure but for reading photographs. Lists once per run, pictures once per selected camera.
 """
@@ -28,7 +27,7 @@ from radiant_viewer.runs.seam_findings import observed_text
 from radiant_viewer.runs.seam_tour import SeamStop
 
 SHOWN_PX = 1000
-"""Long side of a picture as sent; a photograph of 20 megapixels is 8 MB, and the page shows it 400 px wide."""
+"""Long side of a picture as sent; one of 20 megapixels is 8 MB, and is shown 400 px wide."""
 JPEG_QUALITY = 88
 Row = dict[str, Any]
 
@@ -68,10 +67,10 @@ def run_camera_figures(run: RunView) -> CameraFigures:
 
 
 def camera_rows(figures: CameraFigures) -> list[Row]:
-    """Return one row per camera in the scene's order, with numbers as shown; `index` is the camera's."""
+    """Return one row per camera in the scene's order, numbers as shown; `index` is the camera's."""
     decimals = {figure.key: figure.decimals for figure in FIGURES} | {"points": 0}
     columns = {
-        key: [_shown(value, decimals.get(key, 2)) for value in values.tolist()] if values.dtype.kind == "f" else values.tolist()
+        key: [_number_text(value, decimals.get(key, 2)) for value in values.tolist()] if values.dtype.kind == "f" else values.tolist()
         for key, values in figures.columns.items()
     }
     return [{"index": index, **{key: column[index] for key, column in columns.items()}} for index in range(len(figures))]
@@ -91,9 +90,9 @@ def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
         {
             "index": index,
             "title": stop.title,
-            "step": _shown(stop.figures.step_levels, 1) or "–",
-            "texture": _shown(stop.figures.texture_levels, 1) or "–",
-            "worst": _shown(stop.worst_levels, 1) or "–",
+            "step": _number_text(stop.figures.step_levels, 1) or "–",
+            "texture": _number_text(stop.figures.texture_levels, 1) or "–",
+            "worst": _number_text(stop.worst_levels, 1) or "–",
             "observed": observed_text(stop.figures.observed_length, stop.length, unit),
             "verdict": stop.figures.verdict,
         }
@@ -102,7 +101,8 @@ def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
 
 
 def camera_pictures(run: RunView, index: int) -> Row:
-    """Return photograph, render and difference of a camera as data URLs, "" with a reason where a picture is not here."""
+    """Return photograph, render and difference of a camera as data URLs, "" with a reason where a
+    picture is not here."""
     name = run.scene.cameras.names[index]
     shown = {"photograph": "", "render": "", "difference": "", "reason": ""}
     if run.roles.held_out[index]:
@@ -138,5 +138,5 @@ def data_url(image: Image) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def _shown(value: float, decimals: int) -> str:
+def _number_text(value: float, decimals: int) -> str:
     return f"{value:,.{decimals}f}".replace("-", "−") if np.isfinite(value) else ""

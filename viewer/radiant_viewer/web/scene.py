@@ -1,8 +1,6 @@
-"""`WebScene`: map and 3D view of the web page, rendered offscreen. Independent of browser and
-server.
+"""`WebScene`: map and 3D view of the web page, rendered offscreen, without browser or server.
 
-Both hold the same layers relative to one float64 origin. A frame is drawn when the page asks for
-it.
+Both hold the same layers relative to one float64 origin. Frames are drawn when the page asks.
 """
 
 from __future__ import annotations
@@ -52,7 +50,7 @@ class WebView:
         window.GetInteractor().EnableRenderOff()
 
     def draw(self, layer: Layer, slot: int, theme: Theme, *, visible: bool) -> None:
-        """Draw a layer in place of the one of its name; on a map a higher slot covers a lower one."""
+        """Draw a layer in place of the one of its name; on a map higher slots cover lower ones."""
         self.remove(layer.name)
         height = float(SLOTS_PER_LAYER * slot) if self.is_map else None
         actors: list[vtkProp] = [*add_layer(self.plotter, apply_theme(layer, theme), self.origin, flat_height=height, detail=self.detail)]

@@ -1,5 +1,4 @@
-"""`radiant inspect RUN --web`: the run as a web page rendered on this machine, for machines reached
-by ssh.
+"""`radiant inspect RUN --web`: the run as a page rendered here, for machines reached by ssh.
 
 It binds to 127.0.0.1 and requires the secret in its address, 192 fresh random bits. All files come
 from this machine. Needs the `web` extra. Up in 3 s, then some 50 ms per frame.
@@ -65,7 +64,7 @@ def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOC
 
 def address_text(host: str, port: int, secret: str) -> str:
     """Return the address to open, and how to reach it from another machine."""
-    shown = LOCAL_HOST if host in ("0.0.0.0", "::") else host  # noqa: S104 (it is compared, not bound)
+    shown = LOCAL_HOST if host in ("0.0.0.0", "::") else host  # noqa: S104 (compared, not bound)
     address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/?secret={secret}"
     lines = [f"open {address}"]
     if host == LOCAL_HOST:

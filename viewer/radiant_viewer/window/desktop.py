@@ -1,4 +1,4 @@
-"""Checks for the `desktop` extra and a display before Qt starts, which would end the process without them."""
+"""Checks for the `desktop` extra and a display, without which Qt would end the process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The docks of a window and their places: layers left, pictures right, tables and tools below, as tabs."""
+"""The docks of a window and their places: layers left, pictures right, all others below."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LEFT_PX, RIGHT_PX, BOTTOM_PX = 235, 345, 215
 
 @dataclass(frozen=True, kw_only=True)
 class Docks:
-    """A dock is None where there is nothing to show in it: a model alone has no cameras, a plan alone no splats."""
+    """A dock is None where it would be empty: a model has no cameras, a plan no splats."""
 
     fly: FlyDock
     crop: CropDock
@@ -104,7 +104,7 @@ def place_plan_docks(window: QMainWindow, planning: Planning, layer_dock: QDockW
 
 
 def resize_docks(window: QMainWindow, docks: Docks, layer_dock: QDockWidget) -> None:
-    """Give each side its share of the window; call it after the window is shown, since Qt forgets earlier sizes."""
+    """Give each side its share of the window, once it is shown: Qt forgets earlier sizes."""
     right = docks.photo or docks.splats
     sides = [(layer_dock, LEFT_PX), *([] if right is None else [(right, RIGHT_PX)])]
     window.resizeDocks([dock for dock, _ in sides], [width for _, width in sides], Qt.Orientation.Horizontal)

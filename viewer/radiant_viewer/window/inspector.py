@@ -1,5 +1,4 @@
-"""The desktop window of `radiant inspect RUN|MODEL.ply`: map and 3D view, layers, cameras,
-photographs, seams, splats, timeline.
+"""The desktop window of `radiant inspect RUN|MODEL.ply`: map, 3D view, and docks around them.
 
 It draws the same layers as the headless pictures. Needs the `desktop` extra and a display. Building
 it takes a second or two; showing or hiding a layer redraws both views, some 50 ms each.
@@ -49,8 +48,7 @@ def open_window(
     Args:
         path: a run folder, a plan, or a .ply file; a running run without a plan is waited for.
         feeds: the application's progress and timeline of the run.
-        setting: returns the machines with which the plan can be edited; called again when the run
-            is read again.
+        setting: returns the machines with which the plan can be edited; called per reading.
         scene: the cameras of a plan without waypoints.
 
     Returns: the exit code.
@@ -73,11 +71,8 @@ def open_window(
 
 @contextmanager
 def _close_on_signals(application: QApplication) -> Iterator[list[int]]:
-    """Let Ctrl-C and SIGTERM close the windows, as their button does; yields the numbers of the
-    received signals.
-
-    Python's KeyboardInterrupt would end one of Qt's slots and leave the window open.
-    """
+    """Let Ctrl-C and SIGTERM close the windows, as their button does; yields the received signals.
+    Python's KeyboardInterrupt would end one of Qt's slots and leave the window open."""
     from PySide6.QtCore import QTimer
 
     caught: list[int] = []
@@ -121,14 +116,15 @@ class _WindowOwner:
         self.window: InspectorWindow | WaitingWindow | None = None
 
     def read(self) -> _Reading | None:
-        """Return what to show; None while a running run has no plan. Raises as `load_subject` and the setting."""
+        """Return what to show; None while a running run has no plan. Raises as `load_subject` and
+        the setting."""
         setting = None if self._setting is None else self._setting()
         if self._path.is_dir() and not is_planned(self._path) and self._feeds.progress().is_running:
             return None
         return _Reading(subject=load_subject(self._path, self._scene), setting=setting)
 
     def show(self, reading: _Reading | None, theme: ThemeName) -> None:
-        """Open a window, then close the previous one, so that the application does not end in between."""
+        """Open a window, then close the previous one: else the application would end between."""
         from PySide6.QtCore import Qt
 
         from radiant_viewer.window.waiting_window import WaitingWindow

@@ -1,4 +1,4 @@
-"""Measuring on the map: clicks add corners; the status bar shows the length of the path and the area it encloses."""
+"""Measuring on the map: clicks add corners; the status bar shows the path's length and area."""
 
 from __future__ import annotations
 

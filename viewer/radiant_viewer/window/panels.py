@@ -1,9 +1,5 @@
-"""The menu that shows, hides and floats docks; a double click on a tab floats its dock. Needs the
-`desktop` extra.
-
-A dock among tabs has no title bar, since its tab repeats the title; a floating one gets it back, as
-a handle.
-"""
+"""The menu that shows, hides and floats docks; a double click on a tab floats its dock. A floating
+dock has its title bar as a handle; among tabs the tab repeats it. Needs the `desktop` extra."""
 
 from __future__ import annotations
 

@@ -19,7 +19,8 @@ from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """layers in drawing order; splats and run if there are any; unit of the world; ground: height of the regions."""
+    """layers in drawing order; splats and run if any; unit of the world; ground: height of the
+    regions."""
 
     path: Path
     layers: tuple[Layer, ...]
@@ -33,7 +34,8 @@ class Subject:
 
 
 def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
-    """Read a run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged where that fails."""
+    """Read a run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or
+    StoreDamaged where that fails."""
     stamps = file_stamps(path)
     return replace(_load_subject(path, scene), stamps=stamps)
 

@@ -1,4 +1,4 @@
-"""The window of a run without a plan: its stages, until there is something to draw. Needs the `desktop` extra."""
+"""The window of a run without a plan: its stages, until it has one. Needs the `desktop` extra."""
 
 from __future__ import annotations
 

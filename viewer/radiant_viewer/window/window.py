@@ -1,5 +1,4 @@
-"""`InspectorWindow`: the Qt window over a run or a model. Import only after
-`desktop.require_desktop`.
+"""`InspectorWindow`: the Qt window of a run or model. Import only after `require_desktop`.
 
 Map and 3D view show the same layers; a camera selected by table, click or tour is marked in both,
 and its photograph is shown. Docks and tools see the window through the protocols in `host`, which
@@ -44,7 +43,7 @@ _Result = TypeVar("_Result")
 
 
 class InspectorWindow(QMainWindow):
-    """The window of one run or model; `wants_reload` requests a new window for files that changed."""
+    """The window of one run or model; `wants_reload` requests a new one for changed files."""
 
     wants_reload = Signal()
 
@@ -157,7 +156,7 @@ class InspectorWindow(QMainWindow):
             self.docks.cameras.select(index)
 
     def mark_camera(self, index: int) -> None:
-        """Show a selected photograph: its mark in both views, its picture, its line in the status bar."""
+        """Show a selected photograph: mark in both views, picture, line in the status bar."""
         if self.run is None:
             return
         is_placed = index < len(self.run.scene.cameras)
@@ -265,14 +264,14 @@ class InspectorWindow(QMainWindow):
         QTimer.singleShot(0, self._on_first_shown)
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Stop background work, then close both views before Qt destroys their windows under VTK."""
+        """Stop background work and close the views before Qt destroys their windows under VTK."""
         self.end()
         for canvas in (self.map, self.view):
             canvas.plotter.close()
         super().closeEvent(event)
 
     def end(self) -> None:
-        """Stop renderers, polling, films and planning; edits that are being solved stay in their file."""
+        """Stop renderers, polling, films, planning; edits being solved stay in their file."""
         for dock in (self.docks.splats, self.docks.progress):
             if dock is not None:
                 dock.end()
@@ -293,7 +292,7 @@ class InspectorWindow(QMainWindow):
                 self._restore(self)
 
     def _on_polled(self) -> None:
-        """Request a reload once the files have changed, unless the user is in the middle of an action."""
+        """Request a reload once the files have changed, unless the user is busy in the window."""
         stamps = file_stamps(self.subject.path)
         if stamps == self._tried or self._is_busy():
             return
@@ -399,7 +398,6 @@ class InspectorWindow(QMainWindow):
         self.render_views()
 
     def _pick(self, canvas: Canvas, pixel: tuple[int, int]) -> bool:
-        """Select the camera nearest to a click."""
         if self.run is None or not len(self.run.scene.cameras):
             return False
         away = np.linalg.norm(canvas.pixels_of(self.run.scene.cameras.centers) - pixel, axis=1)
@@ -429,7 +427,6 @@ class InspectorWindow(QMainWindow):
 
 
 def _palette(theme: Theme) -> QPalette:
-    """Qt's colours of a theme."""
     roles = {
         QPalette.ColorRole.Window: theme.panel,
         QPalette.ColorRole.Base: theme.field,

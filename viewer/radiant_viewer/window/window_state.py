@@ -1,4 +1,5 @@
-"""`WindowState`: the user's arrangement of a window, carried over when its run is read again. Needs the `desktop` extra."""
+"""`WindowState`: the user's arrangement of a window, carried over when its run is read again. Needs
+the `desktop` extra."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Baselines: published ways of joining models, written from their descriptions onto our rasterizer and trainer."""
+"""Baselines: published ways of joining models, from their descriptions, on our trainer."""

@@ -1,5 +1,4 @@
-"""How much of an image the projection of a box covers (VastGaussian, Lin 2024, "airspace-aware
-visibility"). Once per camera and cell.
+"""The share of an image that a box covers (VastGaussian, Lin 2024). Once per camera and cell.
 
     share = |hull(π(box ∩ {z ≥ near})) ∩ image| / |image|
 The box is cut at the near plane before the division by depth: a corner behind the camera has no
@@ -19,15 +18,14 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
 
 NEAR_SHARE = 1e-4
-"""The near plane, as a share of the box's diagonal. What is cut away hides no pixel unless the box is thinner than that before it."""
+"""The near plane as a share of the box's diagonal: what is cut hides nothing of thicker boxes."""
 
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
 _EDGES = np.array([(a, b) for a in range(8) for b in range(a) if np.abs(_CORNERS[a] - _CORNERS[b]).sum() == 1])
 
 
 def box_coverage(cameras: Cameras, low: ArrayLike, high: ArrayLike) -> FloatArray:
-    """Share (C,) in 0..1 of each camera's image that the box from `low` (3,) to `high` (3,), m,
-    covers; occlusion does not count.
+    """Share (C,) in 0..1 of each image that the box from `low` to `high` (3,) m covers, unoccluded.
 
     0 for a box without extent or behind the camera, 1 where the camera looks through all of it from
     inside. BadInput for a corner that is not finite or below the other one.
@@ -51,7 +49,7 @@ def box_coverage(cameras: Cameras, low: ArrayLike, high: ArrayLike) -> FloatArra
 
 
 def _cut_at_near(corners: FloatArray, near_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Vertices (C,20,3) of boxes with corners (C,8,3) in camera axes that are cut at z = near, and which of them exist (C,20)."""
+    """Vertices (C,20,3) of boxes (C,8,3) cut at z = near, in camera axes; which exist (C,20)."""
     from_, to = corners[:, _EDGES[:, 0]], corners[:, _EDGES[:, 1]]
     crosses = (from_[..., 2] >= near_m) != (to[..., 2] >= near_m)
     rise = np.where(crosses, to[..., 2] - from_[..., 2], 1.0)

@@ -1,31 +1,28 @@
-"""Fed3DGS (Suzuki 2024) from its description: a server takes in one client after another and trains
-opacities alone.
+"""Fed3DGS (Suzuki 2024): a server takes in one client after another and trains opacities alone.
 
 Per client, with G the global model, L the client's, ε the median squared distance of a Gaussian of
 L to its nearest neighbour in L:
     1  G' = Gaussians of G in the client's frusta: |ndc| ≤ 1.3, 0 < z < far
-    2  targets: renders of L at the client's V cameras, and V renders of G at cameras known before, drawn as ∝ how many of L they see
+    2  targets: V renders of L at the client's cameras and V of G at cameras known before,
+       drawn as ∝ how many of L they see
     3  opacity ≤ 0.005 for all of L, and for those of G' with one of L within ε
-    4  5 epochs, Adam 0.05, on the opacities of L and G':  0.8 L1 + 0.2 (1 − SSIM)  + 1e-2 · mean H(o) from the second epoch on
+    4  5 epochs, Adam 0.05, on the opacities of L and G':  0.8 L1 + 0.2 (1 − SSIM), and
+       1e-2 · mean H(o) from the second epoch on
     5  those of L and G' with opacity ≤ 0.005 are dropped
     H(o) = −o ln o − (1 − o) ln(1 − o)
 
 Once per client; one picture a step. What differs from the publication, and why:
-- It refuses a client that shares fewer than 20 image names with the server. Disjoint sets of
-  photographs, which are the paper's setting, would all be refused. Here a client must overlap: G'
-  at least `min_overlap` of its own size. One that does not yet waits for the others; one that never
-  does is refused and named.
-- Its clients have 100 to 200 images, so its 5 epochs are 1,000 to 2,000 steps. An opacity that
-  begins at 0.005 needs some 150 steps of Adam to be seen again, which 5 epochs of a dozen images do
-  not give: there are at least `min_num_steps`, and the entropy joins in after a fifth of them.
-- Far, which it scales with the scene, is `far_factor` times the median depth of the client's own
-  Gaussians in its frusta.
-- G outside the frusta is drawn but keeps still, so that the renders of G that are targets can be
-  met.
-- Its appearance model (hash grid and image vectors → MLP → change of harmonics) is left out. The
-  targets are renders of models from which training has taken each photograph's exposure already,
-  and a picture that was never taken has no image vector: here nothing is fitted to held-out
-  photographs before they are compared.
+- It refuses a client that shares fewer than 20 image names with the server, and so every disjoint
+  set of photographs, the paper's setting. Here G' must have `min_overlap` of the client's size: a
+  client that does not overlap yet waits for the others; one that never does is refused and named.
+- 5 epochs of its 100 to 200 images are 1,000 to 2,000 steps. An opacity of 0.005 needs some 150
+  steps of Adam to be seen again, which 5 epochs of a dozen images do not give: there are at least
+  `min_num_steps`, and the entropy joins in after a fifth of them.
+- Far is `far_factor` times the median depth of the client's own Gaussians in its frusta.
+- G outside the frusta is drawn but fixed, so that the renders of G that are targets can be met.
+- Its appearance model (hash grid and image vectors → MLP → change of harmonics) is left out: the
+  models that render the targets are free of exposures already, and a picture that was never taken
+  has no image vector: here nothing is fitted to held-out photographs before they are compared.
 """
 
 from __future__ import annotations
@@ -76,7 +73,7 @@ class Fed3dgsConfig:
     far_factor: float = 5.0
     """Where frusta end, in median depths of the client's Gaussians."""
     min_overlap: float = 0.01
-    """A client with fewer global Gaussians in its frusta than this share of its own has no overlap."""
+    """A client with fewer global Gaussians in its frusta, as a share of its own, has no overlap."""
     seed: int = 0
     """Seed of the drawn cameras and of the order of targets."""
 
@@ -109,8 +106,7 @@ class Fed3dgsResult:
 
 
 def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dgsConfig, options: FitOptions) -> Fed3dgsResult:
-    """Merge clients in the given order, each with its own `cameras` (at training size); one without
-    overlap waits for the next to be in.
+    """Merge clients in order, each with its `cameras` (training size); one without overlap waits.
 
     BadInput when the counts differ, there is none, and for a client without Gaussians or cameras.
     """
@@ -123,7 +119,7 @@ def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dg
     while ready := [index for index in waiting if overlaps(result.splats, models[index], cameras[index], config)]:
         index = ready[0]
         waiting.remove(index)
-        merged = fed3dgs_merge(result.splats, models[index], cameras[index], _numbered(known), config, options)
+        merged = fed3dgs_merge(result.splats, models[index], cameras[index], _number_cameras(known), config, options)
         result = replace(
             merged,
             num_steps=result.num_steps + merged.num_steps,
@@ -142,11 +138,10 @@ def fed3dgs_merge(
     config: Fed3dgsConfig,
     options: FitOptions,
 ) -> Fed3dgsResult:
-    """Take one client into the global model; `other_cameras` are those of the clients before. The
-    first client is the global model.
+    """Take one client into the global model, which the first one is; `other_cameras`: those before.
 
-    BadInput for a client without Gaussians or cameras and for one without overlap; StageFailed
-    where a gradient is not finite.
+    BadInput for a client without Gaussians, cameras or overlap; StageFailed where a gradient is not
+    finite.
     """
     _require_client(local, local_cameras, "the client")
     if global_model is None or not len(global_model):
@@ -184,21 +179,21 @@ def _require_client(model: Splats, cameras: Cameras, name: str) -> None:
 
 
 def _in_frusta(model: Splats, cameras: Cameras, far_m: float, config: Fed3dgsConfig) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) have their centre in at least one frustum that is widened to the limit of ndc."""
+    """Which Gaussians (N,) have their centre in a frustum widened to the limit of ndc."""
     seen = np.zeros(len(model), bool)
-    for depths, ndc in (_projected(model, cameras, index) for index in range(len(cameras))):
+    for depths, ndc in (_project(model, cameras, index) for index in range(len(cameras))):
         seen |= (depths > 0) & (depths < far_m) & (np.abs(ndc) <= config.ndc_limit).all(axis=1)
     return seen
 
 
 def _far_m(local: Splats, cameras: Cameras, config: Fed3dgsConfig) -> float:
-    """Depth at which the client's frusta end; infinite where its own cameras see none of its Gaussians."""
-    depths = [z[(z > 0) & (np.abs(ndc) <= 1).all(axis=1)] for z, ndc in (_projected(local, cameras, i) for i in range(len(cameras)))]
+    """Depth at which the client's frusta end; infinite where its cameras see no Gaussian of it."""
+    depths = [z[(z > 0) & (np.abs(ndc) <= 1).all(axis=1)] for z, ndc in (_project(local, cameras, i) for i in range(len(cameras)))]
     found = np.concatenate(depths)
     return config.far_factor * float(np.median(found)) if len(found) else np.inf
 
 
-def _projected(model: Splats, cameras: Cameras, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _project(model: Splats, cameras: Cameras, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depths (N,) m and places (N,2) in the image of one camera, -1 to 1 from edge to edge."""
     pose, K = cameras.cam_from_world[index], cameras.Ks[index]
     in_camera = model.means.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
@@ -207,7 +202,7 @@ def _projected(model: Splats, cameras: Cameras, index: int) -> tuple[NDArray[np.
 
 
 def _near_local(global_model: Splats, local: Splats) -> NDArray[np.bool_]:
-    """Which global Gaussians (N,) have a local one within √ε; none where a lone local one has no neighbour to take ε from."""
+    """Which global Gaussians (N,) have a local one within √ε; none for a lone local one."""
     if len(local) < 2:
         return np.zeros(len(global_model), bool)
     tree = KDTree(local.means.astype(np.float64))
@@ -218,12 +213,8 @@ def _near_local(global_model: Splats, local: Splats) -> NDArray[np.bool_]:
 def _targets(
     global_model: Splats, local: Splats, local_cameras: Cameras, other_cameras: Cameras, config: Fed3dgsConfig, backend: Backend
 ) -> TrainingViews:
-    """V renders of the client at its cameras and V of the global model at cameras drawn in
-    proportion to how much of `local` they see.
-
-    A camera may be drawn more than once. Where the other cameras see nothing of the client there
-    are only its own views.
-    """
+    """V renders of the client and V of the global model at cameras drawn, with repeats, by how much
+    of `local` they see; the client's alone where they see nothing of it."""
     own = synthetic_views(local, local_cameras, backend)
     counts = np.array([other_cameras.select([index]).any_sees(local.means).sum() for index in range(len(other_cameras))], np.float64)
     if not counts.sum():
@@ -233,11 +224,11 @@ def _targets(
     unique, first = np.unique(drawn, return_inverse=True)
     rendered = synthetic_views(global_model, other_cameras.select(unique), backend)
     images = (*own.images, *(rendered.images[index] for index in first))
-    return TrainingViews(cameras=_numbered([local_cameras, *(other_cameras.select([index]) for index in drawn)]), images=images)
+    return TrainingViews(cameras=_number_cameras([local_cameras, *(other_cameras.select([index]) for index in drawn)]), images=images)
 
 
-def _numbered(parts: Sequence[Cameras]) -> Cameras:
-    """All cameras of `parts` under numbers: clients may share photographs, and a camera may be drawn twice."""
+def _number_cameras(parts: Sequence[Cameras]) -> Cameras:
+    """All cameras of `parts` under numbers: a photograph may be shared, a camera drawn twice."""
     return Cameras(
         names=tuple(f"{number:06d}" for number in range(sum(map(len, parts)))),
         Ks=np.concatenate([part.Ks for part in parts]),
@@ -269,8 +260,7 @@ def _fit_opacities(
             loss = loss + config.entropy_weight * _mean_entropy(splats.logit_opacities[rows])
         optimizer.zero_grad()
         loss.backward()
-        # Of all that are trained, seen or not, as Adam without a mask moves them; the others keep
-        # still.
+        # All that are trained, seen or not, as Adam without a mask moves them; the others stay.
         optimizer.step(rows)
         if options.clock() - reported_s >= options.report_every_s or step + 1 == num_steps:
             options.report(TrainProgress(step=step + 1, num_steps=num_steps, loss=float(np.mean(losses))))

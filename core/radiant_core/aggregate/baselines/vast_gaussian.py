@@ -1,21 +1,18 @@
-"""VastGaussian (Lin 2024) from its description: cells of equal counts of cameras, each trained with
-all that sees it, cropped and joined.
+"""VastGaussian (Lin 2024): cells of equal camera counts, trained with all that sees them, cropped.
 
-    cells:  cameras by x into m groups of equal counts, each by y into n           rectangle: halfway to the neighbouring group
-    select: widen by 20 % per side, take cameras and points inside                 → position
-            + cameras of whose image the cell's airspace covers at least 25 %      → visibility
-            + all points that any camera of the cell observes                      → coverage
+    cells:  m groups of equal counts by x, each n by y; rectangles end halfway to the next group
+    select: widen by 20 % per side, take cameras and points inside              → position
+            + cameras of whose image the cell's airspace covers at least 25 %   → visibility
+            + all points that any camera of the cell observes                   → coverage
     merge:  of each cell's model what lies in its own rectangle, outer cells to infinity
 
 Once per scene; training is the caller's. What differs from the publication, and why:
 - Its ground plane comes from a Manhattan alignment; our scenes are z up already.
-- The airspace ends at the 1st and 99th percentile of the heights of the cell's points, not at the
-  highest point: a single wrong match would raise it above the cameras and make every camera see
-  every cell.
-- Its appearance network (a CNN from the render and an image's vector to a multiplier per pixel) is
-  thrown away after training. The trainer's exposures (`exposure="affine"`: an affine map of the
-  colours per photograph, thrown away as well) stand in for it, where the caller's `train` turns
-  them on, as for every other method: photographs whose exposures agree need none.
+- The airspace ends at the 1st and 99th percentile of the heights of the cell's points: up to the
+  highest one, a single wrong match would make every camera see every cell.
+- The trainer's exposures (`exposure="affine"`: an affine map of the colours per photograph), where
+  the caller's `train` turns them on, stand in for its appearance network (a CNN from the render and
+  an image's vector to a multiplier per pixel). Either is thrown away after training.
 """
 
 from __future__ import annotations
@@ -42,11 +39,11 @@ class VastGaussianConfig:
     """How cells are widened and filled; the defaults are the published ones."""
 
     widen: float = 0.2
-    """Share of its length by which each side of a cell moves outwards before cameras and points are taken from it."""
+    """Share of its length by which each side of a cell moves out before it takes cameras."""
     min_coverage: float = 0.25
     """A camera of whose image the cell's airspace covers at least this share is added."""
     height_quantile: float = 0.01
-    """The airspace reaches from this quantile of the heights of the cell's points to the opposite one."""
+    """The airspace reaches from this quantile of the heights of its points to the opposite one."""
     min_points: int = 100
     """A cell with fewer points takes its heights from all points of the scene."""
 
@@ -74,11 +71,11 @@ class VastCell:
 
     @property
     def region(self) -> FloatArray:
-        """(2,2) m: low xy, high xy of what the cell owns in the end, infinite where it has no neighbour."""
+        """(2,2) m: low xy, high xy of what the cell owns, infinite where it has no neighbour."""
         return np.where(self.is_outer, [[-np.inf], [np.inf]], self.bounds)
 
     def owns(self, means: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Whether each of the places (N,2) or (N,3) m is the cell's: low ≤ xy < high, so that a place on a border has one owner."""
+        """Whether each of the places (N,2) or (N,3) m is the cell's: low ≤ xy < high."""
         low, high = self.region
         xy = np.asarray(means, np.float64)[:, :2]
         return ((xy >= low) & (xy < high)).all(axis=1)
@@ -97,7 +94,7 @@ class VastGaussianResult:
 def vast_gaussian(
     scene: SfmScene, m: int, n: int, train: TrainCell, *, seed: int, config: VastGaussianConfig = VastGaussianConfig()
 ) -> VastGaussianResult:
-    """Divide `scene` (z up) into m × n cells, train each by `train(scene of the cell, seed)` and join them. Raises as its two parts."""
+    """Divide `scene` (z up) into m × n cells, train each by `train(scene, seed)`, join them."""
     cells = vast_cells(scene, m, n, config)
     models = tuple(train(scene_of_cell(scene, cell), seed) for cell in cells)
     return VastGaussianResult(splats=crop_cells(models, cells), cells=cells, models=models)
@@ -119,7 +116,7 @@ def vast_cells(scene: SfmScene, m: int, n: int, config: VastGaussianConfig = Vas
         rows, y_edges = _equal_groups(members, xy[members, 1], n)
         for row, own in enumerate(rows):
             bounds = np.array([[x_edges[column], y_edges[row]], [x_edges[column + 1], y_edges[row + 1]]])
-            cameras, points = _selected(scene, own, bounds, config)
+            cameras, points = _select_for_cell(scene, own, bounds, config)
             cells.append(
                 VastCell(
                     column=column,
@@ -135,7 +132,7 @@ def vast_cells(scene: SfmScene, m: int, n: int, config: VastGaussianConfig = Vas
 
 
 def scene_of_cell(scene: SfmScene, cell: VastCell) -> SfmScene:
-    """The cameras and points that a cell is trained with, and who of them sees which."""
+    """The cameras, points and observations that a cell is trained with."""
     new_point, new_camera = np.full(len(scene.points), -1), np.full(len(scene.cameras), -1)
     new_point[cell.points] = np.arange(len(cell.points))
     new_camera[cell.cameras] = np.arange(len(cell.cameras))
@@ -150,7 +147,7 @@ def scene_of_cell(scene: SfmScene, cell: VastCell) -> SfmScene:
 
 
 def crop_cells(models: Sequence[Splats], cells: Sequence[VastCell]) -> Splats:
-    """Of each model what its cell owns, in one. BadInput when the counts differ, there is none, or a model is empty."""
+    """Of each model what its cell owns, in one. BadInput where a model is missing or empty."""
     if len(models) != len(cells) or not models:
         raise BadInput(f"{len(models)} models for {len(cells)} cells: give one model per cell, at least one.")
     for model, cell in zip(models, cells, strict=True):
@@ -160,14 +157,14 @@ def crop_cells(models: Sequence[Splats], cells: Sequence[VastCell]) -> Splats:
 
 
 def _equal_groups(members: NDArray[np.int64], places: FloatArray, count: int) -> tuple[list[NDArray[np.int64]], FloatArray]:
-    """`members` (K,) sorted by `places` (K,) in `count` groups whose sizes differ by at most 1, and their edges (count + 1,)."""
+    """`members` (K,) in `count` equal groups by `places` (K,), and their edges (count + 1,)."""
     order = np.argsort(places, kind="stable")
     groups = np.array_split(order, count)
     inner = [(places[left[-1]] + places[right[0]]) / 2 for left, right in pairwise(groups)]
     return [members[group] for group in groups], np.array([places.min(), *inner, places.max()])
 
 
-def _selected(
+def _select_for_cell(
     scene: SfmScene, own: NDArray[np.int64], bounds: FloatArray, config: VastGaussianConfig
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cameras and points of the cell with `bounds` (2,2), by position, visibility and coverage."""

@@ -1,4 +1,4 @@
-"""The binary files of a COLMAP model as records; every count is checked against the bytes left before anything is made."""
+"""The binary files of a COLMAP model as records; counts are checked against the bytes left."""
 
 from __future__ import annotations
 
@@ -85,12 +85,8 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
 def parse_images(data: bytes, path: str) -> list[ColmapImage]:
     """The records of images.bin; BadInput with the byte offset."""
     cursor = _Cursor(data, path)
-    return [*_images(cursor, cursor.count(73, "images"))]
-
-
-def _images(cursor: _Cursor, count: int) -> list[ColmapImage]:
     images = []
-    for _ in range(count):
+    for _ in range(cursor.count(73, "images")):
         image_id, *pose, camera_id = cursor.take("<I7dI")
         name = cursor.text()
         num_points2d = cursor.count(_POINT2D.itemsize, "2D points")
@@ -112,7 +108,7 @@ def _images(cursor: _Cursor, count: int) -> list[ColmapImage]:
 
 
 def parse_points(data: bytes, path: str) -> ColmapPoints:
-    """The records of points3D.bin; BadInput with the byte offset. Python only walks the offsets, numpy gathers the values."""
+    """The records of points3D.bin; BadInput with the byte offset. Numpy gathers the values."""
     cursor = _Cursor(data, path)
     count = cursor.count(_POINT3D.itemsize, "points")
     starts, num_seen = np.zeros(count, np.int64), np.zeros(count, np.int64)

@@ -1,9 +1,7 @@
-"""COLMAP models (cameras, images, points3D; binary or text): found, read and checked as a whole,
-and written as text.
+"""COLMAP models (cameras, images, points3D; binary or text): found, read, checked. Once per scene.
 
-Read once per scene. `binary.py` and `text.py` parse the two formats into the same records, which
-`records.py` checks against each other. Rig and frame files beside them are not needed: the images
-hold their poses.
+`binary.py` and `text.py` parse the two formats into the same records, which `records.py` checks
+against each other. Rig and frame files beside them are not needed: the images hold their poses.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ _PARSERS = {parser.SUFFIX: parser for parser in (colmap_binary, colmap_text)}
 
 
 def model_files(folder: Path) -> list[Path]:
-    """The files of the model in `folder` that `read_model` reads; raises as that where there is none."""
+    """The files that `read_model` reads of the model in `folder`; raises as that without one."""
     suffix = _format_of(folder)
     if suffix is None:
         raise BadInput(f"{folder} holds no COLMAP model: expected cameras, images and points3D, all .bin or all .txt.")
@@ -37,9 +35,9 @@ def image_names(folder: Path) -> tuple[str, ...]:
 def read_model(folder: Path) -> ColmapModel:
     """The model in `folder` (binary where both formats are there).
 
-    Raises BadInput naming the file and the byte or line when it is missing, truncated, has trailing
-    bytes, an unknown camera model, values that are not finite, a name that leaves the folder, an id
-    twice, or an id that is not there.
+    Raises BadInput naming the file and the byte or line when it is missing or truncated, or has
+    trailing bytes, an unknown camera model, values that are not finite, a name that leaves
+    the folder, an id twice, or an id that is not there.
     """
     paths = model_files(folder)
     parser = _PARSERS[paths[0].suffix]

@@ -1,4 +1,4 @@
-"""The records of a COLMAP model and the checks that they fit each other. Format: https://colmap.github.io/format.html"""
+"""The records of a COLMAP model and their checks. Format: https://colmap.github.io/format.html"""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ColmapCamera:
 
     @property
     def K(self) -> FloatArray:
-        """Calibration matrix (3,3) px of a pinhole camera; BadInput for another one, which COLMAP's undistorter passed through."""
+        """Matrix (3,3) px of a pinhole camera; BadInput for another, which COLMAP left as it is."""
         if not self.is_pinhole:
             raise BadInput(
                 f"camera {self.camera_id} of the model is {self.model} without distortion, which COLMAP does not undistort: give it as "
@@ -61,7 +61,8 @@ class ColmapCamera:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColmapImage:
-    """One posed image: quat_wxyz (4,), translation (3,) of cam_from_world; points2d (K,2) px; point3d_ids (K,), -1 for none."""
+    """quat_wxyz (4,), translation (3,) of cam_from_world; points2d (K,2) px; point3d_ids (K,), -1
+    for none."""
 
     image_id: int
     name: str
@@ -82,7 +83,8 @@ class ColmapImage:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColmapPoints:
-    """ids (P,); xyz (P,3); colors (P,3) uint8; errors_px (P,); tracks (T,3): point index, image id, index of its 2D point."""
+    """ids (P,); xyz (P,3); colors (P,3) uint8; errors_px (P,); tracks (T,3): point index, image id,
+    index of its 2D point."""
 
     ids: NDArray[np.int64]
     xyz: FloatArray
@@ -100,14 +102,14 @@ class ColmapModel:
     points: ColmapPoints
 
     def observations(self) -> NDArray[np.int64]:
-        """Who sees what (T,2): point index, image index in `images`; a point seen twice by an image counts once."""
+        """Who sees what (T,2): point index, index in `images`; twice by an image counts once."""
         ids = np.array([image.image_id for image in self.images], dtype=np.int64)
         order = np.argsort(ids)
         image_indices = order[np.searchsorted(ids[order], self.points.tracks[:, 1])]
         return np.unique(np.stack([self.points.tracks[:, 0], image_indices], axis=1), axis=0)
 
     def without(self, names: Collection[str]) -> ColmapModel:
-        """The model without the images of these names; points stay, also where no image sees them any more."""
+        """The model without the images of these names; points stay, even those seen by none."""
         images = tuple(image for image in self.images if image.name not in names)
         tracks = self.points.tracks
         tracks = tracks[np.isin(tracks[:, 1], [image.image_id for image in images])]
@@ -115,7 +117,7 @@ class ColmapModel:
 
 
 def check_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: ColmapPoints, source: str) -> ColmapModel:
-    """The records as one model, after checking that they fit each other; BadInput names `source` and the first misfit."""
+    """The records as one model if they fit each other; BadInput names `source` and the misfit."""
     by_id = {camera.camera_id: camera for camera in cameras}
     _require_unique("camera id", [camera.camera_id for camera in cameras], source)
     _require_unique("image id", [image.image_id for image in images], source)
@@ -136,7 +138,7 @@ def _require_unique(what: str, values: list, source: str) -> None:
 
 
 def is_image_name(name: str) -> bool:
-    """Whether a COLMAP model can name an image so: a relative path of printable characters that stays inside its folder."""
+    """Whether a COLMAP model can name an image so: relative, printable, inside its folder."""
     path = PurePosixPath(name)
     return bool(name) and name.isprintable() and "\\" not in name and not path.is_absolute() and ".." not in path.parts
 

@@ -1,4 +1,4 @@
-"""The text files of a COLMAP model as records; comment lines start with '#', every error names its line."""
+"""The text files of a COLMAP model as records; '#' starts a comment, errors name their line."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
 
 
 def parse_images(data: bytes, path: str) -> list[ColmapImage]:
-    """The records of images.txt, two lines each (the second may be empty); BadInput with the line number."""
+    """The records of images.txt, two lines each, the second may be empty; BadInput as above."""
     lines = _lines(data, path)
     images = []
     for place, line in _records(lines, path):
@@ -83,13 +83,13 @@ def parse_points(data: bytes, path: str) -> ColmapPoints:
 
 
 def write_model(folder: Path, model: ColmapModel) -> None:
-    """Write cameras.txt, images.txt and points3D.txt into `folder`, each atomically; raises as `write_atomic`."""
+    """Write cameras.txt, images.txt and points3D.txt, each atomically; raises as `write_atomic`."""
     folder.mkdir(parents=True, exist_ok=True)
-    cameras = [f"{c.camera_id} {c.model} {c.size_wh[0]} {c.size_wh[1]} {_joined(c.params)}\n" for c in model.cameras.values()]
+    cameras = [f"{c.camera_id} {c.model} {c.size_wh[0]} {c.size_wh[1]} {_join_numbers(c.params)}\n" for c in model.cameras.values()]
     write_atomic(folder / "cameras.txt", "".join(["# camera_id model width height params\n", *cameras]).encode())
     images = [
-        f"{i.image_id} {_joined(i.quat_wxyz)} {_joined(i.translation)} {i.camera_id} {i.name}\n"
-        + " ".join(f"{_joined(xy)} {point}" for xy, point in zip(i.points2d, i.point3d_ids, strict=True))
+        f"{i.image_id} {_join_numbers(i.quat_wxyz)} {_join_numbers(i.translation)} {i.camera_id} {i.name}\n"
+        + " ".join(f"{_join_numbers(xy)} {point}" for xy, point in zip(i.points2d, i.point3d_ids, strict=True))
         + "\n"
         for i in model.images
     ]
@@ -97,7 +97,7 @@ def write_model(folder: Path, model: ColmapModel) -> None:
     write_atomic(folder / "images.txt", "".join([header, *images]).encode())
     points, (first, last) = model.points, _track_bounds(model.points)
     lines = [
-        f"{points.ids[p]} {_joined(points.xyz[p])} {' '.join(map(str, points.colors[p]))} {_joined([points.errors_px[p]])} "
+        f"{points.ids[p]} {_join_numbers(points.xyz[p])} {' '.join(map(str, points.colors[p]))} {_join_numbers([points.errors_px[p]])} "
         + " ".join(f"{image} {index}" for _, image, index in points.tracks[first[p] : last[p]])
         + "\n"
         for p in range(len(points.ids))
@@ -110,7 +110,7 @@ def _track_bounds(points: ColmapPoints) -> tuple[NDArray[np.int64], NDArray[np.i
     return np.searchsorted(points.tracks[:, 0], indices, "left"), np.searchsorted(points.tracks[:, 0], indices, "right")
 
 
-def _joined(numbers: object) -> str:
+def _join_numbers(numbers: object) -> str:
     return " ".join(repr(float(number)) for number in np.ravel(np.asarray(numbers, np.float64)))
 
 

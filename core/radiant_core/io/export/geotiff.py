@@ -1,5 +1,4 @@
-"""A grid of heights as GeoTIFF (OGC 19-008): float32, north up, one band, what is not known as
-−9999. Once per surface model.
+"""A grid of heights as GeoTIFF (OGC 19-008): float32, north up, unknown −9999. Once per surface.
 
 Cell (row, column) covers east₀ + column · cell … + cell and north₀ − row · cell … − cell. With an
 EPSG code the grid is that projected system's; without one it stands in the model's own coordinates.
@@ -27,7 +26,8 @@ _SHORT, _DOUBLE, _ASCII = 3, 12, 2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeightGrid:
-    """heights (H,W) float64, NaN where nothing was seen; north_west (2,) the outer corner; cell > 0; epsg None in the model's own frame."""
+    """heights (H,W) float64, NaN where nothing was seen; north_west (2,) the outer corner; cell
+    > 0; epsg None in the model's own frame."""
 
     heights: FloatArray
     north_west: FloatArray
@@ -46,7 +46,7 @@ class HeightGrid:
         return float(np.isfinite(self.heights).mean())
 
     def at(self, places: FloatArray) -> FloatArray:
-        """Heights (P,) of the cells that places (P,2) fall into; NaN outside and where nothing is known."""
+        """Heights (P,) of the cells that places (P,2) fall into; NaN where nothing is known."""
         columns = np.floor((places[:, 0] - self.north_west[0]) / self.cell)
         rows = np.floor((self.north_west[1] - places[:, 1]) / self.cell)
         inside = (columns >= 0) & (rows >= 0) & (columns < self.heights.shape[1]) & (rows < self.heights.shape[0])
@@ -56,7 +56,7 @@ class HeightGrid:
 
 
 def save_geotiff(path: Path, grid: HeightGrid) -> None:
-    """Write the grid to `path`, atomically, without loss but for float32 (0.03 mm at 500 m); BadInput when it cannot be written."""
+    """Write the grid to `path`, atomically, as float32 (0.03 mm at 500 m), or raise BadInput."""
     import tifffile
 
     values = np.where(np.isfinite(grid.heights), grid.heights, NO_DATA).astype(np.float32)

@@ -1,4 +1,4 @@
-"""A coloured triangle mesh as binary PLY, which CloudCompare, MeshLab and Blender open. Once per mesh."""
+"""A coloured triangle mesh as binary PLY, as CloudCompare, MeshLab and Blender open it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def save_mesh(path: Path, vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike) -> None:
-    """Write vertices (V,3) as doubles, triangles (T,3) of their indices and colors (V,3) uint8, atomically; BadInput for a misfit."""
+    """Write vertices (V,3), triangles (T,3), colors (V,3) uint8, atomically; BadInput if unfit."""
     positions = check_array("vertices", vertices, (None, 3))
     corners = check_array("triangles", triangles, (None, 3), np.int64)
     shades = check_array("colors", colors, (len(positions), 3), np.uint8)

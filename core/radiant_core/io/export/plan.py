@@ -1,13 +1,11 @@
-"""A plan as files that flight planners and maps open: waypoints per device as CSV, regions and
-strips as GeoJSON. Once per plan.
+"""A plan as files: waypoints per device as CSV, regions and strips as GeoJSON. Once per plan.
 
 CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that
 UgCS, QGIS and `read_waypoints` find by their names; QGroundControl takes no CSV. Flight planners
-fly `altitude(m)` as height above take-off, so that it is one: as it came in, or above the ground
-where that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`,
-and alone where the ground is unknown: flown as heights above take-off they would be hundreds of
-metres off. Where no altitude is known there is neither column. Names are never formulas
-(`csv_cells`).
+fly `altitude(m)` as height above take-off, so it is one: as it came in, or above the ground where
+that is known. Altitudes from the sea stand in `altitude_absolute(m)`, alone where the ground is
+unknown: flown as heights they would be hundreds of metres off. Where no altitude is known there is
+neither column. Names are never formulas (`csv_cells`).
 GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th
 meridian; straight in longitude and latitude, so sides are divided every 500 m, where a straight
 line of the plan differs by 1 cm at most up to latitude 60°.
@@ -53,14 +51,13 @@ def save_device_waypoints(
     *,
     only: NDArray[np.bool_] | None = None,
 ) -> tuple[Path, ...]:
-    """One `<device>.csv` per device in the existing `folder`, its waypoints in the order they came
-    in; without any, the header alone.
+    """One `<device>.csv` per device in the existing `folder`, in order; without any, a header.
 
     Of an edge that deals its waypoints itself, later, `edges/<edge>.csv` for a plan of its own.
-    Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where they are known,
-    then absolute altitudes where they stand beside heights. With `buffers` a last column `role`
-    says own or buffer, in the same order. With `only` (P,) waypoints where that is false are in no
-    list. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
+    Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where known, then
+    absolute altitudes beside heights. With `buffers` a last column `role` says own or buffer. With
+    `only` (P,) other waypoints are in no list. Raises BadInput when the plan is not of these
+    waypoints, or as `write_atomic`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     wanted = np.ones(len(waypoints), bool) if only is None else only
@@ -70,34 +67,33 @@ def save_device_waypoints(
         for device_id in plan.device_ids:
             written.append(folder / f"{device_id}.csv")
             extra = None if plan.edge_id not in of_edge else of_edge[plan.edge_id].cameras_of(device_id)
-            write_atomic(written[-1], _device_csv(waypoints, _among(plan.cameras_of(device_id), wanted), extra).encode())
+            write_atomic(written[-1], _device_csv(waypoints, _keep_wanted(plan.cameras_of(device_id), wanted), extra).encode())
         if not plan.dealt:
             (folder / "edges").mkdir(exist_ok=True)
             written.append(folder / "edges" / f"{plan.edge_id}.csv")
-            write_atomic(written[-1], _device_csv(waypoints, _among(plan.camera_indices, wanted), None).encode())
+            write_atomic(written[-1], _device_csv(waypoints, _keep_wanted(plan.camera_indices, wanted), None).encode())
     return tuple(written)
 
 
-def _among(rows: NDArray[np.int64], wanted: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _keep_wanted(rows: NDArray[np.int64], wanted: NDArray[np.bool_]) -> NDArray[np.int64]:
     return rows[wanted[rows]]
 
 
 def save_regions_geojson(
     path: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints, buffers: Sequence[EdgeBuffer] = ()
 ) -> None:
-    """One FeatureCollection: a polygon per edge region and per device strip that has land, a point
-    per waypoint, and one more for every device that takes it as a buffer.
+    """One FeatureCollection: a polygon per region and device strip with land, a point per waypoint
+    and per device that takes it as a buffer. Memory does not grow with the waypoints.
 
     Properties: kind (region, strip, waypoint, buffer), name, edge, device, cameras, planned_s.
-    Raises BadInput when the plan is not of these waypoints, or as `atomic_writer`. Memory does not
-    grow with the waypoints.
+    Raises BadInput when the plan is not of these waypoints, or as `atomic_writer`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers))
 
 
 def write_features(path: Path, features: Iterable[dict[str, Any]]) -> None:
-    """One FeatureCollection of GeoJSON at `path`, atomically, a feature a line; BadInput as `atomic_writer`."""
+    """One FeatureCollection at `path`, atomically, a feature a line; raises as `atomic_writer`."""
     with atomic_writer(path) as file:
         file.write(b'{"type": "FeatureCollection", "features": [\n')
         between = b""
@@ -142,7 +138,7 @@ def _features(
 
 
 def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin: FloatArray) -> Iterator[dict[str, Any]]:
-    """A GeoJSON feature per region and per device strip that has land, about the origin (3,) [deg, deg, m] of the plan's metres."""
+    """A feature per region and device strip that has land, about the origin (3,) of the plan."""
     for index, (edge_id, border) in enumerate(zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True)):
         cameras, planned_s = int(cloud_plan.counts[index]), float(cloud_plan.edge_time_s[index])
         about = {"kind": "region", "name": edge_id, "edge": edge_id, "cameras": cameras, "planned_s": planned_s}
@@ -155,7 +151,7 @@ def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin:
 
 
 def point_feature(lat_lon_alt: ArrayLike, about: dict[str, Any], *, altitude_known: bool = True) -> dict[str, Any]:
-    """A GeoJSON point at (3,) [deg, deg, m] with its properties, without an altitude where none is known."""
+    """A GeoJSON point at (3,) [deg, deg, m] with its properties; altitude where known."""
     lat, lon, alt = np.asarray(lat_lon_alt, np.float64).tolist()
     altitude = [round(alt, 3)] if altitude_known else []
     return _feature({"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), *altitude]}, about)
@@ -171,8 +167,8 @@ def _polygon_feature(polygon: FloatArray, origin: FloatArray, about: dict[str, A
 
 
 def _geometry(polygon: FloatArray, origin: FloatArray) -> dict[str, Any]:
-    """A polygon (V,2) m, counter-clockwise, about the origin (3,), as GeoJSON: Polygon, or MultiPolygon across the 180th meridian."""
-    ring = _continuous(_lon_lat(get_coordinates(segmentize(Polygon(polygon), _side_m(polygon, origin))), origin), origin)
+    """A polygon (V,2) m about the origin (3,); MultiPolygon across the 180th meridian."""
+    ring = _unwrap_ring(_lon_lat(get_coordinates(segmentize(Polygon(polygon), _side_m(polygon, origin))), origin), origin)
     shape = Polygon(np.round(ring, 9))
     if not shape.is_valid:
         # A side that runs through a pole has every longitude there.
@@ -188,16 +184,15 @@ def _geometry(polygon: FloatArray, origin: FloatArray) -> dict[str, Any]:
 
 
 def _side_m(polygon: FloatArray, origin: FloatArray) -> float:
-    """How long a piece of a side may be: beside a pole a straight one passes all longitudes within metres."""
+    """How long a piece of a side may be: beside a pole it passes all longitudes in metres."""
     pole_m = enu_from_geodetic(np.array([[np.copysign(90.0, origin[0]), origin[1], origin[2]]]), origin)[0, :2]
     near = Polygon(polygon).distance(Point(pole_m)) < NEAR_POLE_M
     return float(np.hypot(*np.ptp(polygon, axis=0)) / POLE_PIECES) if near else MAX_SIDE_M
 
 
-def _continuous(ring: FloatArray, origin: FloatArray) -> FloatArray:
+def _unwrap_ring(ring: FloatArray, origin: FloatArray) -> FloatArray:
     """A closed ring (V,2) of longitude and latitude without jumps at the 180th meridian, near the
-    origin's longitude; one around a pole goes on along that, which is a line in longitude and
-    latitude."""
+    origin's longitude; one around a pole goes on along that, a line in longitude and latitude."""
     lons = np.unwrap(ring[:, 0], period=360)
     lons += 360 * np.round((origin[1] - lons.mean()) / 360)
     ring = np.column_stack([lons, ring[:, 1]])
@@ -208,7 +203,7 @@ def _continuous(ring: FloatArray, origin: FloatArray) -> FloatArray:
 
 
 def _lon_lat(positions: FloatArray, origin: FloatArray) -> FloatArray:
-    """Longitude and latitude (V,2) of positions (V,2) m at the origin's altitude: the plane of the plan leaves the globe with distance."""
+    """Longitude, latitude (V,2) of (V,2) m at the origin's altitude: the plane leaves the globe."""
     level = np.column_stack([positions, np.zeros(len(positions))])
     level[:, 2] = origin[2] - geodetic_from_enu(level, origin)[:, 2]
     return geodetic_from_enu(level, origin)[:, 1::-1]

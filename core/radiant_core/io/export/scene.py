@@ -1,5 +1,4 @@
-"""A reconstructed scene as files that other programs open: GeoJSON for maps, a COLMAP model, SPZ.
-Once per export.
+"""A scene as files that other programs open: GeoJSON, a COLMAP model, SPZ. Once per export.
 
 GeoJSON is WGS84 (RFC 7946); cameras stand at their reconstructed centres. The COLMAP model is text,
 in the scene's own frame (metres east, north, up of its origin where GPS fixed it); 2D points are
@@ -29,14 +28,14 @@ from radiant_core.splats import Splats
 
 @dataclass(frozen=True, kw_only=True)
 class SpzCuts:
-    """What SPZ cannot hold: Gaussians left out because they lie beyond 2,047 units, and Gaussians made smaller, to 379 units."""
+    """Gaussians that SPZ cannot hold: beyond 2,047 units left out, over 379 units shrunk."""
 
     num_left_out: int
     num_shrunk: int
 
 
 def save_spz(path: Path, splats: Splats) -> SpzCuts:
-    """Write a model as SPZ in its own coordinates, atomically; BadInput when no Gaussian lies within its reach."""
+    """Write a model as SPZ in its own coordinates, atomically; BadInput when none is in reach."""
     inside = (np.abs(splats.means) < SPZ_MAX_MEAN).all(axis=1)
     kept = splats.select(inside)
     if not len(kept):
@@ -51,21 +50,22 @@ def save_spz(path: Path, splats: Splats) -> SpzCuts:
 def save_scene_geojson(
     path: Path, scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], about_camera: Mapping[str, Mapping[str, Any]]
 ) -> None:
-    """Regions and strips as polygons, cameras as points, whose properties are `about_camera` by name; BadInput without GPS."""
+    """Regions and strips as polygons, cameras as points that `about_camera` describes by name;
+    BadInput without GPS."""
     if scene.frame.kind != "metric":
         raise BadInput(f"cannot write {path}: no GPS fixed where the scene lies, and GeoJSON knows only longitude and latitude.")
     write_features(path, _scene_features(scene, cloud_plan, edge_plans, about_camera))
 
 
 def save_colmap(folder: Path, scene: SfmScene) -> None:
-    """Write cameras.txt, images.txt and points3D.txt into `folder`, which is made; BadInput when the scene has no cameras."""
+    """Write a COLMAP model as text into `folder`, which is made; BadInput without cameras."""
     if not len(scene.cameras):
         raise BadInput(f"cannot write {folder}: the scene has no cameras.")
     write_model(folder, colmap_model(scene))
 
 
 def colmap_model(scene: SfmScene) -> ColmapModel:
-    """The scene as COLMAP's records, one PINHOLE camera per distinct size and K, tracks from who sees what."""
+    """The scene as COLMAP's records, one PINHOLE camera per distinct size and K."""
     cameras = scene.cameras
     kinds, kind_of_image = np.unique(_intrinsics(scene), axis=0, return_inverse=True)
     kind_of_image = kind_of_image.ravel()

@@ -1,14 +1,14 @@
-"""Models as SOG (Spatially Ordered Gaussians, version 2), the small format of web viewers: lossless
-WebP textures in a zip. Once per model.
+"""Models as SOG (Spatially Ordered Gaussians 2): lossless WebP textures in a zip. Once per model.
 
 Of Gaussian i of N, pixel i of each W × H texture, rows first:
-    means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)), m = sign(x) ln(|x| + 1) per axis
-    quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z was largest and left out
-    scales, sh0        per channel one of 256 values of ln scale, of sh0; alpha of sh0 is the opacity in 255 steps
-    shN                16-bit label of one of 65,536 rows at most, whose numbers are again one of 256 values
+    means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)),
+                       m = sign(x) ln(|x| + 1) per axis
+    quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z
+                       was the largest and is left out
+    scales, sh0        per channel one of 256 values; alpha of sh0 is the opacity in 255 steps
+    shN                16-bit label of one of 65,536 rows at most, of one of 256 values each
 The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until
-there are enough. Coordinates stay those of the 3DGS PLY, as converters keep them. Source:
-PlayCanvas, "The SOG Format".
+there are enough. Coordinates stay those of the 3DGS PLY. Source: PlayCanvas, "The SOG Format".
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 @dataclass(frozen=True, kw_only=True)
 class SogErrors:
-    """How far the stored values are from the model's: greatest error of a centre, and root mean square errors of ln scales, sh0 and shN."""
+    """Greatest error of a centre, and root mean square errors of ln scales, sh0 and shN."""
 
     position_max_m: float
     log_scale_rms: float
@@ -51,11 +51,11 @@ class SogErrors:
 
 
 def save_sog(path: Path, splats: Splats) -> SogErrors:
-    """Write at least one Gaussian to `path`, atomically, along a Z curve; BadInput without any, or when it cannot be written."""
+    """Write N > 0 Gaussians to `path`, atomically, along a Z curve; BadInput when it cannot."""
     if not len(splats):
         raise BadInput(f"cannot write {path}: the model has no Gaussians, and SOG cannot say so.")
     ordered = splats.select(morton_order(splats.means))
-    textures, meta, errors = _encoded(ordered)
+    textures, meta, errors = _encode(ordered)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_STORED) as archive:
         for name, data in {"meta.json": json.dumps(meta).encode(), **{name: _webp(image) for name, image in textures.items()}}.items():
@@ -65,7 +65,7 @@ def save_sog(path: Path, splats: Splats) -> SogErrors:
     return errors
 
 
-def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any], SogErrors]:
+def _encode(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any], SogErrors]:
     count = len(splats)
     shape = _texture_shape(count)
     means = splats.means.astype(np.float64)
@@ -74,8 +74,8 @@ def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, An
     span = np.where(high > low, high - low, 1.0)
     steps = np.rint(65535 * (logs - low) / span).astype(np.uint16)
     stored = low + span * (steps / 65535)
-    scale_codes, scale_book = _quantized(splats.log_scales.astype(np.float64))
-    color_codes, color_book = _quantized(splats.sh0[:, 0].astype(np.float64))
+    scale_codes, scale_book = _quantize(splats.log_scales.astype(np.float64))
+    color_codes, color_book = _quantize(splats.sh0[:, 0].astype(np.float64))
     opacities = np.rint(255 * splats.opacities).astype(np.uint8)
     textures = {
         "means_l.webp": _texture(steps & 0xFF, shape),
@@ -105,11 +105,11 @@ def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, An
 
 
 def _add_harmonics(splats: Splats, shape: tuple[int, int], textures: dict[str, NDArray[np.uint8]], meta: dict[str, Any]) -> float:
-    """Put the harmonics of degree 1 and up (N,K,3) into textures and meta; returns their root mean square error."""
+    """Put the harmonics above degree 0 into textures and meta; returns their RMS error."""
     bases = splats.shN.shape[1]
     flat = splats.shN.reshape(len(splats), 3 * bases)
     labels, rows = _row_palette(flat)
-    codes, book = _quantized(rows)
+    codes, book = _quantize(rows)
     lines = -(-len(rows) // ROWS_PER_LINE)
     palette = np.zeros((lines * ROWS_PER_LINE, bases, 3), np.uint8)
     palette[: len(rows)] = codes.reshape(len(rows), bases, 3)
@@ -157,8 +157,8 @@ def _quat_bytes(quats: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.column_stack([np.clip(np.rint(255 * (0.5 + kept / np.sqrt(2))), 0, 255), 252 + largest]).astype(np.uint8)
 
 
-def _quantized(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
-    """Codes of the shape of `values`, and 256 rising values: Lloyd's iteration on a histogram, begun with a density ∝ f^⅓."""
+def _quantize(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
+    """Codes and 256 rising values: Lloyd's iteration on a histogram, from a density ∝ f^⅓."""
     low, high = float(values.min()), float(values.max())
     if high <= low:
         return np.zeros(values.shape, np.uint8), np.full(CODES, low)
@@ -177,7 +177,7 @@ def _quantized(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
 
 
 def _row_palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], FloatArray]:
-    """Labels (N,) and palette (R,F), R ≤ 65,536, of rows (N,F): the rows themselves where they are few enough."""
+    """Labels (N,) and palette (R,F), R ≤ 65,536, of rows (N,F): the rows where they are few."""
     if len(rows) <= MAX_ROWS:
         return np.arange(len(rows)), rows.astype(np.float64)
     labels = np.zeros(len(rows), np.int64)

@@ -1,5 +1,4 @@
-"""Files that are the same photograph under two names: "IMG_1 (1).jpg", a card that was read in
-twice. Once per folder.
+"""Files that are the same photograph under two names, as "IMG_1 (1).jpg". Once per folder.
 
 Only files of equal length are read; of each set with the same bytes the first stays.
 """
@@ -17,17 +16,13 @@ MAX_NAMED = 3
 
 def sort_by_worth(names: Sequence[str]) -> list[int]:
     """Indices of `names` in the order in which the first of several copies stays: as given, but
-    first what a set holds out, in val/.
-
-    A set that brings its own split is compared with others on its val/ photographs, so those stay
-    and their copies in train/ go.
-    """
+    first val/ of a set with its own split, so that its copies in train/ go."""
     own_split = {name.split("/")[0] for name in names} == {"train", "val"}
     return sorted(range(len(names)), key=lambda index: (own_split and names[index].startswith("train/"), index))
 
 
 def file_copies(paths: Mapping[str, Path]) -> dict[str, str]:
-    """Copy → the photograph that stays, of those at `paths` by name that hold the same bytes; what is no file is passed over."""
+    """Copy → the photograph that stays, of those at `paths` by name with the same bytes."""
     names = list(paths)
     by_length: dict[int, list[str]] = defaultdict(list)
     for name in (names[index] for index in sort_by_worth(names)):

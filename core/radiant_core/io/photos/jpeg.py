@@ -1,5 +1,4 @@
-"""What a JPEG says before its pixels: size, camera, focal length, GPS position, and whether the
-file is whole.
+"""What a JPEG says before its pixels: size, camera, focal length, GPS, whether it is whole.
 
 Walks the marker segments once per photograph, a few kilobytes each; no pixel is decoded. A damaged
 EXIF block only loses its own facts. Layout: ITU-T T.81 annex B (markers), TIFF 6.0 section 2
@@ -29,7 +28,7 @@ _RGB, _UNSPECIFIED = 2, 0
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH = 0x920A
 MAX_VALUE_BYTES = 1024
-"""Of one tag: none that is read here needs more, and a directory may name thousands of 64 KiB, all of the same bytes."""
+"""Of one tag, more than is needed here: a directory may name thousands of 64 KiB, all the same."""
 LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = range(1, 7)
 
 
@@ -41,12 +40,12 @@ class ExifFacts:
     model: str = ""
     focal_mm: float | None = None
     lat_lon_alt: tuple[float, float, float] | None = None
-    """Degrees north, degrees east, metres; NaN metres where there is no altitude, None without a place on the globe."""
+    """Degrees north and east, metres (NaN: no altitude); None without a place on the globe."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JpegFacts:
-    """What the markers of a JPEG say; size_wh is None without a frame header, whole is False when the end is missing."""
+    """What a JPEG's markers say; size_wh None: no frame header, whole False: the end is missing."""
 
     size_wh: tuple[int, int] | None
     whole: bool
@@ -64,14 +63,13 @@ def read_jpeg_facts(data: bytes) -> JpegFacts:
             exif = read_exif(data[start + 6 : end])
         elif marker == _START_OF_SCAN:
             scan_offset = end
-    # Inside a scan 0xFF is always followed by 0x00 or a restart marker, so FF D9 behind it is the
-    # real end.
+    # In a scan 0xFF is followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
     whole = scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
     return JpegFacts(size_wh=size_wh, whole=whole, exif=exif or ExifFacts())
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Marker, start and end of each segment's content, up to and including the first start of scan."""
+    """Marker, start and end of each segment's content, up to the first start of scan."""
     offset = 2 if data[:2] == b"\xff\xd8" else len(data)
     while offset + 4 <= len(data) and data[offset] == 0xFF:
         marker = data[offset + 1]
@@ -95,12 +93,12 @@ def read_tiff_size(tiff: bytes) -> tuple[int, int] | None:
 
 
 def read_tiff_bits(tiff: bytes) -> int:
-    """Bits per channel of the first picture in a TIFF file, 1 where it does not say; never raises."""
+    """Bits per channel of the first picture in a TIFF, 1 where it does not say; never raises."""
     return int(_number(_first_directory(tiff).get(BITS_PER_SAMPLE)) or 1)
 
 
 def has_tiff_alpha(tiff: bytes) -> bool:
-    """Whether the first picture in a TIFF file is RGB with an alpha channel; a fourth channel that is said to be something else is none."""
+    """Whether the first picture in a TIFF is RGB with a channel that may be alpha."""
     main = _first_directory(tiff)
     is_rgb_and_one = _number(main.get(PHOTOMETRIC)) == _RGB and _number(main.get(SAMPLES_PER_PIXEL)) == 4
     # Many write RGBA without a word on what the fourth is.
@@ -135,7 +133,7 @@ Value = bytes | FloatArray
 
 
 def _directory(tiff: bytes, order: str, offset: float | None) -> dict[int, Value]:
-    """Tag → value of the directory at `offset`, entries that point outside left out; empty when there is none or it does not fit."""
+    """Tag → value of the directory at `offset`, without entries that point outside; or empty."""
     if offset is None or not 8 <= offset <= len(tiff) - 2:
         return {}
     offset = int(offset)
@@ -187,7 +185,7 @@ def _position(gps: dict[int, Value]) -> tuple[float, float, float] | None:
 
 
 def _degrees(value: Value | None, reference: Value | None, letters: bytes) -> float | None:
-    """Degrees of a (degrees, minutes, seconds) triple with its hemisphere letter; None when either is unusable."""
+    """Degrees of a (degrees, minutes, seconds) triple with its letter; None when unusable."""
     letter = reference[:1] if isinstance(reference, bytes) else b""
     if value is None or isinstance(value, bytes) or len(value) != 3 or not letter or letter not in letters:
         return None

@@ -1,5 +1,4 @@
-"""Photographs in a folder: which can be used, their size, camera and GPS position; and one image as
-an array.
+"""Photographs in a folder: which can be used, their size, camera and GPS; and one as an array.
 
 `list_photographs` decodes every file once, at an eighth of its size, to be sure that it is whole;
 `load_photograph` decodes one at the size asked for. EXIF orientation is ignored: pixels stay as
@@ -44,13 +43,14 @@ FILMS_UNREAD = (".mp4", ".mov", ".avi", ".mts", ".m2ts", ".m4v", ".mkv", ".webm"
 UNREAD_SUFFIXES = frozenset((*PHOTOGRAPHS_UNREAD, *FILMS_UNREAD))
 """Photographs and films that nothing here can read, or that COLMAP cannot."""
 DECODED_BYTES_PER_PX = 6
-"""What `load_photograph` holds for a moment of each pixel as it is stored: measured with JPEG of 50 megapixels."""
+"""What `load_photograph` holds at once per stored pixel: measured with JPEG of 50 megapixels."""
 MAX_SIDE_RATIO = 100
 """Reduced to what structure from motion looks at, a narrower strip would have no pixels across."""
 MAX_FILE_BYTES = 1 << 29
 MAX_PIXELS = 1 << 28
 JPEG_PIXELS_PER_BYTE, DEFLATE_RATIO = 512, 1032
-"""A file that promises more is none: a JPEG spends a bit or more on every 64 pixels, and no zlib stream packs better than that."""
+"""A file that promises more is none: a JPEG spends a bit or more on every 64 pixels, and no zlib
+stream packs better."""
 EXIF_HEAD_BYTES = 1 << 18
 """Where EXIF is found: its segment holds at most 64 KiB and comes among the first."""
 _SAVED = f"save photographs as {READ_KINDS}, and frames of films, to use them"
@@ -75,7 +75,7 @@ class Photograph:
     path: Path
     size_wh: tuple[int, int]
     lat_lon_alt: tuple[float, float, float] | None
-    """Degrees, degrees, metres; NaN metres where GPS has no altitude, None where there is no GPS."""
+    """Degrees, degrees, metres; NaN metres where GPS has no altitude, None without GPS."""
     camera: CameraKey
 
 
@@ -94,7 +94,7 @@ class PhotoListing:
     photographs: tuple[Photograph, ...]
     skipped: tuple[Skipped, ...]
     copies: dict[str, str] = field(default_factory=dict)
-    """Usable photographs that are left out because they hold the same bytes as another one, and which."""
+    """Usable photographs that are left out as copies of another one, and of which."""
 
     unread: dict[str, int] = field(default_factory=dict)
     """Suffix → number of files beside them that hold photographs or films and cannot be read."""
@@ -105,7 +105,7 @@ class PhotoListing:
         return {skipped.name for skipped in self.skipped} | self.copies.keys()
 
     def without_odd_suffixes(self) -> PhotoListing:
-        """The listing without photographs whose name does not say what they are: nothing can be written under such a name."""
+        """Without photographs whose suffix is none: nothing can be written under such a name."""
         odd = [photo.name for photo in self.photographs if photo.path.suffix.lower() not in SUFFIXES]
         reason = f"has a name without {', '.join(SUFFIXES)}, under which it cannot be undistorted (rename it, in the model too)"
         skipped = tuple(Skipped(name=name, reason=reason) for name in odd)
@@ -113,7 +113,7 @@ class PhotoListing:
         return replace(self, photographs=kept, skipped=(*self.skipped, *skipped))
 
     def without_copies(self) -> PhotoListing:
-        """The listing without photographs that hold the same bytes as another one. BadInput where fewer than two are left."""
+        """Without copies of other photographs. BadInput where fewer than two are left."""
         paths = {photo.name: photo.path for photo in self.photographs}
         copies = file_copies(paths)
         left = tuple(photo for photo in self.photographs if photo.name not in copies)
@@ -124,12 +124,10 @@ class PhotoListing:
 
 
 def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None) -> PhotoListing:
-    """The usable photographs (JPEG, PNG, TIFF) directly in `folder`, truncated or undecodable ones
-    skipped and named.
+    """The usable photographs (JPEG, PNG, TIFF) directly in `folder`; others are skipped and named.
 
     `on_photo(done, total)` is called after each file; `names` asks for these files only, subfolders
-    with '/' allowed. Raises BadInput when the folder is missing, is no folder, or holds fewer than
-    two usable photographs.
+    with '/' allowed. BadInput for no folder or fewer than two usable photographs.
     """
     if not folder.is_dir():
         raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
@@ -142,7 +140,7 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
     if not names:
         raise _no_photographs(folder, unread)
     photographs: list[Photograph] = []
-    for done, found in enumerate(_inspected(folder, names), start=1):
+    for done, found in enumerate(_inspect_all(folder, names), start=1):
         if isinstance(found, Photograph):
             photographs.append(found)
         else:
@@ -156,10 +154,10 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
 
 
 def unread_warning(unread: Mapping[str, int]) -> tuple[str, ...]:
-    """The warning about files that cannot be read, by their kinds alone; none where there are none."""
+    """The warning about files that cannot be read, by their kinds; none where there are none."""
     if not unread:
         return ()
-    return (f"{_listed(unread)} files are not read: {_SAVED}.",)
+    return (f"{_list_kinds(unread)} files are not read: {_SAVED}.",)
 
 
 def _no_photographs(folder: Path, unread: Mapping[str, int]) -> BadInput:
@@ -168,11 +166,11 @@ def _no_photographs(folder: Path, unread: Mapping[str, int]) -> BadInput:
     where = _SAVED if unread else "give the folder that holds the image files"
     if inner is not None:
         where = f"there are some in {inner}: give that folder"
-    other = f" but {_listed(unread)} files, which cannot be read" if unread else ""
+    other = f" but {_list_kinds(unread)} files, which cannot be read" if unread else ""
     return BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}){other}: {where}.")
 
 
-def _listed(unread: Mapping[str, int]) -> str:
+def _list_kinds(unread: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {suffix}" for suffix, count in sorted(unread.items()))
 
 
@@ -182,8 +180,7 @@ def unread_files(folder: Path) -> dict[str, int]:
 
 
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
-    """GPS position (degrees, degrees, metres or NaN) or None by file name, of the photographs
-    directly in `folder`, sorted by name.
+    """GPS (degrees, degrees, metres or NaN) or None by file name, directly in `folder`, sorted.
 
     Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where
     there is no such folder or no photograph.
@@ -206,7 +203,7 @@ def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | No
 
 
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:
-    """The photograph (H,W,3) float32 RGB in 0..1, area-averaged to `size_wh` px; BadInput when it is not whole or cannot be decoded."""
+    """The photograph (H,W,3) RGB in 0..1, area-averaged to `size_wh` px; BadInput if not whole."""
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     image = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
@@ -217,12 +214,8 @@ def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]
 
 
 def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
-    """The photograph (H,W,3) uint8 RGB with a long side of at most `long_side_px`; raises as
-    `load_photograph`.
-
-    A JPEG is decoded at an eighth of its size where that is large enough: not what
-    `load_photograph` gives, but near it.
-    """
+    """The photograph (H,W,3) uint8 RGB of at most `long_side_px`, raising as
+    `load_photograph`. A JPEG is decoded at an eighth of its size where that is large enough."""
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     size_wh = read_size_wh(data) or (1, 1)
     reduced = cv2.IMREAD_REDUCED_COLOR_8 if max(size_wh) >= 16 * long_side_px else cv2.IMREAD_COLOR
@@ -244,7 +237,7 @@ def has_alpha(path: Path) -> bool:
 
 
 def decode_image(data: bytes, flags: int) -> NDArray[Any] | None:
-    """A JPEG, PNG or TIFF as `cv2.imdecode` gives it, or None; nothing is allocated for a file that cannot hold what it promises."""
+    """A JPEG, PNG or TIFF by `cv2.imdecode`, or None; no memory for one that cannot hold it."""
     size_wh, whole, _ = _facts(data)
     if size_wh is None or not whole or _promises_too_much(size_wh, data):
         return None
@@ -270,7 +263,7 @@ def _promises_too_much(size_wh: tuple[int, int], data: bytes) -> bool:
 
 
 def _subfolders(folder: Path) -> list[Skipped]:
-    """The folders in `folder` that hold JPEG files, as a camera starts one when the last is full; they are not read."""
+    """The folders in `folder` that hold JPEG files, as cameras start them; they are not read."""
     inner_folders = [inner for inner in folder.iterdir() if inner.is_dir() and os.access(inner, os.R_OK | os.X_OK)]
     counts = {inner.name: sum(_is_jpeg(path) for path in inner.iterdir()) for inner in inner_folders}
     reason = "is a subfolder with {} photographs (move them beside the others to use them)"
@@ -281,7 +274,7 @@ def _is_jpeg(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES[:2] and path.is_file()
 
 
-def _inspected(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]:
+def _inspect_all(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]:
     """What each file is, in order; decoding releases the interpreter lock, so threads help."""
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
         yield from pool.map(lambda name: _inspect(folder / name, name), names)
@@ -314,15 +307,12 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
 
 
 def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
-    """Size in px (None for neither JPEG, PNG nor TIFF), whether the file has its end, and its EXIF."""
+    """Size in px (None for other formats), whether the file has its end, and its EXIF."""
     if data.startswith(TIFF_SIGNATURES):
-        # Where the pixels of a TIFF end only its decoder finds out, which refuses one that is cut
-        # off.
+        # Where the pixels of a TIFF end its decoder alone finds out, which refuses a cut one.
         return read_tiff_size(data), True, read_exif(data)
-    return _png_facts(data) if data.startswith(_PNG_SIGNATURE) else _jpeg_facts(data)
-
-
-def _jpeg_facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
+    if data.startswith(_PNG_SIGNATURE):
+        return _png_facts(data)
     facts = read_jpeg_facts(data)
     return facts.size_wh, facts.whole, facts.exif
 
@@ -334,7 +324,7 @@ def _png_facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
 
 
 def _png_is_whole(data: bytes) -> bool:
-    """Whether every chunk of a PNG lies inside the file, up to the last: OpenCV makes room for whatever length a chunk says."""
+    """Whether every chunk of a PNG lies inside the file: OpenCV makes room for any length."""
     offset = len(_PNG_SIGNATURE)
     while offset + 12 <= len(data):
         end = offset + 12 + int.from_bytes(data[offset : offset + 4], "big")
@@ -345,7 +335,7 @@ def _png_is_whole(data: bytes) -> bool:
 
 
 def _is_all_but_black(data: bytes) -> bool:
-    """Whether a PNG or TIFF of 16 bits a channel holds values of a sensor of 12 bits or fewer: as 8 bits nothing is seen of it."""
+    """Whether an image of 16 bits holds values of 12 or fewer, which as 8 bits are black."""
     bits = data[24] if data.startswith(_PNG_SIGNATURE) else read_tiff_bits(data)
     if bits != 16:
         return False
@@ -354,6 +344,6 @@ def _is_all_but_black(data: bytes) -> bool:
 
 
 def _decodes(data: bytes, size_wh: tuple[int, int]) -> bool:
-    """Whether the whole bit stream decodes to an image of the promised shape (within the rounding of the 1/8 size)."""
+    """Whether all of it decodes to the promised shape (within the rounding of 1/8 size)."""
     image = decode_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
     return image is not None and all(abs(got * 8 - want) <= 8 for got, want in zip(image.shape[::-1], size_wh, strict=True))

@@ -26,7 +26,7 @@ def mask_name(name: str) -> str:
 
 
 def find_masks(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """Photograph → file of its mask, of those that have one. Raises BadInput where `folder` is none or no name in it fits."""
+    """Photograph → file of its mask where there is one. BadInput where none fits."""
     if not folder.is_dir():
         raise BadInput(f"the folder of masks {folder} does not exist: give a folder with one PNG per photograph, named photograph.jpg.png.")
     places = {name: (folder / mask_name(name), folder / PurePosixPath(name).with_suffix(".png")) for name in names}
@@ -41,8 +41,8 @@ def find_masks(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 def load_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
     """Which pixels (H,W) of a photograph of `size_wh` px are used.
 
-    Raises BadInput where the file cannot be decoded, is not 8-bit grey, has another size, or leaves
-    nothing of the photograph.
+    Raises BadInput where the file cannot be decoded, is not 8-bit grey, has another size, or uses
+    no pixel.
     """
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     found_wh = read_size_wh(data)
@@ -65,7 +65,8 @@ def load_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def alpha_mask(path: Path) -> NDArray[np.bool_] | None:
-    """Which pixels (H,W) of a photograph its own alpha channel leaves: more than half opaque; None where that is all, none or unsaid."""
+    """Which pixels (H,W) of a photograph its alpha channel leaves: more than half opaque; None
+    where that is all, none or unsaid."""
     if not has_alpha(path):
         return None
     image = decode_image(read_bounded(path, MAX_FILE_BYTES), cv2.IMREAD_UNCHANGED)
@@ -89,18 +90,15 @@ def save_mask(path: Path, used: NDArray[np.bool_]) -> None:
 
 
 def pixel_weights(folder: Path | None, cameras: Cameras) -> tuple[NDArray[np.uint8], ...] | None:
-    """Per camera the used share (H,W) of each of its pixels, 255 for all of it, from masks that
-    `save_mask` wrote; None without any.
-
-    Raises BadInput where a mask cannot be decoded.
-    """
+    """Per camera the used share (H,W) of each pixel, 255 for all, from masks of `save_mask`; None
+    without any. BadInput where a mask cannot be decoded."""
     if folder is None or not any((folder / mask_name(name)).is_file() for name in cameras.names):
         return None
     sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
-    return tuple(_reduced(folder / mask_name(name), size) for name, size in zip(cameras.names, sizes, strict=True))
+    return tuple(_load_reduced(folder / mask_name(name), size) for name, size in zip(cameras.names, sizes, strict=True))
 
 
-def _reduced(path: Path, size_wh: tuple[int, int]) -> NDArray[np.uint8]:
+def _load_reduced(path: Path, size_wh: tuple[int, int]) -> NDArray[np.uint8]:
     if not path.is_file():
         return np.full(size_wh[::-1], USED, np.uint8)
     image = decode_image(read_bounded(path, MAX_FILE_BYTES), cv2.IMREAD_GRAYSCALE)

@@ -1,1 +1,1 @@
-"""What crosses from one tier to another: uploads, signed deliveries, and which of them a receiver accepts."""
+"""What crosses from one tier to another: uploads, signed deliveries, and their acceptance."""

@@ -1,5 +1,4 @@
-"""Which uploads an edge or the cloud accepts: a state and pure functions of it, so that tests can
-try every order of events.
+"""Which uploads an edge or the cloud accepts, as pure functions. Once per upload.
 
 Of the uploads of a region, the first valid one (right run, receiver and sender) wins. A second one
 is a duplicate where its files are the same, which acknowledges it again, else it is rejected. A
@@ -36,7 +35,7 @@ class Offer:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What became of an offer; "duplicate" means for the sender that it is done, as "accepted" does."""
+    """What became of an offer; "duplicate" means for its sender, as "accepted", that it is done."""
 
     status: Status
     reason: str = ""
@@ -88,7 +87,7 @@ class LastTask:
     digest: str = ""
 
     def offer(self, offer: Offer) -> tuple[LastTask, Verdict]:
-        """The state after a task arrived, and the verdict; the same task again is a duplicate, which a restarted node works on."""
+        """The state after a task arrived, and the verdict; the same task again is a duplicate."""
         reason = _stray(offer, self.run, self.receiver)
         if not reason and offer.sender != self.sender:
             reason = f"it comes from {offer.sender[:80]!r}, tasks for {self.receiver!r} come from {self.sender!r}."

@@ -1,17 +1,16 @@
-"""What crosses from one tier to another: named files with their lengths and hashes, said by one
-signed record. Once per upload.
+"""What crosses tiers: named files with lengths and hashes in a signed record. Once per upload.
 
-    delivery.json   schema, version, run, sender, receiver, kind, attempt; files: name → bytes, sha256
+    delivery.json   schema, version, run, sender, receiver, kind, attempt;
+                    files: name → bytes, sha256
     delivery.sig    64 bytes: Ed25519 of "radiant.delivery 1\\0" and the bytes of delivery.json
 
-| kind         | files (those in brackets may be absent)                               | way            |
-|--------------|-----------------------------------------------------------------------|----------------|
-| device_model | model.safetensors, cameras.safetensors, (frame.json)                  | device to edge |
-| edge_model   | model.safetensors, (virtual_{cameras,views}.safetensors, frame.json)  | edge to cloud  |
-| edge_task    | task.json                                                             | cloud to edge  |
-| device_task  | task.json, scene.safetensors, photos/, (masks/)                       | edge to device |
-| field_task   | task.json, (poses.safetensors), (poses/)                              | edge to device |
-| score_task   | task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)          | edge to device |
+kind          files (those in brackets may be absent)                               way
+device_model  model.safetensors, cameras.safetensors, (frame.json)                  device → edge
+edge_model    model.safetensors, (virtual_{cameras,views}.safetensors, frame.json)  edge → cloud
+edge_task     task.json                                                             cloud → edge
+device_task   task.json, scene.safetensors, photos/, (masks/)                       edge → device
+field_task    task.json, (poses.safetensors), (poses/)                              edge → device
+score_task    task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)          edge → device
 
 The signature covers run, receiver and attempt, so that a delivery is worth nothing in another run
 or elsewhere; which attempt counts is decided by `acceptance.py`. A folder counts as one file: the
@@ -62,7 +61,7 @@ _NODE = re.compile(r"[^\s/][^\n\0]{0,254}")
 
 @dataclass(frozen=True, kw_only=True)
 class SentFile:
-    """Length and SHA-256 of one file; of a folder the bytes of all its files and its `content_key`."""
+    """Length and SHA-256 of a file; of a folder its bytes in all and its `content_key`."""
 
     bytes: int
     sha256: str
@@ -109,12 +108,13 @@ class Delivery:
 
 
 def describe_files(paths: Mapping[str, Path]) -> dict[str, SentFile]:
-    """Name under which each file or folder is sent → its length and hash; StoreDamaged where one cannot be read."""
+    """Sent name → length and hash of the file or folder; StoreDamaged where it cannot be read."""
     return {name: SentFile(bytes=_length(path), sha256=_hash(path)) for name, path in paths.items()}
 
 
 def save_delivery(folder: Path, delivery: Delivery, identity: Path) -> list[str]:
-    """Write record and signature into `folder`, by the key in `identity`; returns their names. Raises as `load_signing_key`."""
+    """Write record and signature, by the key in `identity`; returns their names. Raises as
+    `load_signing_key`."""
     key = load_signing_key(identity)
     write_json(folder / RECORD_NAME, {"schema": SCHEMA, "version": VERSION, **asdict(delivery)})
     write_atomic(folder / SIGNATURE_NAME, key.sign(_DOMAIN + (folder / RECORD_NAME).read_bytes()))
@@ -122,26 +122,23 @@ def save_delivery(folder: Path, delivery: Delivery, identity: Path) -> list[str]
 
 
 def load_delivery(folder: Path, key: Ed25519PublicKey) -> Delivery:
-    """The delivery whose record and signature lie in `folder`, signed by the holder of `key`.
-
-    Raises BadInput where either is missing, too long, not signed by that key, or no record of this
-    schema.
-    """
+    """The delivery whose record and signature lie in `folder`; BadInput where either is missing,
+    too long, not signed by `key`, or no record of this schema."""
     record = read_bounded(folder / RECORD_NAME, MAX_RECORD_BYTES)
     signature = read_bounded(folder / SIGNATURE_NAME, SIGNATURE_BYTES)
     return verify_delivery(record, signature, key, str(folder / RECORD_NAME))
 
 
 def verify_delivery(record: bytes, signature: bytes, key: Ed25519PublicKey, where: str = "a delivery") -> Delivery:
-    """The delivery in the bytes of a record; nothing of them is parsed before the signature is known to be right."""
+    """The delivery in the bytes of a record, which are parsed only where the signature is right."""
     if not is_signed_by(key, signature, _DOMAIN + record):
         raise BadInput(f"{where} is not signed by the key that is registered for its sender: send it again, or register the new key.")
     with name_file_in_errors(Path(where)):
-        return _parsed(parse_json(record))
+        return _parse_record(parse_json(record))
 
 
 def check_files(delivery: Delivery, folder: Path) -> None:
-    """Raise BadInput unless the files in `folder` are those of the delivery, to the bit; lengths are compared before anything is read."""
+    """Raise BadInput unless the files in `folder` are the delivery's, to the bit; lengths first."""
     for name, file in delivery.files.items():
         path = folder / name
         try:
@@ -156,7 +153,8 @@ def check_files(delivery: Delivery, folder: Path) -> None:
 
 
 def require_nothing_else(delivery: Delivery, folder: Path) -> None:
-    """Raise BadInput where a file that such a delivery may have lies in `folder` and was not sent: its receiver would take it for sent."""
+    """Raise BadInput where a file lies in `folder` that such a delivery may have and that was not
+    sent: its receiver would take it for sent."""
     for name in sorted(FILES[delivery.kind][1] - set(delivery.files)):
         if (folder / name).exists():
             raise BadInput(f"{folder / name} was not sent with the {delivery.kind}: remove it.")
@@ -171,7 +169,7 @@ def _hash(path: Path) -> str:
     return content_key(path) if path.is_dir() else file_sha256(path)
 
 
-def _parsed(record: Any) -> Delivery:
+def _parse_record(record: Any) -> Delivery:
     fields = {"schema", "version", "run", "sender", "receiver", "kind", "attempt", "files"}
     if not isinstance(record, dict) or record.keys() != fields or (record["schema"], record["version"]) != (SCHEMA, VERSION):
         raise BadInput(f"it is no record of {SCHEMA} {VERSION}: use the same version of the software on both sides.")

@@ -1,8 +1,7 @@
-"""Ed25519 keys of senders, as PEM files: the private one stays with its sender, the public one is
-registered with its receiver.
+"""Ed25519 keys of senders, as PEM files; the public one is registered with the receiver.
 
-    <sender>/identity/signing_key.pem    private, PKCS 8, mode 0600 (where there are modes); made once, never copied
-    <sender>/identity/signing_key.pub    public, made with it; its copy <receiver>/senders/<sender>.pub is the registration
+    <sender>/identity/signing_key.pem    private, PKCS 8, mode 0600; made once, never copied
+    <sender>/identity/signing_key.pub    public; its copy <receiver>/senders/<sender>.pub registers
 
 Once per sender and run. Scheme: RFC 8032, from the package cryptography.
 """
@@ -36,7 +35,8 @@ OTHERS = 0o077
 
 
 def make_signing_key(folder: Path) -> bool:
-    """Make a key pair in `folder` (made with it, mode 0700); False where there is one, which stays. BadInput when it cannot be written."""
+    """Make a key pair in `folder` (made with mode 0700); False where there is one, which stays.
+    BadInput when it cannot be written."""
     private, public = folder / KEY_NAME, folder / PUBLIC_NAME
     if private.exists():
         write_atomic(public, _public_pem(load_signing_key(folder)))
@@ -54,10 +54,7 @@ def make_signing_key(folder: Path) -> bool:
 
 def load_signing_key(folder: Path) -> Ed25519PrivateKey:
     """The private key that `make_signing_key` left; BadInput where it is missing, no such key, or
-    others than its owner may read it.
-
-    Where the file system keeps no modes, that cannot be prevented, and the key is used as it is.
-    """
+    others than its owner may read it, which only a file system without modes excuses."""
     path = folder / KEY_NAME
     data = read_bounded(path, MAX_KEY_BYTES)
     mode = stat.S_IMODE(path.stat().st_mode)
@@ -73,7 +70,7 @@ def load_signing_key(folder: Path) -> Ed25519PrivateKey:
 
 
 def keeps_modes(folder: Path) -> bool:
-    """Whether a file in `folder` that only its owner may read stays so; NTFS, exFAT and many network drives know no such modes."""
+    """Whether a private file in `folder` stays so; NTFS, exFAT and many network drives do not."""
     probe = folder / f".mode-{secrets.token_hex(4)}"
     try:
         os.close(os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
@@ -82,8 +79,7 @@ def keeps_modes(folder: Path) -> bool:
         finally:
             probe.unlink()
     except OSError:
-        # Where nothing can be written, this cannot be determined: a key that others may read is
-        # then refused.
+        # Where nothing can be written: a key that others may read is then refused.
         return True
 
 

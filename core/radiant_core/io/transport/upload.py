@@ -1,11 +1,9 @@
-"""A model as it is uploaded, device to edge and edge to cloud: exact, in 16 bits, or as SPZ. Once
-per model.
+"""A model as it is uploaded: exact, in 16 bits, or as SPZ. Once per model.
 
-| format  | means                                        | the rest             | bytes at degree 0, 1, 2, 3 |
-|---------|----------------------------------------------|----------------------|----------------------------|
-| float32 | float32                                      | float32              | 56, 92, 152, 236           |
-| float16 | 3 × 21 bits of the bounding box, one uint64  | float16              | 30, 48, 78, 120            |
-| spz     | 3 × 24 bits around the middle                | 8 bits and fewer     | compressed                 |
+format   means                                        the rest          bytes at degree 0, 1, 2, 3
+float32  float32                                      float32           56, 92, 152, 236
+float16  3 × 21 bits of the bounding box, one uint64  float16           30, 48, 78, 120
+spz      3 × 24 bits around the middle                8 bits and fewer  compressed
 
 Half precision for centres was measured and costs 35 dB (docs/experiments/uploads.md): 11 bits of a
 100 m scene are 5 cm. Read by what the file says of itself; every format is refused when its bytes
@@ -42,11 +40,11 @@ _SHIFTS = np.array([0, _MEAN_BITS, 2 * _MEAN_BITS], np.uint64)
 _MAX_EXPONENT = 40
 """SPZ's centres are multiplied by at most 2 ** 40 or divided by it."""
 _STEPS_PER_GAUSSIAN = 8
-"""SPZ is unfit where its step of a centre is more than this share of the median Gaussian's longest axis."""
+"""SPZ is unfit where the median Gaussian's longest axis is below this many steps of a centre."""
 
 
 def save_upload(path: Path, splats: Splats, upload_format: UploadFormat) -> None:
-    """Write `splats` for an upload, atomically; BadInput with `upload_problem` when the format cannot hold them."""
+    """Write `splats` for an upload, atomically; BadInput where there is an `upload_problem`."""
     problem = upload_problem(splats, upload_format)
     if problem is not None:
         raise BadInput(f"cannot write {path}: {problem}")
@@ -59,7 +57,7 @@ def save_upload(path: Path, splats: Splats, upload_format: UploadFormat) -> None
 
 
 def load_upload(path: Path) -> Splats:
-    """The model in any of the formats; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    """The model in any of the formats; StoreDamaged when broken, BadInput when something else."""
     schema = schema_of(path)
     if schema == FLOAT16_SCHEMA:
         return _load_float16(path)
@@ -78,7 +76,7 @@ def count_uploaded(path: Path) -> int:
 
 
 def upload_problem(splats: Splats, upload_format: UploadFormat) -> str | None:
-    """Why the format cannot hold this model, one sentence, or None; BadInput for a format that does not exist."""
+    """Why the format cannot hold this model, or None; BadInput for an unknown format."""
     if upload_format not in get_args(UploadFormat):
         raise BadInput(f"upload format {upload_format!r} is unknown: use one of {', '.join(get_args(UploadFormat))}.")
     if upload_format == "float16":
@@ -138,8 +136,7 @@ def _load_spz(path: Path) -> Splats:
         middle, exponent = check_array("middle", about["middle"], (3,)), int(about["exponent"])
         if not (0 <= degree < len(SH_BASES) and count >= 0 and abs(exponent) <= _MAX_EXPONENT):
             raise BadInput(f"it says {count} Gaussians of degree {degree} and exponent {exponent}: write it anew with this version.")
-        # Open3D takes mutated SPZ for another model, so it only gets bytes that are known to be
-        # whole.
+        # Open3D takes mutated SPZ for another model: it gets only bytes that are known to be whole.
         if hashlib.sha256(data).hexdigest() != about["sha256"]:
             raise StoreDamaged(f"{path} has other bytes than were sent: send the model again.")
         if not count:
@@ -151,7 +148,7 @@ def _load_spz(path: Path) -> Splats:
 
 
 def _spz_frame(splats: Splats) -> tuple[FloatArray, int]:
-    """Middle (3,) and exponent e of stored = (mean − middle) · 2^e: the finest steps at which all centres and sizes fit."""
+    """Middle (3,) and exponent e of stored = (mean − middle) · 2^e: the finest steps that fit."""
     if not len(splats):
         return np.zeros(3), 0
     means = splats.means.astype(np.float64)

@@ -40,7 +40,7 @@ MAX_SHOWN = 12
 
 
 def csv_rows(file: IO[str]) -> WaypointRows:
-    """The waypoints of an open CSV file (newline=""); BadInput with the line when it is none or a cell is no number."""
+    """The waypoints of an open CSV file (newline=""); BadInput with the line of what is none."""
     header_line = file.readline()
     if not header_line.strip():
         raise BadInput("its first line is empty, expected a header such as name,latitude,longitude,altitude.")

@@ -1,5 +1,4 @@
-"""Waypoints from GeoJSON (RFC 7946): Points, MultiPoints and the vertices of LineStrings; longitude
-first. Once per file.
+"""Waypoints from GeoJSON (RFC 7946): points and vertices of lines, longitude first. Once per file.
 
 A feature's name is its property name or id, else its member id; vertices get a number behind it.
 Polygons and features without a geometry are no waypoints: they are counted as ignored.
@@ -26,7 +25,7 @@ def geojson_rows(text: str) -> WaypointRows:
 
 
 def geojson_geometries(text: str) -> Iterator[tuple[str, str, Any]]:
-    """Where each geometry of a GeoJSON text stands, its feature's name, and itself, collections opened; BadInput as above."""
+    """Place, feature's name and value of each geometry, collections opened; BadInput as above."""
     try:
         value = json.loads(text, parse_constant=float)
     except (ValueError, RecursionError) as error:
@@ -53,14 +52,14 @@ def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
         for number, feature in enumerate(features, start=1):
             if not isinstance(feature, dict) or feature.get("type") != "Feature":
                 raise BadInput(f'feature {number} is no object of type "Feature".')
-            yield from _opened(f"feature {number}", _feature_name(feature), feature.get("geometry"))
+            yield from _open_collections(f"feature {number}", _feature_name(feature), feature.get("geometry"))
     elif value["type"] == "Feature":
-        yield from _opened("the feature", _feature_name(value), value.get("geometry"))
+        yield from _open_collections("the feature", _feature_name(value), value.get("geometry"))
     else:
-        yield from _opened("the geometry", "", value)
+        yield from _open_collections("the geometry", "", value)
 
 
-def _opened(place: str, name: str, geometry: Any) -> Iterator[tuple[str, str, Any]]:
+def _open_collections(place: str, name: str, geometry: Any) -> Iterator[tuple[str, str, Any]]:
     waiting = [geometry]
     while waiting:
         inner = waiting.pop()

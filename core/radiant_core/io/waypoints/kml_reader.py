@@ -1,5 +1,4 @@
-"""Waypoints from KML (OGC 12-007r2): Placemarks with Points, or the vertices of their LineStrings;
-"lon,lat[,alt]". Once per file.
+"""Waypoints from KML (OGC 12-007r2): points or vertices of lines, "lon,lat[,alt]". Once per file.
 
 Document types and entities are refused before parsing, so that nothing is fetched or expanded.
 Elements are dropped once they are read.
@@ -25,7 +24,8 @@ def kml_rows(text: str) -> WaypointRows:
     # The text is decoded already; what the first line says of its former encoding no longer holds.
     data = _DECLARED_ENCODING.sub(r"\1", text[:200]) + text[200:]
     rows = WaypointRows()
-    parser = iterparse(io.BytesIO(data.encode()), events=("end",))  # noqa: S314 what is dangerous needs the DTD refused above
+    # What is dangerous here needs the DTD that was refused above.
+    parser = iterparse(io.BytesIO(data.encode()), events=("end",))  # noqa: S314
     try:
         for _, element in parser:
             if element.tag.endswith("Placemark") and _local(element.tag) == "Placemark":
@@ -33,7 +33,7 @@ def kml_rows(text: str) -> WaypointRows:
                 element.clear()
     except ParseError as error:
         raise BadInput(f"it is not valid XML ({error}).") from None
-    root: Element = parser.root  # pyright: ignore[reportAttributeAccessIssue]  documented, missing in its stub
+    root: Element = parser.root  # pyright: ignore[reportAttributeAccessIssue]  not in its stub
     if _local(root.tag) != "kml":
         raise BadInput(f"its outermost element is <{_local(root.tag)[:40]}>, expected <kml>.")
     return rows

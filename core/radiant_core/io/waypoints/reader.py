@@ -1,9 +1,7 @@
-"""Waypoints from a file of a flight planner (CSV, GeoJSON, KML), or from the GPS positions of
-photographs already taken.
+"""Waypoints from a flight planner's file (CSV, GeoJSON, KML) or from GPS of photographs taken.
 
 A file is read once, whole; 256 MiB, which a million waypoints in any of the three formats stay
-under, is its limit. Of photographs only the first 256 KiB are read, where EXIF stands; no pixel is
-decoded.
+under, is its limit. Of photographs only the first 256 KiB are read, where EXIF stands.
 """
 
 from __future__ import annotations
@@ -51,9 +49,8 @@ class FoundWaypoints:
 def read_waypoints(path: Path) -> FoundWaypoints:
     """The waypoints of a .csv, .geojson, .json or .kml file, in its order.
 
-    Raises BadInput naming the file for any other suffix, a missing, empty or larger file, text that
-    is neither UTF-8 nor UTF-16 with its mark, broken syntax, no waypoint, or positions that
-    `Waypoints` refuses.
+    Raises BadInput naming the file for any other suffix, a missing, empty or larger file, text
+    neither UTF-8 nor UTF-16, broken syntax, no waypoint, or positions that `Waypoints` refuses.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -65,20 +62,19 @@ def read_waypoints(path: Path) -> FoundWaypoints:
         with _without_cycle_collection():
             rows = _rows(text, suffix)
         if not rows.names:
-            held = f" but {_listed_kinds(rows)}" if rows.ignored else ""
+            held = f" but {_list_kinds(rows)}" if rows.ignored else ""
             raise BadInput(f"it holds no waypoint{held}: give at least one point.")
         waypoints, warnings = clean_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude, rows.heading_pitch_deg)
         waypoints = replace(waypoints, absolute=rows.absolute)
     except BadInput as error:
         raise BadInput(f"cannot use {path}: {error}") from error
     if rows.ignored:
-        warnings = (*warnings, f"{_listed_kinds(rows)} ignored: only points and vertices of lines are waypoints.")
+        warnings = (*warnings, f"{_list_kinds(rows)} ignored: only points and vertices of lines are waypoints.")
     return FoundWaypoints(waypoints=waypoints, warnings=warnings)
 
 
 def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> FoundWaypoints:
-    """The GPS positions of the photographs (JPEG, PNG) directly in `folder`, by name;
-    `on_photo(done, total)` after each.
+    """The GPS of photographs (JPEG, PNG) directly in `folder`; `on_photo(done, total)` after each.
 
     Photographs at one position all stay, copies of a file do not. Raises BadInput when it is no
     folder, when it holds no photograph, or when none has a position.
@@ -136,7 +132,7 @@ def _rows(text: str, suffix: str) -> WaypointRows:
 
 @contextmanager
 def _without_cycle_collection() -> Iterator[None]:
-    """Parsing makes millions of objects and no cycles; looking for cycles meanwhile takes 5 of the 7 s of a million GeoJSON features."""
+    """Looking for cycles, of which parsing makes none, takes 5 of 7 s of a million features."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -146,7 +142,7 @@ def _without_cycle_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _listed_kinds(rows: WaypointRows) -> str:
+def _list_kinds(rows: WaypointRows) -> str:
     return ", ".join(f"{count} × {kind}" for kind, count in rows.ignored.items())
 
 
@@ -160,7 +156,7 @@ def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, 
 
 
 def _altitude_warnings(low: NDArray[np.bool_], geodetic: FloatArray) -> tuple[str, ...]:
-    """The warning about photographs whose GPS has no altitude (P,), which `geodetic` (P,3) has at one height by now."""
+    """The warning about photographs whose GPS (P,3) has no altitude where `low` (P,)."""
     if not low.any():
         return ()
     if low.all():

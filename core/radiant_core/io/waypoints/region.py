@@ -1,4 +1,4 @@
-"""A region from GeoJSON (RFC 7946): the land of all its polygons together, holes left out. Once per file."""
+"""A region from GeoJSON (RFC 7946): the land of all its polygons. Once per file."""
 
 from __future__ import annotations
 
@@ -18,12 +18,9 @@ MAX_REGION_BYTES = 16_000_000
 
 
 def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
-    """Corners (V,2) m east and north of the origin, of the one simple polygon that those of the
-    file make together.
-
-    Raises BadInput for a file that is too large or no GeoJSON, without polygons, or whose polygons
-    do not touch.
-    """
+    """Corners (V,2) m east and north of the origin of the one simple polygon of the file's land,
+    holes left out. BadInput for a file that is too large or no GeoJSON, or without polygons or
+    with some that do not touch."""
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give a GeoJSON file with a polygon, as 'radiant plan' writes.")
     with name_file_in_errors(path):

@@ -1,4 +1,4 @@
-"""`WaypointRows`: what a reader of a waypoint file gathers before `clean_waypoints` checks it. 24 bytes and a name a waypoint."""
+"""`WaypointRows`: what a reader of a waypoint file gathers, 24 bytes and a name each."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from radiant_core.numerics import FloatArray
 
 
 class WaypointRows:
-    """Names and positions in the order of the file; a missing name is empty, a missing altitude None."""
+    """Names and positions in the file's order; a missing name is empty, a missing altitude None."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
@@ -38,7 +38,7 @@ class WaypointRows:
 
     @property
     def heading_pitch_deg(self) -> FloatArray | None:
-        """Where the camera looks (P,2), NaN where unknown; None where the file says nothing of it."""
+        """Where the camera looks (P,2), NaN where unknown; None where the file never says."""
         angles = np.array(self._angles).reshape(len(self.names), 2)
         return None if np.isnan(angles).all() else angles
 
@@ -49,7 +49,7 @@ class WaypointRows:
 
 
 def number(text: str, what: str) -> float:
-    """A number as text; BadInput naming `what` when it is none. NaN and Inf pass: the waypoint they belong to is named later."""
+    """A number as text; BadInput naming `what` when it is none. NaN and Inf pass for now."""
     try:
         if "_" in text:  # Python's own way of writing 1_000
             raise ValueError

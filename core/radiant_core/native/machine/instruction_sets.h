@@ -1,5 +1,4 @@
-// Kernels are built once per instruction set from the same source; which build runs is chosen here,
-// by name or by what the CPU can do.
+// Kernels are built per instruction set from one source; the build is chosen by name or CPU.
 #pragma once
 
 #include <initializer_list>
@@ -10,8 +9,7 @@ namespace radiant {
 // Whether this CPU runs the build of that name: avx512, avx2 or portable.
 bool cpu_runs(const std::string& name);
 
-// Of `builds`, the fastest first: the one of that name, the first that runs here for an empty name,
-// null where there is none.
+// Of `builds`, fastest first: that of the name, the first that runs for an empty name, else null.
 template <class Kernels>
 const Kernels* find_build(std::initializer_list<const Kernels*> builds, const std::string& name) {
   for (const Kernels* build : builds)

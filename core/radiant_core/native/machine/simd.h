@@ -1,8 +1,7 @@
-// Sixteen float lanes on any CPU: one AVX-512 register, two AVX ones or four of 128 bits, from the
-// same source.
+// Sixteen float lanes on any CPU: one AVX-512 register, two AVX ones or four of 128 bits.
 //
-// Included only by raster/kernels.cpp, which is compiled once per instruction set into a namespace
-// of its own (RADIANT_ISA). Nothing here may come from a standard header's templates: the linker
+// Included only by raster/kernels.cpp, which is compiled once per instruction set into its own
+// namespace (RADIANT_ISA). Nothing here may come from a standard header's templates: the linker
 // keeps one copy of those, and it might be the AVX-512 one.
 #pragma once
 
@@ -136,8 +135,7 @@ template <int P> RADIANT_INLINE Floats<P> reciprocal(const Floats<P>& a) {
 #if defined(__AVX__)
   Floats<P> r;
   RADIANT_EACH(P) r.p[i] = (NativeF)_mm256_rcp_ps((__m256)a.p[i]);
-  // The estimate has 12 bits. A plain Newton step leaves −1e-7, always of one sign: in a product of
-  // 40 factors, 5e-6.
+  // The estimate has 12 bits. A plain Newton step leaves −1e-7: in 40 factors 5e-6.
   const Floats<P> miss = 1.0f - a * r;
   return r + r * (miss + miss * miss);
 #else
@@ -152,8 +150,7 @@ template <int P> RADIANT_INLINE Ints<P> truncated(const Floats<P>& a) { Ints<P> 
 template <int P> RADIANT_INLINE Floats<P> as_float(const Ints<P>& a) { Floats<P> r; RADIANT_EACH(P) r.p[i] = __builtin_convertvector(a.p[i], NativeF); return r; }
 RADIANT_INLINE Part part(const F& a, int i) { return {{a.p[i]}}; }
 
-// To 64 aligned bytes, past the caches: the line is not read first, and what is in the caches stays
-// there.
+// To 64 aligned bytes, past the caches: the line is not read first, the caches keep theirs.
 RADIANT_INLINE void stream(float* to, const F& a) {
 #if defined(__AVX512F__)
   _mm512_stream_ps(to, a.p[0]);

@@ -5,8 +5,7 @@
 
 namespace radiant::RADIANT_ISA {
 
-// 2ᵗ for t ≤ 0, to 9e-8, by the polynomial of 2ᶠ on 0 ≤ f < 1 with the least maximal relative
-// error. Far below −126 the result is 0 or next to it.
+// 2ᵗ for t ≤ 0, to 9e-8, by the minimax polynomial of 2ᶠ on 0 ≤ f < 1; about 0 far below −126.
 template <int P>
 RADIANT_INLINE Floats<P> exp2_of_negative(const Floats<P>& t) {
   constexpr float c[] = {0.9999999403953552f,  0.6931530833244324f,   0.24015361070632935f,
@@ -28,8 +27,7 @@ RADIANT_INLINE Floats<P> exp2_of_negative(const Floats<P>& t) {
 #endif
 }
 
-// eˣ for any x, to a few 2⁻²⁴; held at e^±89 beyond: 4e38 is infinite, 2e-39 a denormal number or
-// 0.
+// eˣ for any x, to a few 2⁻²⁴; held at e^±89 beyond: 4e38 is infinite, 2e-39 denormal or 0.
 RADIANT_INLINE F exp(const F& x) {
   const F limited = clamp(x, broadcast(-89.0f), broadcast(89.0f));
   F r;
@@ -48,8 +46,7 @@ RADIANT_INLINE F exp(const F& x) {
   return r;
 }
 
-// log₂ of a normal positive number, to 1e-7: log₂ m = 2/ln 2 · artanh((m−1)/(m+1)) with m in [√½,
-// √2).
+// log₂ of a normal positive number, to 1e-7: log₂ m = 2/ln 2 · artanh((m−1)/(m+1)), m ∈ [√½, √2).
 RADIANT_INLINE F log2(const F& x) {
   F mantissa, exponent;
   RADIANT_PARTS {

@@ -8,8 +8,7 @@ namespace radiant::RADIANT_ISA {
 // Turns 16 rows of 16 into 16 columns.
 RADIANT_INLINE void transpose(F rows[kLanes]) {
 #if defined(__AVX512F__)
-  // Unrolled by hand of the pragma: left as loops, gcc keeps the arrays in memory, at five times
-  // the cost.
+  // Unrolled by the pragma: left as loops, gcc keeps the arrays in memory, at five times the cost.
   __m512 a[16], b[16];
 #pragma GCC unroll 16
   for (int i = 0; i < 16; i += 2) {
@@ -69,7 +68,7 @@ RADIANT_INLINE void sums_of_rows(const Part* rows, float* out) {
     const __m512d low = _mm512_castps_pd(a[2 * i]), high = _mm512_castps_pd(a[2 * i + 1]);
     b[i] = _mm512_add_ps(_mm512_castpd_ps(_mm512_unpacklo_pd(low, high)), _mm512_castpd_ps(_mm512_unpackhi_pd(low, high)));
   }
-  // Rows 4i … 4i + 3 stand in each quarter of b[i]: what is left is to add the quarters.
+  // Rows 4i … 4i + 3 are in each quarter of b[i]: the quarters remain to be added.
   for (int i = 0; i < 2; ++i)
     a[i] = _mm512_add_ps(_mm512_shuffle_f32x4(b[2 * i], b[2 * i + 1], 0x88), _mm512_shuffle_f32x4(b[2 * i], b[2 * i + 1], 0xdd));
   const __m512 sums = _mm512_add_ps(_mm512_shuffle_f32x4(a[0], a[1], 0x88), _mm512_shuffle_f32x4(a[0], a[1], 0xdd));

@@ -45,8 +45,7 @@ void pause_briefly() {
 #endif
 }
 
-// Looks for `ready` for a while before the caller sleeps: waking a sleeping thread takes as long as
-// a short step.
+// Polls `ready` before the caller sleeps: waking a sleeping thread takes as long as a short step.
 template <class Ready>
 void look_out(const Ready& ready) {
   constexpr auto kPatience = std::chrono::microseconds(200);
@@ -132,12 +131,12 @@ class Pool {
   const int max_helpers_ = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   std::atomic<bool> busy_{false};
   std::atomic<int> running_{0};
-  std::vector<std::unique_ptr<Mailbox<Job*>>> jobs_;  // one for each helper, so that the others sleep on
+  std::vector<std::unique_ptr<Mailbox<Job*>>> jobs_;  // one per helper: the others sleep on
   Mailbox<bool> finished_;
 };
 
 // Never destroyed, since its threads end with the process; a forked child has none of them and gets
-// a pool of its own. Without a lock, which a child could inherit locked.
+// a pool of its own, without a lock, which it could inherit locked.
 Pool& pool() {
   static std::atomic<Pool*> current{nullptr};
   Pool* found = current;

@@ -35,7 +35,7 @@ void Holdings::move(std::size_t unit, int from, int to, std::int64_t cameras, co
 
 namespace {
 
-constexpr double kRounding = 1e-14;  // error of a power distance, as a share of the largest |P|^2 - w
+constexpr double kRounding = 1e-14;  // error of a power distance, as a share of max |P|^2 - w
 
 struct Entry {
   double extra;  // cost in the new cell minus cost in the old one
@@ -159,8 +159,7 @@ class Augmenter {
     return heap.empty() ? nullptr : &heap.front();
   }
 
-  // Moves cameras from `source` along the cheapest chain to the nearest cell with too few; false
-  // where wider lists are needed.
+  // Moves cameras on the cheapest chain to a cell with too few; false: lists are too narrow.
   bool take_path(int source) {
     struct Label {
       double distance;
@@ -215,8 +214,7 @@ class Augmenter {
     return true;
   }
 
-  // Each weight to the middle of what its neighbours' cameras allow, a few times, so that borders
-  // run between cameras.
+  // Each weight to the middle of what its neighbours' cameras allow, so that borders run between.
   void centre_weights() {
     if (largest_drift_ > reach_ / 2) make_lists();
     struct Bound {
@@ -231,8 +229,7 @@ class Augmenter {
           of[from].push_back(bounds.size()), of[to].push_back(bounds.size());
           bounds.push_back({static_cast<int>(from), to, entry->extra});
         }
-    // Cells that are not listed together stay apart by reach - drift; each may come closer by a
-    // quarter of that.
+    // Unlisted pairs stay apart by reach - drift; each cell may come closer by a quarter of that.
     const double step = std::max(reach_ - largest_drift_, 0.0) / 4;
     const std::vector<double> start = w_;
     for (int sweep = 0; sweep < 8; ++sweep)

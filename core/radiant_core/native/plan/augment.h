@@ -1,10 +1,9 @@
-// The last cameras: successive shortest paths over the cells, from those with too many to those
-// with too few.
+// The last cameras: successive shortest paths from cells with too many to those with too few.
 //
-// Every unit is in its cheapest cell for some weights, which is optimal for the counts it happens
-// to give; moving cameras along the cheapest chain of cells keeps that (Ahuja, Magnanti, Orlin,
-// Network Flows, 1993, ch. 9). Only units within `reach` of a second cell are listed; a path is
-// taken only while no unlisted unit can be cheaper, else the lists are made anew, wider.
+// Every unit is in its cheapest cell for some weights, which is optimal for the counts that result;
+// moving cameras along the cheapest chain of cells keeps that (Ahuja, Magnanti, Orlin, Network
+// Flows, 1993, ch. 9). Only units within `reach` of a second cell are listed; a path is taken only
+// while no unlisted unit can be cheaper, else the lists are made anew, wider.
 #pragma once
 
 #include <vector>
@@ -34,8 +33,7 @@ struct AugmentResult {
   int lists;  // how often the lists were made
 };
 
-// `wanted` (E,) sums to the tree's cameras; `reach` m^2 is the first band. Weights are centred in
-// what the cameras leave free.
+// `wanted` (E,) sums to the tree's cameras; `reach` m^2: the first band. Weights are centred.
 AugmentResult augment_to_counts(const CameraTree& tree, PowerSites& sites, const std::vector<std::int64_t>& wanted,
                                 const std::vector<double>& weights, double reach);
 

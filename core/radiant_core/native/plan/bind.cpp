@@ -1,6 +1,5 @@
-// Cameras dealt to cells with given counts at the least sum of squared distances: tree, smoothed
-// Newton, augmenting paths. The arrays were checked in Python
-// (radiant_core.plan.regions.transport); here only shapes are, since they decide what is read.
+// Cameras dealt to cells with given counts at the least sum of squared distances. The arrays were
+// checked in Python (plan.regions.transport); here only shapes, which decide what is read.
 #include "plan/bind.h"
 
 #include <nanobind/ndarray.h>
@@ -29,8 +28,7 @@ auto numpy_of(std::vector<Value>&& values, Shape... shape) {
   return nb::ndarray<nb::numpy, Value>(kept->data(), {static_cast<std::size_t>(shape)...}, owner);
 }
 
-// Cell (C,) of each input row, and rows of several cells as (row, cell, cameras) triples, the cell
-// then being -1.
+// Cell (C,) of each input row, or -1, and (row, cell, cameras) triples of rows of several cells.
 void expand(const CameraTree& tree, const radiant::Holdings& holdings, const std::int64_t* multiplicities, std::vector<std::int32_t>& cells,
             std::vector<std::int64_t>& splits) {
   for (std::size_t u = 0; u < tree.num_units(); ++u) {

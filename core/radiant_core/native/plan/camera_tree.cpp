@@ -13,8 +13,7 @@ std::uint32_t spread_bits(std::uint32_t value) {
   return (value | (value << 1)) & 0x55555555u;
 }
 
-// Rows in Morton order of a grid of 65,536² over their bounding square; rows of one grid cell by
-// coordinates.
+// Rows in Morton order of a grid of 65,536² over their bounding square, then by coordinates.
 std::vector<std::uint32_t> curve_order(const double* positions, const std::vector<std::uint32_t>& rows) {
   double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
   for (const std::uint32_t row : rows)

@@ -1,9 +1,8 @@
-// Cameras in a tree of boxes, and a walk through it that meets only the power cells that can matter
-// at each place.
+// Cameras in a tree of boxes, and a walk that meets only the power cells that matter at each place.
 //
 // With f_e(x) = |x - P_e|^2 - w_e a difference f_e - f_b is linear in x, so over a box it is
 // bounded exactly by its value at the centre and the box's sides: whole boxes in one cell are met
-// once, whatever they hold. Built once per plan in O(U log U), walked some twenty times per plan.
+// once. Built once per plan in O(U log U), walked some twenty times per plan.
 #pragma once
 
 #include <algorithm>
@@ -14,16 +13,14 @@
 
 namespace radiant {
 
-// A box of cameras: centre and half sides, centroid and number of its cameras, all about the tree's
-// origin.
+// A box of cameras: centre, half sides, centroid and number, about the tree's origin.
 struct CameraBox {
   double centre_x, centre_y, half_x, half_y;
   double mean_x, mean_y;
   std::int64_t cameras;
 };
 
-// Distinct positions ("units") along a space-filling curve, eight to a leaf, four boxes to the box
-// above.
+// Distinct positions ("units") along a space-filling curve, eight to a leaf, four boxes per box.
 struct CameraTree {
   static constexpr std::size_t kLeaf = 8, kFan = 4;
 
@@ -33,8 +30,7 @@ struct CameraTree {
   std::vector<std::uint32_t> inputs;     // rows of the input in order of the units
   std::vector<std::vector<CameraBox>> levels;  // levels[0] are the leaves, the last has one box
 
-  // positions (C,2); multiplicities (C,), or null for one camera each; rows without a camera belong
-  // to no unit.
+  // positions (C,2); multiplicities (C,), or null for ones; rows without cameras have no unit.
   CameraTree(const double* positions, const std::int64_t* multiplicities, std::size_t num_positions);
 
   std::size_t num_units() const { return x.size(); }
@@ -62,11 +58,10 @@ struct PowerSites {
   }
 };
 
-// Calls visitor.box(box, first unit, one past the last, sites, count, spread) with the sites that
-// come within `margin` of the smallest power distance somewhere in the box, the centre's nearest
-// first; `spread` bounds how much their differences change inside the box. It returns whether the
-// box is dealt with; where not, the boxes below follow and at last visitor.unit(unit, sites,
-// count).
+// Calls visitor.box(box, first unit, one past the last, sites, count, spread) with the sites within
+// `margin` of the smallest power distance somewhere in the box, the centre's nearest first;
+// `spread` bounds the change of their differences in the box. It returns whether the box is done;
+// else boxes below follow and at last visitor.unit(unit, sites, count).
 template <class Visitor>
 class CellWalk {
  public:

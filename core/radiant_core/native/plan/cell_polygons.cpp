@@ -1,5 +1,4 @@
-// Power cells as polygons: a convex outline cut by the border that it crosses farthest until it
-// crosses none. O(E^2) for all.
+// Power cells as polygons: a convex outline cut by the border it crosses farthest. O(E^2) for all.
 #include "plan/cell_polygons.h"
 
 #include <cmath>

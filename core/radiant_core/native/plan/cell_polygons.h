@@ -7,9 +7,9 @@
 
 namespace radiant {
 
-// Cell `index` of sites (E,2) m with weights (E,) m^2 inside a convex counter-clockwise outline;
-// empty where the cell is. Borders that overshoot by less than `tolerance_m` do not cut. Of sites
-// at one spot the heaviest has the cell, the first among equals.
+// Cell `index` of sites (E,2) m with weights (E,) m^2 in a convex counter-clockwise outline, or
+// empty. Borders that overshoot by less than `tolerance_m` do not cut. Of sites at one spot the
+// heaviest has the cell, the first among equals.
 std::vector<std::pair<double, double>> cell_polygon(const double* sites, const double* weights, std::size_t num_sites, std::size_t index,
                                                     const std::vector<std::pair<double, double>>& outline, double tolerance_m);
 

@@ -1,6 +1,5 @@
-// Values by cell, in the order in which the cells first came; found by looking through while there
-// are a few, by hashing beyond. A row of the dual's Hessian holds the half dozen neighbours of a
-// cell at the end and nearly all cells at the start.
+// Values by cell in order of arrival, found by looking through a few, by hashing beyond. A row of
+// the Hessian holds the half dozen neighbours of a cell at the end, nearly all cells at the start.
 #pragma once
 
 #include <cstddef>

@@ -4,8 +4,8 @@ namespace radiant {
 namespace {
 
 constexpr std::size_t kCoarsest = 4;  // boxes per site on the coarsest level
-constexpr double kBand = 32;           // temperatures within which a camera may change its cell at first
-constexpr std::size_t kStride = 2;    // levels of the tree from one solution to the next, 16 times the boxes
+constexpr double kBand = 32;         // temperatures within which a camera may change its cell first
+constexpr std::size_t kStride = 2;  // levels of the tree per solution, 16 times the boxes
 
 CameraTree tree_of_boxes(const std::vector<CameraBox>& boxes) {
   std::vector<double> positions;

@@ -6,9 +6,8 @@
 
 namespace radiant {
 
-// Solved on ever finer boxes of cameras as on cameras that share a place: the weights of one level
-// are nearly right on the next, however uneven the scene. `warm`: start_weights are nearly right,
-// and the coarsest level starts cool.
+// Solved on ever finer boxes of cameras as if at one place: the weights of one level are nearly
+// right on the next. `warm`: start_weights are nearly right, and the coarsest level starts cool.
 AugmentResult deal_to_cells(const CameraTree& tree, PowerSites& sites, const std::vector<std::int64_t>& wanted,
                             const std::vector<double>& start_weights, bool warm, std::int64_t& rounds);
 

@@ -1,5 +1,4 @@
-// cell(x) = argmin_e |x - P_e|^2 - w_e, O(C E) without any memory of its own; runs once per
-// evaluation of a candidate plan.
+// cell(x) = argmin_e |x - P_e|^2 - w_e, O(C E) without memory; once per candidate plan.
 #include "plan/power_cells.h"
 
 #include <cmath>

@@ -6,9 +6,9 @@ namespace radiant {
 namespace {
 
 constexpr double kReach = 12;        // exp(-12) = 6e-6: farther cells take nothing
-constexpr double kCoarse = 3;        // a box whose differences change by less than this many t is one place
+constexpr double kCoarse = 3;        // change of differences in a box, in t, for one place
 constexpr double kShare = 0.05;      // of its cameras that a cell needs for a step of Newton
-constexpr std::size_t kMaxPairs = 12;  // places with more candidates leave the Hessian to the others
+constexpr std::size_t kMaxPairs = 12;  // beyond, a place's candidates leave the Hessian to others
 
 using Row = CellRow<double>;
 
@@ -20,7 +20,7 @@ struct SoftCount {
   std::vector<double> s;
   std::vector<Row> rows;
   std::vector<double> p;
-  std::vector<std::pair<int, double>> active;  // the cells that take part in a place, with their shares
+  std::vector<std::pair<int, double>> active;  // the cells of a place, with their shares
   std::int64_t shared = 0;  // units that more than one cell takes part in
 
   SoftCount(const CameraTree& t, const PowerSites& power, double temp)
@@ -65,17 +65,15 @@ struct SoftCount {
       }
   }
 
-  // The upper triangle, once all places are in; row by row, so that a row is read before anything
-  // is appended to it.
+  // The upper triangle, once all places are in; by row, which is read before it grows.
   void mirror() {
     for (std::size_t high = 0; high < rows.size(); ++high)
       for (const auto& [low, value] : rows[high]) rows[static_cast<std::size_t>(low)].append(static_cast<int>(high), value);
   }
 };
 
-// (Laplacian + n / longest) step = gradient by conjugate gradients with the diagonal as
-// preconditioner. Groups of cells that share no camera have a singular Laplacian: they move as one
-// by `longest` times the share of cameras they lack.
+// (Laplacian + n / longest) step = gradient by conjugate gradients, preconditioned by the diagonal.
+// Cells that share no camera have a singular Laplacian: they move by `longest` times their lack.
 std::vector<double> newton_step(const std::vector<Row>& rows, const std::vector<double>& gradient, const std::vector<std::int64_t>& wanted,
                                 double longest) {
   const std::size_t n = rows.size();
@@ -134,8 +132,7 @@ double full_range(const CameraBox& root, const PowerSites& sites) {
   return range;
 }
 
-// Typical difference across a cell: of each site to its nearest, over half the way, weighted by
-// nothing: the median.
+// Median difference across a cell: of each site to its nearest, over half the way.
 double cell_range(const PowerSites& sites, double range) {
   std::vector<double> nearest;
   for (std::size_t e = 0; e < sites.size(); ++e) {
@@ -170,8 +167,7 @@ SoftResult fit_soft_counts(const CameraTree& tree, PowerSites& sites, const std:
   const double cell = cell_range(sites, range), farthest = 64 * cell * static_cast<double>(n);
   double temperature = cell / (warm ? 256 : tree.num_units() < 64 * n ? 1 : 16), longest = farthest;
   SoftCount now = count_at(weights, temperature);
-  // Newton needs every cell to have something to lose: those that have next to nothing grow alone
-  // first, in ever warmer rounds.
+  // Newton needs cells with something to lose: almost empty ones first grow alone, ever warmer.
   for (int grown = 1; grown <= 60 && least_share(now.s, wanted) < kShare; ++grown) {
     for (std::size_t e = 0; e < n; ++e)
       if (now.s[e] < 2 * kShare * static_cast<double>(wanted[e]))

@@ -1,5 +1,4 @@
-// The Python border of the rasterizer. Shapes and finite values are checked in contract.py; sizes
-// are checked again here.
+// The Python border of the rasterizer: sizes; shapes and finite values are checked in contract.py.
 #include "raster/bind.h"
 
 #include <nanobind/ndarray.h>
@@ -24,8 +23,7 @@ using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
 using Output = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
 using Doubles = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
-// Size of an array that must hold `expected` numbers; a mistake here would write over foreign
-// memory.
+// Size of an array of `expected` numbers; a mistake here would write over foreign memory.
 template <class Array>
 auto* checked(const Array& array, std::int64_t expected, const char* name) {
   if (static_cast<std::int64_t>(array.size()) != expected)

@@ -1,9 +1,8 @@
-// One tile of the picture: cull, blend front to back (3DGS, Kerbl 2023). Once per tile, camera and
-// call.
+// One tile of the picture: cull, blend front to back (3DGS, Kerbl 2023). Once per tile and camera.
 //
 //     image(p) = Σ_i c_i w_i + background · (1 − Σ_i w_i),   w_i = α_i Π_{k<i} (1 − α_k)
-// The loop is over one block of 16 pixels, the block's own list inside: all sums stay in registers. A pixel that is finished has
-// transmittance 0, so nothing adds to it and the loop needs no mask; its own transmittance is put aside when that happens.
+// The loop is over one block of 16 pixels, inside over its own list: all sums stay in registers. A
+// finished pixel has transmittance 0, so nothing adds to it; its own transmittance is put aside.
 #pragma once
 
 #include "raster/tile.h"
@@ -38,8 +37,7 @@ RADIANT_INLINE F alpha_of(const F& t) {
   return keep(broadcast(kLog2AlphaMin) <= t, min(exp2_of_negative(t), broadcast(kAlphaMax)));
 }
 
-// Blends the Gaussians of `list` into the 16 pixels at (x, y) from the tile's centre. `last` keeps
-// what it holds for pixels that no Gaussian finishes.
+// Blends the Gaussians of `list` into 16 pixels at (x, y) from the centre, `last` where one ends.
 RADIANT_INLINE Pixels blend_block(const Row* rows, const uint32_t* list, uint32_t count, const F& x, const F& y, int32_t* last) {
   const F zero = broadcast(0.0f);
   Pixels p = {broadcast(1.0f), zero, zero, zero, zero, zero};
@@ -96,8 +94,7 @@ RADIANT_INLINE void write_block(const View& view, int left, int top, const Pixel
     }
 }
 
-// Rows of all entries, one list of entries for each block, and for the way back which blocks each
-// entry reaches.
+// Rows of all entries, a list of entries per block, and which blocks each entry reaches.
 RADIANT_INLINE void list_entries(const View& view, int left, int top, const Entry* entries, int64_t offset, int64_t count, const BlendState& state,
                                  const Scratch& scratch, uint32_t counts[kBlocksPerTile]) {
   for (int64_t first = 0; first < count; first += kLanes) {

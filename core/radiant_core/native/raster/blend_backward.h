@@ -1,12 +1,12 @@
-// One tile on the way back: moments of every instance, from which project_backward makes all
-// gradients. Once per tile and camera.
+// One tile on the way back: moments of every instance, for project_backward. Per tile and camera.
 //
-// With g the gradient of the pixel, T_i the transmittance before Gaussian i and B_i what the pixel sees behind it:
-//     ∂loss/∂ln α_i = w_i (c_i·g − B_i),   B_{i−1} = B_i + α_i (c_i·g − B_i),   T_i = T_{i+1} / (1 − α_i)
-// Walked from back to front both recurrences only ever add small things to sums of small things: a Gaussian behind an almost opaque
-// one keeps all digits of its gradient, which a difference "all minus what is in front" would lose.
-// The loop is over Gaussians, their blocks inside: the sums of one instance stay in registers and are reduced once per instance.
-// Where it is asked for, two more sums are kept: Σ|h u| and Σ|h (l₁₂ u + l₂₂ v)|, of which Σ|∂loss/∂m| is made.
+// With g the pixel's gradient, T_i the transmittance before Gaussian i, B_i what is seen behind it:
+//     ∂loss/∂ln α_i = w_i (c_i·g − B_i)
+//     B_{i−1} = B_i + α_i (c_i·g − B_i),   T_i = T_{i+1} / (1 − α_i)
+// From back to front both recurrences only add small things to sums of small things: a Gaussian
+// behind an almost opaque one keeps all digits of its gradient, unlike "all minus what is in
+// front". The loop is over Gaussians, inside over their blocks: an instance's sums stay in
+// registers and are reduced once. On request, Σ|h u| and Σ|h (l₁₂ u + l₂₂ v)| give Σ|∂loss/∂m|.
 #pragma once
 
 #include "raster/blend.h"
@@ -19,7 +19,7 @@ struct BlockState {
   F x, y;                                            // pixels from the tile's centre
   int32_t last[kLanes];
   int32_t end;    // the largest `last`
-  int32_t next;   // the block's pixels with `last` over the entry at hand wait for their start at `next`
+  int32_t next;  // pixels of the block whose `last` is beyond the entry at hand start at `next`
 };
 
 // Gradients of 16 pixels from a picture (H,W,stride); 0 outside.
@@ -79,8 +79,7 @@ static __attribute__((noinline)) void start_pixels(BlockState& b, int32_t entry)
 }
 
 // Moments of one Gaussian over its blocks. kCapped: its opacity is over the cap, so that α may be
-// cut off. A block's registers are taken one at a time, so that the sums fit beside them on CPUs
-// with 16 registers too.
+// cut off. One register of a block at a time, so that the sums fit on CPUs with 16 registers too.
 template <bool kDepth, bool kCapped, bool kAbsolute>
 RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t entry, BlockState* blocks, Moments* out,
                                      AbsoluteMoments* absolute) {

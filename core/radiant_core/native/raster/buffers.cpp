@@ -16,8 +16,7 @@ namespace radiant {
 namespace {
 
 constexpr std::size_t kHugePage = std::size_t{2} << 20;
-// A training step takes some 14 blocks: what the last few steps did not need goes back to the
-// system.
+// A training step takes some 14 blocks: what was not needed lately goes back to the system.
 constexpr std::uint64_t kTakesToKeep = 64;
 
 struct Block {

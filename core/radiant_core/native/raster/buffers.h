@@ -1,5 +1,4 @@
-// Memory that outlives a call: growing arrays in huge pages, and blocks that return to a pool when
-// Python lets go of them.
+// Memory that outlives a call: growing arrays in huge pages, and blocks pooled after Python's use.
 #pragma once
 
 #include <cstddef>
@@ -8,13 +7,11 @@
 
 namespace radiant {
 
-// Bytes from the system, in 2 MiB pages where they are large; throws std::bad_alloc. Contents are
-// undefined.
+// Bytes from the system, undefined, in 2 MiB pages where large; throws std::bad_alloc.
 void* allocate_pages(std::size_t bytes);
 void free_pages(void* memory) noexcept;
 
-// A block of the pool of at least `bytes`: the smallest free one that is not twice as large, else a
-// new one. Blocks that nobody took for a while go back to the system.
+// A block of at least `bytes`: the smallest free one below twice that, else new.
 void* pool_take(std::size_t bytes);
 void pool_return(void* memory) noexcept;
 

@@ -1,5 +1,4 @@
-// Colours along the line of sight from spherical harmonics, as harmonics.py has them, and back to
-// these. 16 Gaussians at a time.
+// Colours along the line of sight from spherical harmonics, and back. 16 Gaussians at a time.
 #pragma once
 
 #include "machine/simd_rows.h"
@@ -23,8 +22,7 @@ RADIANT_INLINE F view_directions(const View& view, const float* means, int64_t f
   return inverse;
 }
 
-// Y_k and, if wanted, ∂Y_k/∂(x, y, z) for k ≥ 1, as harmonics.py has them (Sloan 2008, appendix
-// A2).
+// Y_k and, if wanted, ∂Y_k/∂(x, y, z) for k ≥ 1, as in harmonics.py (Sloan 2008, appendix A2).
 template <int kDegree>
 RADIANT_INLINE void basis(const F d[3], F* value, F (*slope)[3]) {
   const F &x = d[0], &y = d[1], &z = d[2];
@@ -71,8 +69,7 @@ RADIANT_INLINE void basis(const F d[3], F* value, F (*slope)[3]) {
 
 constexpr float kSh0 = 0.28209479177387814f;
 
-// Colours (3) along `direction`, and ∂colour/∂direction (3 × 3) if slopes is not null; both 0 where
-// the colour is clamped at 0.
+// Colours (3) along `direction`, and ∂colour/∂direction (3 × 3) or null; both 0 where clamped at 0.
 template <int kDegree>
 RADIANT_INLINE void shade(const SplatArrays& splats, int64_t first, int lanes, uint32_t wanted, const F direction[3], F color[3], F* slopes) {
   constexpr int kBases = (kDegree + 1) * (kDegree + 1) - 1;
@@ -81,8 +78,7 @@ RADIANT_INLINE void shade(const SplatArrays& splats, int64_t first, int lanes, u
   if constexpr (kDegree > 0) {
     alignas(64) float rows[kLanes][kMaxCoefficients];
     const int stride = 3 * splats.num_rest;
-    // The coefficients are most of what is read: those of the next group are asked for before these
-    // are worked on.
+    // Coefficients are most of what is read: the next group's are prefetched before these are used.
     const char* const next = reinterpret_cast<const char*>(splats.shN + (first + kLanes) * stride);
     if (first + 2 * kLanes <= splats.count)
       for (int64_t byte = 0; byte < static_cast<int64_t>(kLanes * stride * sizeof(float)); byte += 64) __builtin_prefetch(next + byte);
@@ -138,8 +134,7 @@ RADIANT_INLINE void harmonics_backward(const SplatArrays& splats, int64_t first,
   }
   if (!out.shN || splats.num_rest == 0) return;
   const int stride = 3 * splats.num_rest;
-  // Rows one after another; the last vector of a row reaches into the next, which is written later,
-  // hence parts from last to first.
+  // By rows, last to first, as the last vector of a row reaches into the next.
   constexpr int kParts = (3 * kBases + kLanes - 1) / kLanes;
   alignas(64) float rows[kLanes * 3 * kBases + kLanes];
   if constexpr (kDegree > 0) {

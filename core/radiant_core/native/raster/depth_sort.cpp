@@ -1,5 +1,4 @@
-// Least-significant-digit radix sort over only those bits in which a tile's depths differ: mostly 2
-// to 3 passes of 8 bits in L1.
+// Least-significant-digit radix sort over only the bits in which a tile's depths differ.
 #include "raster/depth_sort.h"
 
 #include <cstring>

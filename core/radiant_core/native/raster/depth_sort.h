@@ -8,8 +8,7 @@
 
 namespace radiant {
 
-// Sorts by depth key, equal keys in the order they come; `spare` holds as many entries. O(count)
-// for long lists.
+// Stable sort by depth key; `spare` holds as many entries. O(count) for long lists.
 void sort_by_depth(Entry* entries, Entry* spare, std::size_t count);
 
 }  // namespace radiant

@@ -1,10 +1,10 @@
 // Gaussians to ellipses in the image: EWA projection (Zwicker 2002), 16 Gaussians at a time.
 //
-//     Σ' = J W R S Sᵀ Rᵀ Wᵀ Jᵀ + 0.3 px² I        det Σ = (fx fy / z²)² Σ_k (s_i s_j)² ((x/z, y/z, 1) · W r_k)²
-// with r_k the axes of a Gaussian, s their lengths: a sum of squares, so flat and needle-like Gaussians keep all digits.
-// Centres go through float64 (once per Gaussian): float32 world coordinates would shift them by up to 1e-3 px.
-// The Jacobian is taken at x/z, y/z clamped to 0.15 image sizes outside the image and differentiated as computed: `_jacobians` in
-// torch_reference.py says why.
+//     Σ' = J W R S Sᵀ Rᵀ Wᵀ Jᵀ + 0.3 px² I
+//     det Σ = (fx fy / z²)² Σ_k (s_i s_j)² ((x/z, y/z, 1) · W r_k)²
+// with r_k the axes of a Gaussian, s their lengths: a sum of squares keeps all digits of needles.
+// Centres go through float64: float32 world coordinates would shift them by up to 1e-3 px. The
+// Jacobian is clamped and differentiated as in torch_reference.py (`_jacobians`).
 #pragma once
 
 #include "machine/simd_math.h"
@@ -13,8 +13,7 @@
 
 namespace radiant::RADIANT_ISA {
 
-// The part of the projection that both directions need. Lanes that are not `usable` hold harmless
-// numbers.
+// The projection for both directions. Lanes that are not `usable` hold harmless numbers.
 struct Geometry {
   F ratio_x, ratio_y, inverse_z;            // x/z, y/z, 1/z (z = 1 where out of range)
   F clamped_x, clamped_y;                   // where the Jacobian is taken
@@ -59,8 +58,7 @@ RADIANT_INLINE void project_centers(const View& view, const float* means, int64_
   for (int lane = 0; lane < kLanes; ++lane) {
     const double u = x[lane] * inverse[lane], v = y[lane] * inverse[lane];
     const double mx = fx * u + cx, my = fy * v + cy;
-    // Far outside the image the whole part may be anything near: such a Gaussian is culled or needs
-    // no digits.
+    // Far outside the image any whole part will do: the Gaussian is culled or needs no digits.
     const double near_x = mx < -1e6 ? -1e6 : mx > 1e6 ? 1e6 : mx, near_y = my < -1e6 ? -1e6 : my > 1e6 ? 1e6 : my;
     const int32_t int_x = static_cast<int32_t>(near_x), int_y = static_cast<int32_t>(near_y);
     inverse_z[lane] = static_cast<float>(inverse[lane]);
@@ -92,8 +90,7 @@ RADIANT_INLINE void rotate(const View& view, const float* quats, int64_t first, 
   load_fields<4>(quats, first, lanes, q);
   const F largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])));
   const Mask nonzero = broadcast(0.0f) < largest;
-  // Scaled by the largest entry first, so that no square overflows; below 1e-36 the inverse itself
-  // would.
+  // Scaled by the largest entry: no square overflows; below 1e-36 the inverse itself would.
   const F scale = 1.0f / select(nonzero, max(largest, broadcast(1e-36f)), broadcast(1.0f));
   for (int k = 0; k < 4; ++k) q[k] = select(nonzero, q[k] * scale, broadcast(k == 0 ? 1.0f : 0.0f));
   const F norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];

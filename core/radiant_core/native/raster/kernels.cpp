@@ -1,5 +1,4 @@
-// The rasterizer's kernels for one instruction set. Compiled several times, each with its own
-// RADIANT_ISA and flags.
+// The rasterizer's kernels for one instruction set: compiled per RADIANT_ISA and flags.
 #include "raster/kernels.h"
 #include "raster/blend_backward.h"
 #include "raster/project_backward.h"
@@ -7,8 +6,7 @@
 namespace radiant::RADIANT_ISA {
 
 static int64_t fma_rounds(int64_t rounds, float* sink) {
-  // Fused multiply-adds take 4 cycles at up to 2 a cycle: 12 chains keep every unit busy, and fit
-  // in 16 registers of any width.
+  // Fused multiply-adds take 4 cycles at up to 2 a cycle: 12 chains, within 16 registers.
   constexpr int kChains = 12;
   typedef float V __attribute__((vector_size(4 * kNative)));
   V chains[kChains], factor = V{} + 0.999f, step = V{} + 1e-3f;

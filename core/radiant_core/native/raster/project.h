@@ -1,5 +1,4 @@
-// Gaussians to footprints: what blending needs to know of each, and the tiles its ellipse reaches.
-// 16 Gaussians at a time.
+// Gaussians to footprints: what blending needs, and the tiles reached. 16 Gaussians at a time.
 #pragma once
 
 #include "raster/color.h"
@@ -15,8 +14,7 @@ struct Reach {
   F top;                      // y (relative) of the rightmost point
 };
 
-// Which tiles of one row the ellipse reaches: exact, since ellipse ∩ slab is convex. Pixel centres,
-// not borders, bound a tile.
+// Tiles of one row that the ellipse reaches, exact as ellipse ∩ slab is convex; by pixel centres.
 RADIANT_INLINE void row_span(const View& view, const Reach& r, const F& row, F& first, F& last) {
   const F margin = broadcast(1e-2f);
   const F low = row * static_cast<float>(kTilePx) + 0.5f - r.center_y, high = low + static_cast<float>(kTilePx - 1);
@@ -56,8 +54,7 @@ RADIANT_INLINE void list_tiles(const View& view, const Reach& r, uint32_t visibl
     most = rows > most ? rows : most;
   }
   if (spans.size + bound > spans.capacity) spans.reserve(spans, spans.size + bound);
-  // Row after row for all lanes at once; spans stand Gaussian after Gaussian, so each lane writes
-  // from its own place.
+  // Row by row for all lanes; spans are in order of Gaussians: each lane has its own place.
   Span* place[kLanes];
   Span* next = spans.data + spans.size;
   for (int lane = 0; lane < kLanes; ++lane) {

@@ -1,8 +1,7 @@
-// Gradients of the footprints to gradients of the Gaussians. 16 Gaussians at a time; the geometry
-// is computed again, not stored.
+// Gradients of footprints to gradients of Gaussians, 16 at a time; the geometry is computed again.
 //
-//     ∂ln α/∂m = L̂ᵀ (û, v̂)      ∂ln α/∂Σ' = ½ L̂ᵀ (û, v̂)(û, v̂)ᵀ L̂      with (û, v̂) = L̂ (p − m) and L̂ᵀL̂ = Σ'⁻¹
-// so of the pixels only the sums of h, hû, hv̂, hû², hûv̂, hv̂² are needed, which `blend_backward` gives.
+//     ∂ln α/∂m = L̂ᵀ (û, v̂)      ∂ln α/∂Σ' = ½ L̂ᵀ (û, v̂)(û, v̂)ᵀ L̂
+// with (û, v̂) = L̂ (p − m), L̂ᵀL̂ = Σ'⁻¹: sums of h, hû, hv̂, hû², hûv̂, hv̂² over pixels suffice.
 #pragma once
 
 #include "raster/project.h"
@@ -41,8 +40,7 @@ RADIANT_INLINE F ratio_difference(const Geometry& g, int i, int j) {
   return select(d2 < broadcast(0.25f), near, far);
 }
 
-// ∂loss by the Gaussian's lengths, by a turn about each of its axes over `ratio_difference` of the
-// other two, and by where the Jacobian is taken.
+// ∂loss by the lengths, by turns about the axes over `ratio_difference`, by the Jacobian's place.
 struct ShapeGradients {
   F log_scales[3], turns[3], clamped_x, clamped_y;
 };
@@ -73,7 +71,7 @@ RADIANT_INLINE void compensation_backward(const Geometry& g, const F& scale_x, c
   }
 }
 
-// Through the covariance. With a_k = L̂ half_k, of length 1 or less for needles too, and M the sums of (û, v̂)(û, v̂)ᵀ:
+// Through the covariance. With a_k = L̂ half_k, of length 1 or less, M the sums of (û, v̂)(û, v̂)ᵀ:
 //     ∂/∂ln s_k = a_kᵀ M a_k        ∂/∂turn_k = 2 sinh(ln s_i − ln s_j) a_iᵀ M a_j
 // As a difference of two gradients of axes the second would cancel for round Gaussians.
 RADIANT_INLINE ShapeGradients covariance_backward(const View& view, const Geometry& g, const PlaneGradients& p) {
@@ -118,9 +116,8 @@ RADIANT_INLINE void rotation_backward(const Geometry& g, const F turns[3], F qua
   quats[3] = x * t[1] - y * t[0] + w * t[2];
 }
 
-// A gradient that leaves float32 (a quaternion of length 1e-36, say) is held at the largest number,
-// where the reference holds inf. No number stays none: it is the second of two that min and max
-// hand on.
+// A gradient beyond float32 (a quaternion of length 1e-36, say) is held at the largest number, inf
+// in the reference. NaN stays: min and max return their second argument.
 RADIANT_INLINE F finite(Mask visible, const F& a) { return keep(visible, max(broadcast(-1e37f), min(broadcast(1e37f), a))); }
 
 RADIANT_INLINE void clear(const SplatArrays& splats, int64_t first, int lanes, const SplatGradients& out) {

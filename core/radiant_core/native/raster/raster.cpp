@@ -27,8 +27,7 @@ void grow_spans(SpanList& spans, std::int64_t capacity) {
   spans.capacity = static_cast<std::int64_t>(growing.storage->capacity());
 }
 
-// Gradients that no cache would keep until somebody reads them are written past the caches: 1.3
-// times as fast for 500,000 Gaussians.
+// Gradients that no cache would keep are written past: 1.3 times as fast for 500,000 Gaussians.
 bool can_stream(const SplatArrays& splats, const SplatGradients& to) {
   constexpr std::int64_t kCacheBytes = std::int64_t{16} << 20;
   bool aligned = true;
@@ -193,8 +192,7 @@ void RenderedView::blend_backward(const ImageGradients& gradients, float* means2
   });
 }
 
-// Sums the instances of each Gaussian, whose moments stand one after another, and moves to its
-// centre: ∂ln α/∂m = 1/k Lᵀ (u, v).
+// Sums each Gaussian's instances, one after another, moved to its centre: ∂ln α/∂m = 1/k Lᵀ (u, v).
 void RenderedView::sum_chunk(std::size_t chunk, const Moments* moments, float* means2d, Moments* sums) const {
   const Moments* instance = moments + chunks_[chunk].first_instance;
   for (std::int64_t g = chunk_begin(chunk); g < chunk_end(chunk); ++g) {

@@ -1,10 +1,9 @@
-// One rendered view: what the forward pass leaves for the backward pass, and the order of the
-// steps.
+// One rendered view: what the forward pass leaves for the backward pass, the order of the steps.
 //
 // Forward, O(N + instances + pixels · depth complexity): project (chunks of Gaussians) → count and
 // fill tile lists (stable) → per tile: sort by depth, list the blocks each Gaussian reaches, blend.
-// Backward: per tile, then a sum per Gaussian, then the projection. Every sum has a fixed order, so
-// results have the same bits for any number of threads.
+// Backward: per tile, a sum per Gaussian, the projection. Every sum has a fixed order: results have
+// the same bits for any number of threads.
 #pragma once
 
 #include <cstddef>
@@ -26,14 +25,12 @@ class RenderedView {
   RenderedView(const RenderedView&) = delete;
   RenderedView& operator=(const RenderedView&) = delete;
 
-  // Renders into `out`; keeps what `backward` needs if `differentiable`. Memory of which renderings
-  // in a row use less than a quarter goes back to the system. Throws std::length_error beyond 2³²
-  // instances.
+  // Renders into `out`; keeps what `backward` needs if `differentiable`. Memory that renderings in
+  // a row use less than a quarter of is freed. Throws std::length_error beyond 2³² instances.
   void forward(const Kernels& kernels, const View& view, const SplatArrays& splats, const ViewOutputs& out, bool differentiable, int threads);
 
-  // ∂loss/∂means2d (N,2) and, for all else, the sums over each Gaussian's pixels (N); into
-  // `absgrad` (N,2), if it is not null, the sums of |∂loss/∂means2d| of each pixel. Passes of
-  // several threads may run at once.
+  // ∂loss/∂means2d (N,2) and, for all else, the sums over each Gaussian's pixels (N); `absgrad`
+  // (N,2) or null: sums of each pixel's |∂loss/∂means2d|. Passes of several threads may overlap.
   void blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, float* absgrad, int threads) const;
 
   // Gradients of the Gaussians, from what `blend_backward` gave.
@@ -45,8 +42,7 @@ class RenderedView {
   std::int64_t num_block_pairs() const;
 
  private:
-  // A piece of the Gaussians: projected and counted as one, the same pieces for any number of
-  // threads.
+  // Gaussians projected and counted as one, the same for any number of threads.
   struct Chunk {
     Buffer<Span> storage;
     SpanList spans{};
@@ -89,8 +85,7 @@ class RenderedView {
   BlendState blend_{};
 };
 
-// The kernels of `name`, or the fastest this CPU runs for an empty one; null if this CPU or build
-// has none of that name.
+// The kernels of `name`, or the fastest for an empty one; null if there is none of that name.
 const Kernels* find_kernels(const std::string& name);
 
 }  // namespace radiant

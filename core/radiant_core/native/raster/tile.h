@@ -1,5 +1,4 @@
-// The Gaussians of one tile: in order of depth, relative to the tile, and listed for each block of
-// 4 × 4 pixels they reach.
+// The Gaussians of one tile: by depth, relative to the tile, listed per block of 4 × 4 pixels.
 #pragma once
 
 #include "machine/simd_math.h"
@@ -8,8 +7,7 @@
 
 namespace radiant::RADIANT_ISA {
 
-// One Gaussian as the pixel loops broadcast it: (u, v) at the centre of the tile, then as in
-// Footprint.
+// One Gaussian as pixel loops broadcast it: (u, v) at the tile's centre, then as in Footprint.
 struct alignas(64) Row {
   float u, v, l11, l12, l22, log2_opacity, red, green, blue, depth_m, unused[6];
 };
@@ -41,8 +39,7 @@ RADIANT_INLINE Group load_group(const Footprint* footprints, const Entry* entrie
     r[lane] = load(reinterpret_cast<const float*>(footprints + entries[lane < lanes ? lane : lanes - 1].owner));
   transpose(r);
   Group g;
-  // Whole pixels go through integers: -ffast-math would add the rest to them first, which costs the
-  // rest its digits (2e-6 px at 100 px).
+  // Whole pixels through integers: -ffast-math would add the rest first, losing 2e-6 px at 100 px.
   g.dx = as_float(truncated(center_x - r[0])) - r[2];
   g.dy = as_float(truncated(center_y - r[1])) - r[3];
   g.l11 = r[4], g.l22 = r[6], g.slope = r[12], g.lean = r[13];
@@ -54,8 +51,7 @@ RADIANT_INLINE Group load_group(const Footprint* footprints, const Entry* entrie
   return g;
 }
 
-// Appends first + (set bits of hits) to a list; the list has room for 16 more than it will ever
-// hold.
+// Appends first + (set bits of hits) to a list with room for 16 more than it will hold.
 RADIANT_INLINE uint32_t append(uint32_t* list, uint32_t hits, uint32_t first) {
 #if defined(__AVX512F__)
   const __m512i index = _mm512_add_epi32(_mm512_set1_epi32(static_cast<int>(first)), _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0));
@@ -69,8 +65,8 @@ RADIANT_INLINE uint32_t append(uint32_t* list, uint32_t hits, uint32_t first) {
 }
 
 // Which of 16 Gaussians reach each block: bit i of hits[block]. The smallest u² + v² over a box of
-// pixel centres lies on the sides that face the Gaussian: on the nearest vertical one at y = −lean
-// x, or on the nearest horizontal one at x = −slope y.
+// pixel centres lies on the sides that face the Gaussian: at y = −lean x on the nearest vertical
+// one, or at x = −slope y on the nearest horizontal one.
 RADIANT_INLINE void cull(const Group& g, uint32_t hits[kBlocksPerTile]) {
   const F zero = broadcast(0.0f), limit = g.limit * 1.0005f + 1e-3f;
   F left[4], near_x[4], best_y[4], top[4], near_y[4], best_x[4], lean_x[4], v2[4];

@@ -1,11 +1,9 @@
-// What flows between the steps of the rasterizer, and the table of kernels that each instruction
-// set fills in.
+// What flows between the steps of the rasterizer, and the table of kernels per instruction set.
 //
-// Plain data only: these types cross from one instruction set's namespace into another's.
-//
-// Footprint of Gaussian i in the image, with m its centre and L upper triangular (EWA, Zwicker 2002; 3DGS, Kerbl 2023):
+// Plain data only: these types cross from one instruction set's namespace into another's. Footprint
+// of Gaussian i, m its centre, L upper triangular (EWA, Zwicker 2002; 3DGS, Kerbl 2023):
 //     log₂ α(p) = log2_opacity − u² − v²,   (u, v) = L (p − m),   LᵀL = ½ log₂e · Σ'⁻¹
-// L is formed from Σ' without the difference xx·yy − xy², which float32 loses for long thin Gaussians.
+// L is formed from Σ' without xx·yy − xy², which float32 loses for long thin Gaussians.
 #pragma once
 
 #include <stdint.h>
@@ -25,10 +23,10 @@ constexpr float kDilationPx2 = 0.3f;
 constexpr float kTransmittanceCut = 1e-4f;
 constexpr float kMaxHalfAxisPx = 1e9f;
 constexpr float kHalfLog2e = 0.72134752f;
-constexpr int kMaxSidePx = 1'000'000;  // beyond it neither float32 pixels nor a Gaussian's 16-bit count of rows of tiles would hold
+constexpr int kMaxSidePx = 1'000'000;  // float32 pixels and 16-bit rows of tiles hold no more
 
 struct View {
-  double rotation[9], translation[3], center[3];  // cam_from_world, and the camera's centre in the world
+  double rotation[9], translation[3], center[3];  // cam_from_world; the centre in the world
   double fx, fy, cx, cy;                           // px
   double near_m, far_m;
   int width, height, tiles_x, tiles_y, sh_degree;
@@ -43,23 +41,21 @@ struct SplatArrays {
   const float *means, *quats, *log_scales, *logit_opacities, *sh0, *shN;
 };
 
-// Gradients of the same shapes; a null pointer is not wanted. `add`: to what is there, else it is
-// overwritten. `stream`: past the caches, since they could not hold it; all arrays then start at
-// whole lines of 64 bytes.
+// Gradients of the same shapes; null: not wanted. `add`: to what is there, else overwritten.
+// `stream`: past the caches; all arrays then start at whole lines of 64 bytes.
 struct SplatGradients {
   float *means, *quats, *log_scales, *logit_opacities, *sh0, *shN;
   bool add, stream;
 };
 
-// One cache line per Gaussian. The centre is whole pixels plus a rest: one float32 would be off by
-// 3e-5 px at 500 px.
+// One cache line per Gaussian. Centre: whole pixels plus a rest; one float32 is 3e-5 px off.
 struct alignas(64) Footprint {
   float whole_x, whole_y, rest_x, rest_y;   // px
   float l11, l12, l22;                      // px⁻¹
   float log2_opacity;
   float red, green, blue, depth_m;          // a colour is exactly 0 only where it was clamped there
-  float l12_over_l11, lean_y;               // lines of smallest distance: x = −(l12/l11) y, y = −lean_y x
-  float depth_rest_m;                       // of the float64 depth: decides between equal float32 ones
+  float l12_over_l11, lean_y;               // least distance: x = −(l12/l11) y, y = −lean_y x
+  float depth_rest_m;                       // of the float64 depth, between equal float32 ones
   float unused;
 };
 
@@ -80,7 +76,7 @@ struct Projection {
   uint32_t* depth_keys;    // (N) order of depth as unsigned integers
   uint16_t* num_spans;     // (N)
   uint32_t* num_tiles;     // (N)
-  float* color_slopes;     // (⌈N/16⌉, 9, 16) ∂(red, green, blue)/∂(x, y, z of the direction), or null
+  float* color_slopes;     // (⌈N/16⌉, 9, 16) ∂(red, green, blue)/∂(direction x, y, z), or null
   float* means2d;          // (N, 2)
   float* radii_px;         // (N)
 };
@@ -94,14 +90,12 @@ struct Entry {
   uint32_t instance;
 };
 
-// Sums over the pixels of one instance, or of all of a Gaussian's, of h = ∂loss/∂ln α, (u, v) as
-// above, and ∂loss by colour and depth.
+// Sums over an instance's or Gaussian's pixels of h = ∂loss/∂ln α, (u, v), ∂loss/∂(colour, depth).
 struct Moments {
   float h, hu, hv, huu, huv, hvv, red, green, blue, depth;
 };
 
-// Sums over the same pixels of |∂loss/∂m| by x and y, times k/l₁₁ and k, k = ½ log₂e: nothing
-// cancels in them (AbsGS, Ye 2024).
+// Sums of |∂loss/∂m| by x and y, times k/l₁₁ and k, k = ½ log₂e: nothing cancels (AbsGS, Ye 2024).
 struct AbsoluteMoments {
   float x, y;
 };
@@ -109,9 +103,9 @@ struct AbsoluteMoments {
 // What blending leaves behind for the way back, and the pictures it writes.
 struct BlendState {
   const Footprint* footprints;
-  uint16_t* reached;                // (instances, tile after tile) bit b: the entry reaches block b of its tile
+  uint16_t* reached;                // (instances, by tile) bit b: the entry reaches block b
   float* transmittance;             // (tiles, 16 blocks, 16 pixels) after the last entry
-  int32_t* last;                    // (tiles, 16, 16) the first entry that was not blended, or the number of entries
+  int32_t* last;                    // (tiles, 16, 16) the first entry not blended, or their number
   float *images, *alphas, *depths;  // outputs (H,W,3), (H,W), (H,W)
 };
 
@@ -129,14 +123,12 @@ struct Kernels {
                            const float* means2d_gradient, const SplatGradients&);
   // Bytes of scratch that blending a tile with `count` entries needs.
   int64_t (*blend_scratch)(int64_t count);
-  // Blends one tile of `count` sorted entries, which are entries `offset` and following of all
-  // tiles.
+  // Blends one tile of `count` sorted entries, `offset` and following of all tiles.
   void (*blend)(const View&, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState&, char* scratch);
   // `absolute` may be null: then nothing is summed for it.
   void (*blend_backward)(const View&, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState&, const ImageGradients&,
                          Moments* moments, AbsoluteMoments* absolute);
-  // Fused multiply-adds of 16 lanes done by `rounds` rounds of independent chains: the peak to
-  // compare with.
+  // Fused multiply-adds of 16 lanes in `rounds` rounds of independent chains: the peak.
   int64_t (*fma_rounds)(int64_t rounds, float* sink);
 };
 

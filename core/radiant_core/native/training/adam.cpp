@@ -8,12 +8,10 @@
 namespace radiant {
 namespace {
 
-// Along a curve through space what is visible lies in few, long runs; cut, they can be shared
-// evenly.
+// Along a curve through space what is visible lies in few, long runs; cut, they share evenly.
 constexpr std::int32_t kMaxRun = 1024;
 
-// Calls work(begin, end) for ranges of the runs, or of all rows where `runs` is null, that span
-// about as many rows each.
+// Calls work(begin, end) for ranges of runs, or of rows where `runs` is null, of about equal rows.
 template <class Work>
 void share_runs(int num_threads, const Run* runs, std::int64_t count, std::int64_t columns, const Work& work) {
   if (count == 0) return;

@@ -1,12 +1,10 @@
-// Adam (Kingma & Ba 2015) over rows of a tensor, in the order of torch.optim.Adam:
+// Adam (Kingma & Ba 2015) over rows of a tensor, in the order of torch.optim.Adam, |g| <= 1e18:
 //
-// with g held within 1e18, whose square is still a number of float32:
+// m += (1 - beta1) (g - m)     v = beta2 v + (1 - beta2) g^2
+// x -= rate / (1 - beta1^t) m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon)
 //
-//   m += (1 - beta1) (g - m)     v = beta2 v + (1 - beta2) g^2     x -= rate / (1 - beta1^t) m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon)
-//
-// Bound by memory: seven floats move per float of x, and rows that are not visible are neither read
-// nor written. Each row counts its own steps t, so that a Gaussian seen for the first time late in
-// a run starts as one seen at once. Included only by training/kernels.cpp.
+// Bound by memory: seven floats move per float of x; rows that are not visible are neither read nor
+// written, and each counts its own steps t. Included only by training/kernels.cpp.
 #pragma once
 
 namespace radiant::training::RADIANT_ISA {
@@ -39,8 +37,7 @@ RADIANT_INLINE void adam_values(const AdamJob& job, int64_t begin, int64_t end, 
   }
 }
 
-// Scattered rows come too irregularly for the hardware's prefetcher: asking for the rows kAhead
-// runs later took a third off the time.
+// Scattered rows defeat the hardware's prefetcher: prefetching kAhead runs took a third off.
 constexpr int64_t kAhead = 8;
 
 RADIANT_INLINE void prefetch_rows(const float* values, Run run, int64_t columns) {
@@ -64,8 +61,7 @@ inline void adam_rows(const AdamJob& job, int64_t begin, int64_t end) {
   }
 }
 
-// The bits of |value|, which are in the order of the values, NaN last: so that no floating-point
-// option can argue it away.
+// The bits of |value| are in the order of the values, NaN last, under any floating-point option.
 RADIANT_INLINE int32_t size_bits(float value) {
   int32_t bits;
   memcpy(&bits, &value, sizeof bits);

@@ -98,8 +98,7 @@ void check_not_negative(const In& array, const std::string& name) {
   if (count) raise_values(name, count, "negative", first, shape_of(array));
 }
 
-// The runs of an (R,2) array, which must ascend and stay within the rows: the kernels follow them,
-// and `steps`, blindly.
+// The runs of an (R,2) array, ascending and within the rows: kernels follow them unchecked.
 const radiant::Run* checked_runs(const std::optional<Runs>& runs, std::size_t num_rows, const std::int32_t* steps = nullptr) {
   if (!runs) return nullptr;
   if (runs->ndim() != 2 || runs->shape(1) != 2) raise("runs has shape " + listed(shape_of(*runs)) + ", expected (R, 2)");

@@ -1,5 +1,4 @@
-// The kernels of training for one instruction set, RADIANT_ISA; CMakeLists compiles this file once
-// for each.
+// The kernels of training for one instruction set, RADIANT_ISA; CMakeLists compiles it for each.
 //
 // Nothing here may come from a standard header's templates: the linker keeps one copy of those, and
 // it might be one that the CPU cannot run.

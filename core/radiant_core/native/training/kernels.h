@@ -1,6 +1,5 @@
-// What the kernels of training work on, and their table for each instruction set. Plain data:
-// training/kernels.cpp is compiled once per instruction set and includes no standard header's
-// templates.
+// What the kernels of training work on, and their table. Plain data: training/kernels.cpp is
+// compiled per instruction set and includes no standard header's templates.
 #pragma once
 
 #include <stddef.h>
@@ -41,14 +40,14 @@ struct AdamJob {
   float* first_moments;
   float* second_moments;
   const Run* runs;              // the rows to update, ascending; null for all rows
-  const int32_t* steps;         // (N) how often each row was updated, this step included; null where runs is
+  const int32_t* steps;         // (N) how often each row was updated, with this; null where runs is
   const float* first_factors;   // (T) 1 / (1 - beta1^t)
   const float* second_factors;  // (T) 1 / sqrt(1 - beta2^t)
   int64_t num_factors;          // T: later steps take the last factor
   int64_t step;                 // of all rows, where `runs` is null
   int64_t columns;
   float rate, beta2, epsilon;
-  float first_share, second_share;  // 1 - beta1, 1 - beta2, subtracted in double: 1 - 0.999f is 1.3e-5 off
+  float first_share, second_share;  // 1 - beta1, 1 - beta2 in double: 1 - 0.999f is 1.3e-5 off
 };
 
 struct Found {

@@ -1,5 +1,4 @@
-// Rows are dealt to threads, each with scratch memory of its own; sums are added row by row in the
-// image's order. Once per step.
+// Rows are dealt to threads; sums are added in the image's order. Once per step.
 #include "training/loss.h"
 
 #include <algorithm>
@@ -12,8 +11,7 @@
 namespace radiant {
 namespace {
 
-// A thread computes the derivatives of ten rows beyond its own: below this many rows it costs more
-// than it saves.
+// A thread derives ten rows beyond its own: below this many rows it costs more than it saves.
 constexpr std::int64_t kMinRows = 32;
 
 struct AlignedDelete {

@@ -1,5 +1,4 @@
-// The training loss (1 - lambda) L1 + lambda (1 - SSIM) of one image against one target, its
-// gradient, and the target's statistics.
+// The training loss (1 - lambda) L1 + lambda (1 - SSIM), its gradient, the target's statistics.
 #pragma once
 
 #include "training/kernels.h"
@@ -12,8 +11,7 @@ struct LossSums {
   bool negative_weight;
 };
 
-// Runs `job` on at most `num_threads` threads; the same bits for any number. `row_sums` and
-// `pixel_share` of the job are set here.
+// Runs `job` on `num_threads` threads, with the same bits; sets its `row_sums` and `pixel_share`.
 LossSums training_loss(LossJob job, const TrainingKernels& kernels, int num_threads);
 
 // Blurred mean and variance of a target, rounded once from double.

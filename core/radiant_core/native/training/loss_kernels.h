@@ -1,20 +1,18 @@
-// Loss and gradient of an image x against a target y, rows at a time (Wang et al. 2004; paper Eqn.
-// 4):
+// Loss and gradient of an image x against a target y by rows (Wang et al. 2004; paper Eqn. 4):
 //
-//   E = w ((1 - lambda) |d| + lambda (a + b - a b))      d = x - y, a = 1 - luminance, b = 1 - structure
-//   a = p^2 / (mean_x^2 + mean_y^2 + C1)     p = blur(d), mean_x = mean_y + p
-//   b = v / (var_x + var_y + C2)             q = blur(d^2), v = q - p^2, r = blur(y d), cov = r - mean_y p
-//                                            var_x = var_y + 2 cov + v
-//   dE/dx = w (1 - lambda) sign(d) + lambda (blur(w P) + 2 d blur(w Q) + y blur(w R)),  P, Q, R = d(a + b - a b)/d(p, q, r)
+// E = w ((1 - lambda) |d| + lambda (a + b - a b)),  d = x - y, a = 1 - luminance, b = 1 - structure
+// a = p^2 / (mean_x^2 + mean_y^2 + C1)     p = blur(d), mean_x = mean_y + p
+// b = v / (var_x + var_y + C2)             q = blur(d^2), v = q - p^2, r = blur(y d)
+//                                            var_x = var_y + 2 cov + v, cov = r - mean_y p
+// dE/dx = w (1 - lambda) sign(d) + lambda (blur(w P) + 2 d blur(w Q) + y blur(w R))
+// P, Q, R = d(a + b - a b)/d(p, q, r)
 //
 // SSIM is written in differences: 1 - SSIM from its five usual moments subtracts numbers near one,
 // and its relative error grows without bound as image and target meet. Zero padding is symmetric,
-// so the blur is its own adjoint.
-//
-// Each blur goes down the columns first, four output rows from 14 input rows, then along the rows,
-// whose pixels stay interleaved (a tap is three floats on). P, Q, R live in a ring of 14 rows, so
-// that nothing of the image's size is written but the gradient. A row's arithmetic depends neither
-// on its group nor on its thread. Included only by training/kernels.cpp.
+// so the blur is its own adjoint. It goes down the columns first, four output rows from 14 input
+// rows, then along the rows, whose pixels stay interleaved (a tap is three floats on). P, Q, R are
+// in a ring of 14 rows: nothing of the image's size is written but the gradient. A row's arithmetic
+// depends neither on its group nor on its thread. Included only by training/kernels.cpp.
 #pragma once
 
 namespace radiant::training::RADIANT_ISA {
@@ -29,8 +27,7 @@ constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
 inline int64_t row_stride(int64_t width) { return (3 * width + kLanes - 1) / kLanes * kLanes + 2 * kPad; }
 
 inline size_t loss_scratch(int64_t width) {
-  // Blurred columns of three planes, the ring of three planes, zeros, shares; doubles of the
-  // statistics fit in as well.
+  // Blurred columns of three planes, the ring, zeros, shares; doubles of the statistics fit in.
   return static_cast<size_t>(row_stride(width)) * (3 * kGroup + 3 * kSpan + 2);
 }
 
@@ -62,9 +59,9 @@ inline void fill_shares(const LossJob& job, int64_t y, float* shares) {
 }
 
 // Adds row `i` of kSpan times its taps to the sums of the kGroup output rows.
-#define RADIANT_ADD_TAPS(sums, i, value)                                                            \
-  _Pragma("GCC unroll 4") for (int o = 0; o < kGroup; ++o) {                                        \
-    if (i >= o && i - o < kTaps) sums[o] += broadcast(static_cast<float>(kWindow[i - o])) * (value); \
+#define RADIANT_ADD_TAPS(sums, i, value)                                                      \
+  _Pragma("GCC unroll 4") for (int o = 0; o < kGroup; ++o) {                                  \
+    if (i >= o && i - o < kTaps) sums[o] += broadcast(static_cast<float>(kWindow[i - o])) * (value);\
   }
 
 template <class Load>
@@ -105,8 +102,7 @@ struct RowSums {
   V weighted = {}, distance = {};
 };
 
-// Errors of one vector of row values and, in the ring, the derivatives by p, q and r times the
-// pixels' shares.
+// Errors of one vector of row values; in the ring, the weighted derivatives by p, q and r.
 template <class Load>
 RADIANT_INLINE void errors_along(const LossJob& job, const Scratch& scratch, int row, int64_t y, int64_t at, RowSums& sums, Load load) {
   const int64_t flat = y * 3 * job.width + at;
@@ -117,8 +113,7 @@ RADIANT_INLINE void errors_along(const LossJob& job, const Scratch& scratch, int
   const V mean_x = mean_y + p;
   const V inverse1 = 1.0f / (mean_x * mean_x + mean_y * mean_y + kC1);
   const V a = p * p * inverse1;
-  // Variances are not negative and b is at most 2: rounding must not say otherwise, however large
-  // the values are.
+  // Variances are not negative and b is at most 2, whatever rounding of large values gives.
   const V v = larger(q - p * p, V{}), cov = r - mean_y * p;
   const V inverse2 = 1.0f / (larger(2.0f * (var_y + cov) + v, V{}) + kC2);
   const V b = smaller(v * inverse2, V{} + 2.0f);
@@ -148,8 +143,7 @@ inline void write_row_sums(const LossJob& job, int64_t y, const RowSums& sums) {
   job.row_sums[2 * y + 1] = added(sums.distance);
 }
 
-// The derivatives of rows y to y + count (at most kGroup) into the ring; row sums only of rows
-// begin to end, which are this thread's.
+// The derivatives of rows y to y + count (<= kGroup) into the ring; row sums from begin to end.
 inline void derivative_rows(const LossJob& job, const Scratch& scratch, int64_t y, int64_t count, int64_t begin, int64_t end) {
   const int64_t values = 3 * job.width, whole = values / kLanes * kLanes;
   const float *images[kSpan], *targets[kSpan];
@@ -237,8 +231,7 @@ inline void loss_rows(const LossJob& job, int64_t begin, int64_t end, float* mem
   }
 }
 
-// Means and variances of the target in double: once per target, and var = blur(y^2) - blur(y)^2
-// cancels.
+// Means and variances of the target in double, as var = blur(y^2) - blur(y)^2 cancels.
 inline void statistics_rows(const StatisticsJob& job, int64_t begin, int64_t end, float* memory) {
   const int64_t values = 3 * job.width, stride = row_stride(job.width);
   memset(memory, 0, sizeof(float) * loss_scratch(job.width));

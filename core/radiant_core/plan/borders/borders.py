@@ -1,4 +1,4 @@
-"""The borders that two regions share. Cells of a power diagram are convex: a pair shares one straight line at most. Once per plan."""
+"""Borders of two regions: one straight line at most, as power cells are convex. Once per plan."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from radiant_core.plan.plans import CloudPlan
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Border:
-    """Between the regions `first` < `second`, indices of edges; ends (2,2) m, with `first` to the left on the way from end to end."""
+    """Ends (2,2) m; regions `first` < `second`, `first` to the left from end to end."""
 
     first: int
     second: int
@@ -36,7 +36,7 @@ class Border:
 
 
 def shared_borders(plan: CloudPlan) -> tuple[Border, ...]:
-    """All borders between two regions, by `first`, then around it; the scene's outer edge is none."""
+    """All borders between two regions, by `first`, then around it; no outer edge of the scene."""
     found: list[Border] = []
     for edge, polygon in enumerate(plan.borders):
         if len(polygon) < 3:
@@ -49,12 +49,8 @@ def shared_borders(plan: CloudPlan) -> tuple[Border, ...]:
 
 
 def neighbours_across(plan: CloudPlan, edge: int, points: FloatArray) -> NDArray[np.int64]:
-    """For points (K,2) on the outline of region `edge` the region behind it, or -1 where the scene
-    ends.
-
-    A point belongs to a border when the two nearest regions, by power distance ‖x − P‖² − w, are
-    equally near.
-    """
+    """For points (K,2) on the outline of region `edge` the region behind, −1 where the scene ends:
+    at a border two regions are equally near by power distance ‖x − P‖² − w."""
     distances = ((points[:, None] - plan.sites) ** 2).sum(axis=2) - plan.weights
     own = distances[:, edge].copy()
     distances[:, edge] = np.inf
@@ -62,8 +58,7 @@ def neighbours_across(plan: CloudPlan, edge: int, points: FloatArray) -> NDArray
         return np.full(len(points), -1)
     nearest = distances.argmin(axis=1)
     corners = np.concatenate(plan.borders)
-    # Squared metres: rounding of the polygons' corners to 1e-6 of the scene moves the difference by
-    # about 1e-6 · diameter².
+    # m²: corners rounded to 1e-6 of the scene move the difference by about 1e-6 · diameter².
     tolerance = 1e-6 * float((np.ptp(corners, axis=0) ** 2).sum())
     shared = np.abs(distances[np.arange(len(points)), nearest] - own) <= tolerance
     return np.where(shared, nearest, -1)

@@ -1,11 +1,11 @@
-"""Buffer captures: positions of a neighbouring region that a device takes as well, because they see
-into its own region.
+"""Buffer captures: positions of a neighbouring region that see into a device's own, taken as well.
 
-Without them an image near a border trains only the side its camera stands on. A position comes into question for every region but its
-own into which it sees at least `min_share` of its footprint, or whose border is at most `within_m` away; it goes to the device whose strip
-is nearest. Per edge the positions that see most come first, as many as the devices' memory holds and as keep the edge within
-`deadline_s`:  T = max_n T_n(own + extra) + F(own + extra) + Σ_n H_n(own + extra) / B.  An edge whose devices are not known takes none.
-Once per plan.
+Without them an image near a border trains only the side its camera stands on. A position comes into
+question for every other region into which it sees at least `min_share` of its footprint, or whose
+border is at most `within_m` away; it goes to the device of the nearest strip. Per edge those that
+see most come first, as many as fit into memory and keep the edge within `deadline_s`:
+    T = max_n T_n(own + extra) + F(own + extra) + Σ_n H_n(own + extra) / B
+An edge whose devices are not known takes none. Once per plan.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from radiant_core.plan.system import Edge, System
 
 @dataclass(frozen=True, kw_only=True)
 class BufferRule:
-    """Which positions come into question; BadInput unless exactly one of the first two is given, in its range."""
+    """The candidates; BadInput unless exactly one of the first two is given, in its range."""
 
     min_share: float | None = None
     """Least share of the footprint inside the region, above 0 and at most 1."""
@@ -50,11 +50,8 @@ class BufferRule:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EdgeBuffer:
     """What one edge takes besides its own: camera_indices (K,) of other regions, device_of_camera
-    (K,), those who see most first.
-
-    device_time_s (D,) and edge_time_s are predicted with them, planned_edge_time_s without;
-    num_refused came into question and did not fit.
-    """
+    (K,), those that see most first; device_time_s (D,) and edge_time_s are predicted with them,
+    planned_edge_time_s without; num_refused came into question and did not fit."""
 
     edge_id: str
     device_ids: tuple[str, ...]
@@ -73,11 +70,8 @@ class EdgeBuffer:
 def plan_buffers(
     positions: ArrayLike, shares: RegionShares | None, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, rule: BufferRule
 ) -> tuple[EdgeBuffer, ...]:
-    """One `EdgeBuffer` per edge for cameras at positions (P,2) m; shares (P,E) as `region_shares`,
-    needed for `min_share` alone.
-
-    Raises BadInput when positions, shares, plan and system are not of one kind.
-    """
+    """One `EdgeBuffer` per edge for cameras (P,2) m; shares (P,E) as `region_shares`, needed for
+    `min_share` alone. BadInput when positions, shares, plan and system do not belong together."""
     positions = check_array("positions", positions, (len(cloud.edge_of_camera), 2))
     require_plan_of(len(positions), cloud, edges)
     require_same_system(edges, system)
@@ -93,7 +87,7 @@ def plan_buffers(
         else:
             assert shares is not None and rule.min_share is not None
             candidates = _seeing(shares, index, cloud.edge_of_camera, rule.min_share)
-        made.append(_taken(edge, plan, positions, candidates, rule.deadline_s, float(cloud.edge_time_s[index])))
+        made.append(_take(edge, plan, positions, candidates, rule.deadline_s, float(cloud.edge_time_s[index])))
     return tuple(made)
 
 
@@ -107,13 +101,13 @@ def _near(positions: FloatArray, border: FloatArray, others: NDArray[np.bool_], 
 
 
 def _seeing(shares: RegionShares, index: int, edge_of_camera: NDArray[np.int64], min_share: float) -> NDArray[np.int64]:
-    """Cameras (K,) of other regions with at least that share of their footprint in a region, the largest share first."""
+    """Cameras (K,) of other regions with at least that share in a region, largest first."""
     rows, values = shares.of_region(index)
     kept = (values >= min_share) & (edge_of_camera[rows] != index)
     return rows[kept][np.lexsort((rows[kept], -values[kept]))]
 
 
-def _taken(
+def _take(
     edge: Edge, plan: EdgePlan, positions: FloatArray, candidates: NDArray[np.int64], deadline_s: float | None, planned_s: float
 ) -> EdgeBuffer:
     own = np.array([len(plan.cameras_of(device.id)) for device in edge.devices], dtype=np.int64)
@@ -146,7 +140,7 @@ def _taken(
 def _nearest_with_room(
     edge: Edge, plan: EdgePlan, places: FloatArray, own: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Device (K,) whose strip is nearest to each place (K,2) among those that own land, and whether its memory still holds it."""
+    """Device (K,) of the strip nearest to each place (K,2), and whether it has memory left."""
     device_of, fits = np.zeros(len(places), np.int64), np.zeros(len(places), bool)
     landed = [index for index, strip in enumerate(plan.strips) if len(strip) >= 3]
     if not landed or not len(places):

@@ -1,5 +1,4 @@
-"""Footprints: the ground an image sees, and how much of it lies in which region. P images, E
-regions.
+"""Footprints: the ground an image sees, and its shares in regions. P images, E regions.
 
     corner ray d of an image at height h above flat ground meets it at   x + d_xy · h / (−d_z)
 
@@ -22,7 +21,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
 
 HORIZON_HEIGHTS = 5.0
-"""Ground farther away than this many heights covers few pixels: it is seen at less than 11° of depression."""
+"""Ground farther away than this many heights covers few pixels: at less than 11° down."""
 MAX_CORNERS = 8
 NADIR_DEG = -90.0
 _BLOCK = 65_536
@@ -30,10 +29,10 @@ _BLOCK = 65_536
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
-    """What a camera that has not flown yet will see. Raises BadInput for angles no flat image has."""
+    """What a camera that has not flown yet will see. BadInput for angles no flat image has."""
 
     field_of_view_deg: float = 73.7
-    """Across the image; 73.7° is a 24 mm lens on full frame, which most camera drones come near to."""
+    """Across the image; 73.7° is a 24 mm lens on full frame, about that of most drones."""
     aspect: float = 0.75
     """Height of the image over its width."""
 
@@ -46,8 +45,7 @@ class Optics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Views:
-    """positions (P,2) m; heights_m (P,) above the ground, below 0 where a camera is under it;
-    corner_rays (P,4,3), z up, any length, around the image."""
+    """positions (P,2) m; heights_m (P,) above ground, < 0 below; corner_rays (P,4,3), z up."""
 
     positions: FloatArray
     heights_m: FloatArray
@@ -69,8 +67,8 @@ class Views:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Footprints:
-    """polygons (P,8,2) m, convex, counter-clockwise, with one corner repeated; areas_m2 (P,), 0 and
-    all corners below the camera where no ground is seen."""
+    """polygons (P,8,2) m, convex, counter-clockwise, one corner repeated; areas_m2 (P,). Where no
+    ground is seen: 0, and all corners below the camera."""
 
     polygons: FloatArray
     areas_m2: FloatArray
@@ -81,7 +79,7 @@ class Footprints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RegionShares:
-    """A sparse (P,E) matrix of shares: shares (K,) above 0 of images (K,) in regions (K,), by region, then image."""
+    """A sparse (P,E) matrix: shares (K,) > 0 of images (K,) in regions (K,), by region, image."""
 
     images: NDArray[np.int64]
     regions: NDArray[np.int64]
@@ -110,18 +108,15 @@ class RegionShares:
 
 
 def views_before_capture(positions: ArrayLike, heights_m: ArrayLike, optics: Optics, heading_pitch_deg: ArrayLike | None = None) -> Views:
-    """Views from positions (P,2) m at heights (P,) m above the ground.
-
-    heading_pitch_deg (P,2): degrees clockwise from north, and −90 straight down to 0 level; NaN for
-    what is not known. An unknown pitch is straight down, an unknown heading along the way to the
-    next position, as a drone flies.
-    """
+    """Views from positions (P,2) m at heights (P,) m above the ground; heading_pitch_deg (P,2):
+    degrees clockwise from north, and −90 straight down to 0 level; NaN for what is not known: a
+    pitch straight down, a heading along the way to the next position, as a drone flies."""
     positions = check_array("positions", positions, (None, 2))
     count = len(positions)
     angles = np.full((count, 2), np.nan) if heading_pitch_deg is None else np.array(heading_pitch_deg, np.float64)
     if angles.shape != (count, 2) or np.isinf(angles).any() or (np.abs(angles[:, 1]) > -NADIR_DEG).any():
         raise BadInput("headings and pitches need two angles per position in degrees, pitch −90 (down) to 90, NaN where unknown.")
-    heading = np.radians(np.where(np.isnan(angles[:, 0]), _flown_deg(positions), angles[:, 0]))
+    heading = np.radians(np.where(np.isnan(angles[:, 0]), _headings_deg(positions), angles[:, 0]))
     pitch = np.radians(np.where(np.isnan(angles[:, 1]), NADIR_DEG, angles[:, 1]))
     level = np.zeros(count)
     forward = np.stack([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)], axis=1)
@@ -146,13 +141,13 @@ def views_of_cameras(cameras: Cameras, ground_m: float) -> Views:
 
 
 def ground_footprints(views: Views, horizon: float = HORIZON_HEIGHTS) -> Footprints:
-    """What the views see of the ground, up to `horizon` heights away. BadInput unless that is positive and finite."""
+    """The ground seen up to `horizon` heights away. BadInput unless that is positive and finite."""
     if not (np.isfinite(horizon) and horizon > 0):
         raise BadInput(f"the horizon is {horizon} heights away, expected a positive number.")
     polygons = np.repeat(views.positions[:, None], MAX_CORNERS, axis=1)
     for start in range(0, len(views), _BLOCK):
         rows = np.flatnonzero(views.heights_m[start : start + _BLOCK] > 0) + start
-        rays, seen = _above_horizon_cut(views.corner_rays[rows], horizon)
+        rays, seen = _cut_at_horizon(views.corner_rays[rows], horizon)
         rows, rays = rows[seen], rays[seen]
         polygons[rows] += rays[..., :2] * (views.heights_m[rows, None, None] / -rays[..., 2:])
     areas = signed_areas_m2(polygons - views.positions[:, None])
@@ -161,11 +156,8 @@ def ground_footprints(views: Views, horizon: float = HORIZON_HEIGHTS) -> Footpri
 
 
 def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> RegionShares:
-    """Share (P,E) of each footprint's area that lies in each of E convex counter-clockwise polygons
-    (V,2) m.
-
-    Rows sum to less than 1 where land belongs to no region, to 0 where no ground is seen.
-    """
+    """Share (P,E) of each footprint's area in each of E convex counter-clockwise polygons (V,2) m.
+    Rows sum to less than 1 where land belongs to no region, to 0 where no ground is seen."""
     if not len(polygons):
         raise BadInput("there is no region: give at least one polygon.")
     corners = [check_array("a region", polygon, (None, 2)) for polygon in polygons]
@@ -194,7 +186,7 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
 
 
 def sort_from_west(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Images (K,) that see ground, from west to east, and the corners (K,2) of their bounding boxes."""
+    """Images (K,) that see ground, from west to east, and corners (K,2) of their bounding boxes."""
     seen = np.flatnonzero(footprints.areas_m2 > 0)
     lows, highs = footprints.polygons[seen].min(axis=1), footprints.polygons[seen].max(axis=1)
     order = np.argsort(lows[:, 0], kind="stable")
@@ -202,7 +194,7 @@ def sort_from_west(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArra
 
 
 def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
-    """Areas (K,) that footprints (K,8,2) have in common with one convex counter-clockwise polygon (V,2)."""
+    """Areas (K,) that footprints (K,8,2) share with one convex counter-clockwise polygon (V,2)."""
     origin: FloatArray = polygon[0]
     sides: FloatArray = np.roll(polygon, -1, axis=0) - polygon
     normals = np.stack([sides[:, 1], -sides[:, 0]], axis=1)  # outward
@@ -221,7 +213,7 @@ def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
         cut = np.flatnonzero((parts @ plane > 0).any(axis=1))
         if not len(cut):
             continue
-        clipped, counts[cut] = _clipped(parts[cut], counts[cut], np.broadcast_to(plane, (len(cut), 3)))
+        clipped, counts[cut] = _clip(parts[cut], counts[cut], np.broadcast_to(plane, (len(cut), 3)))
         if clipped.shape[1] > parts.shape[1]:
             parts = np.concatenate([parts, parts[:, -1:]], axis=1)
         parts[cut] = clipped
@@ -229,8 +221,8 @@ def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
     return areas
 
 
-def _flown_deg(positions: FloatArray) -> FloatArray:
-    """Direction (P,) from each position to the next, of the last from the one before; north where neither moves."""
+def _headings_deg(positions: FloatArray) -> FloatArray:
+    """Direction (P,) to the next position, of the last from the one before; else north."""
     if len(positions) < 2:
         return np.zeros(len(positions))
     steps = np.diff(positions, axis=0)
@@ -238,8 +230,8 @@ def _flown_deg(positions: FloatArray) -> FloatArray:
     return np.degrees(np.arctan2(east, north))
 
 
-def _above_horizon_cut(rays: FloatArray, horizon: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Corner rays (P,8,3) of the views (P,4,3) where they meet ground within the horizon, and which (P,) do at all."""
+def _cut_at_horizon(rays: FloatArray, horizon: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Corner rays (P,8,3) of views (P,4,3) that meet ground within the horizon, and which do."""
     middle = rays.sum(axis=1)[:, :2]
     length = np.linalg.norm(middle, axis=1, keepdims=True)
     # A view straight down has no direction: north does.
@@ -247,12 +239,12 @@ def _above_horizon_cut(rays: FloatArray, horizon: float) -> tuple[FloatArray, ND
     across = np.stack([along[:, 1], -along[:, 0]], axis=1)
     cut, counts = rays, np.full(len(rays), 4)
     for direction in (along, -along, across, -across):
-        cut, counts = _clipped(cut, counts, np.column_stack([direction, np.full(len(rays), horizon)]))
+        cut, counts = _clip(cut, counts, np.column_stack([direction, np.full(len(rays), horizon)]))
     return cut[:, np.minimum(np.arange(MAX_CORNERS), cut.shape[1] - 1)], counts >= 3
 
 
-def _clipped(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Cones (P,V,3), the last ray repeated, clipped to normal · d ≤ 0: (P,V+1,3) and their numbers of rays (Sutherland, Hodgman)."""
+def _clip(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Cones (P,V,3) clipped to normal · d ≤ 0: (P,V+1,3), numbers of rays (Sutherland, Hodgman)."""
     heights = np.einsum("pvi,pi->pv", rays, normals)
     if not (heights > 0).any():
         return rays, counts

@@ -1,15 +1,15 @@
-"""What the images see of each border before anybody flies, and how much worse the joined model is
-likely to be there.
+"""What images will see of each border, and how much worse the joined model is likely to be there.
 
-    support of a side = own images that see a spot of its half of the band, on average over spots that any image sees
+    support of a side = own images that see a spot of its half of the band, on average over
+                        spots that any image sees
     coverage          = support / the same average over the rest of that region
 
-"Own" are the images that the devices of that side's edge take: only they train what the scene keeps
-of that half. Overlaps are shares of an image's footprint that the best neighbour sees as well,
-along the flight (forward) and beside it (side), the median over images that see the band. The
-support of the weaker side decides the risk. Over 23 borders of four runs of the sample town it goes
-with the measured loss by a rank correlation of −0.25, coverage by +0.45, the wrong way, so coverage
-is reported and not used (docs/experiments/borders.md). Once per plan; spots and images are sampled.
+"Own" are the images of that side's devices: only they train what the scene keeps of that half.
+Overlaps are shares of an image's footprint that the best neighbour sees as well, along the flight
+(forward) and beside it (side), the median over images that see the band. The weaker side's support
+decides the risk. Over 23 borders of four runs of the sample town its rank correlation with the
+measured loss is −0.25, that of coverage +0.45, the wrong way: coverage is reported and not used
+(docs/experiments/borders.md). Once per plan; spots and images are sampled.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _BLOCK = 16_384
 
 @dataclass(frozen=True, kw_only=True)
 class RiskModel:
-    """Thresholds of the weaker side's support, in images per spot; measured loss beyond a model of
+    """Thresholds of the weaker side's support, in images per spot. Measured loss beyond a model of
     all images: 2.4 dB on average below the first, 1.2 dB between them, 1.4 dB above (7, 11 and 5
     borders): only `high` tells borders apart."""
 
@@ -59,7 +59,7 @@ class RiskModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderForecast:
-    """One border, its two sides in the order of `edge_ids`; ends (2,2) m, half_band_m as wide as seams are measured."""
+    """One border, sides as `edge_ids`; ends (2,2) m, half_band_m wide as seams are measured."""
 
     edge_ids: tuple[str, str]
     ends: FloatArray
@@ -71,7 +71,7 @@ class BorderForecast:
     interior_support: tuple[float, float]
     """The same over the rest of each region."""
     forward_overlap: float | None
-    """None where no image that sees the band has a neighbour along its flight; likewise beside it."""
+    """None where no image that sees the band has a neighbour along its flight; or beside it."""
     side_overlap: float | None
     risk: Risk
 
@@ -90,13 +90,9 @@ def forecast_borders(
     model: RiskModel | None = None,
     buffers: Sequence[EdgeBuffer] = (),
 ) -> tuple[BorderForecast, ...]:
-    """A forecast for every border of a plan whose cameras have these views and footprints, P of
-    each.
-
-    half_band_m: half the width of the band, by default a twentieth of the smallest distance between
-    two edges, as seams are measured. An edge's `buffers` count as its own images.
-    Raises BadInput when their numbers differ or the band has no width.
-    """
+    """A forecast for every border of a plan whose P cameras have these views and footprints;
+    half_band_m: half the width of the band, by default `band_of`. An edge's `buffers` count as its
+    own images. BadInput when their numbers differ or the band has no width."""
     if not len(plan.edge_of_camera) == len(views) == len(footprints):
         raise BadInput(f"the plan is of {len(plan.edge_of_camera)} cameras, there are {len(views)} views and {len(footprints)} footprints.")
     half_band_m = band_of(plan) if half_band_m is None else half_band_m
@@ -131,7 +127,7 @@ def forecast_borders(
 
 
 def band_of(plan: CloudPlan) -> float:
-    """Half the width of the band beside a border: a twentieth of the smallest distance between two edges, 1 m where there is none."""
+    """A twentieth of the smallest distance between two edges, as seams are measured; else 1 m."""
     sites: FloatArray = np.unique(plan.sites, axis=0)
     if len(sites) < 2:
         return 1.0
@@ -194,7 +190,7 @@ def _supports(seen: _Seen, spots: FloatArray, edges: tuple[int, int]) -> tuple[t
 
 
 def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence[Border], half_band_m: float) -> float:
-    """Own images per spot of a region outside its bands; the spots are where its own images look, 0 without any."""
+    """Own images per spot of a region outside its bands; spots where own images look, 0 without."""
     own = np.flatnonzero((plan.edge_of_camera == edge) & (seen.footprints.areas_m2 > 0))
     middles = seen.footprints.polygons[own].mean(axis=1)
     distances = [border.distances_m(middles) for border in borders if edge in (border.first, border.second)]
@@ -208,7 +204,7 @@ def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence
 
 
 def _overlaps(views: Views, footprints: Footprints, tree: Any, images: NDArray[np.int64]) -> tuple[float | None, float | None]:
-    """Median over images of the share that the best neighbour along, and the best beside, sees as well."""
+    """Median over images of the share that the best neighbour along, and beside, sees as well."""
     best: tuple[list[float], list[float]] = ([], [])
     if not len(images):
         return None, None
@@ -246,5 +242,5 @@ def _mean(values: NDArray[np.int64]) -> float:
 
 
 def _evenly(count: int, at_most: int) -> NDArray[np.int64]:
-    """Indices of at most so many of `count` things, evenly spread."""
+    """At most `at_most` indices below `count`, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(count, at_most)).round().astype(np.int64)) if count else np.zeros(0, np.int64)

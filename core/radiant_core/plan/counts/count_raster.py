@@ -1,13 +1,11 @@
-"""What the cloud plans from where positions stay private: how many cameras lie in each cell of a
-raster, and edges' curves.
+"""What the cloud plans from where positions are private: cameras per raster cell, edges' curves.
 
-    cloud: counts in cells, T^m of each edge fitted by one curve → sites and weights of the regions
-    edge:  its devices' positions, sites and weights → whose each camera is, at exact cost curves
+    cloud: counts in cells, one fitted curve T^m per edge → sites and weights of the regions
+    edge:  its devices' positions, sites and weights → edge of each camera, at exact cost curves
 
-A camera goes to the edge whose region it lies in, wherever its cell was reckoned to be; so counts
-miss the planned ones by what the cells at the borders hold, which is the raster's price
-(docs/experiments/privacy.md). An edge whose devices are full by then hands its nearest to a
-neighbour. Once per plan.
+A camera goes to the edge whose region it lies in, wherever its cell was reckoned to be; counts miss
+the planned ones by what cells at borders hold, the raster's price (docs/experiments/privacy.md).
+Edges with full devices hand their nearest cameras to a neighbour. Once per plan.
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ from radiant_core.plan.regions.region_plan import MARGIN, PlanInfeasible, plan_r
 from radiant_core.plan.system import Edge, System
 
 DEFAULT_CELL_M = 5.0
-"""With four edges the median makespan was within 4 % of that from positions (docs/experiments/privacy.md)."""
+"""With four edges the median makespan was within 4 % of the one from positions (privacy.md)."""
 MAX_CELL_M = 1e6
 """A site is at most 600 km wide: a larger cell resolves nothing."""
 MAX_CELL_INDEX = 2**40
@@ -40,7 +38,7 @@ MAX_CELL_INDEX = 2**40
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CountRaster:
-    """S cells with cameras: cells (S,2), of which [i, j] is the square from (i, j) to (i + 1, j + 1) times `cell_m`; counts (S,) ≥ 1."""
+    """cells (S,2): [i, j] is the square from (i, j) to (i + 1, j + 1) · `cell_m`; counts (S,)."""
 
     cell_m: float
     cells: NDArray[np.int64]
@@ -61,7 +59,7 @@ class CountRaster:
 
 
 def count_raster(positions: ArrayLike, cell_m: float) -> CountRaster:
-    """How many of the positions (C,2) m lie in each cell of side `cell_m`; BadInput for a cell that is not positive or far too small."""
+    """How many of the positions (C,2) m lie in each cell; BadInput for an unusable `cell_m`."""
     positions = check_array("positions", positions, (None, 2))
     _require_cell(cell_m)
     indices = np.floor(positions / cell_m)
@@ -82,16 +80,13 @@ def middles_of_cells(positions: ArrayLike, cell_m: float) -> FloatArray:
 
 
 def system_without_devices(system: System, num_cameras: int) -> System:
-    """The system without its devices: every edge by its fitted curve and how many cameras it holds; raises as `capacity_curve`."""
+    """Every edge by its fitted curve and how many cameras it holds; raises as `capacity_curve`."""
     return replace(system, edges=tuple(_without_devices(edge, num_cameras) for edge in system.edges))
 
 
 def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = "exact") -> CloudPlan | PlanInfeasible:
-    """What the cloud plans: regions for the raster's cameras by edges that are known by their
-    curves; raises as `plan_regions`.
-
-    The plan's cameras are those of `raster.places`.
-    """
+    """The cloud's plan: regions for the cameras at `raster.places` by edges that are known by their
+    curves alone; raises as `plan_regions`."""
     if any(edge.devices for edge in system.edges):
         raise BadInput("the cloud was given devices, expected edges with their curves alone: pass what known_to_the_cloud returns.")
     plan = plan_regions(raster.places, system, method=method)
@@ -106,13 +101,10 @@ def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = 
 
 
 def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) -> CloudPlan:
-    """What the edges make of the cloud's regions: cameras (C,2) m by the region they lie in, times
-    and bound by the devices' own curves.
-
+    """The edges' part: cameras (C,2) m by the region they lie in, times by the devices' curves.
     Edges without a camera in the cloud's plan get none. Cameras that an edge's devices cannot hold
     go to an edge with room, those for which the way grows least; then the plan is not certified.
-    BadInput when all edges together cannot hold them.
-    """
+    BadInput when all edges together cannot hold them."""
     positions = check_array("positions", positions, (None, 2))
     if regions.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the regions are of edges {', '.join(regions.edge_ids)}, the system has others: plan this system anew.")
@@ -145,7 +137,7 @@ def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) 
 
 
 def _hand_over(chosen: NDArray[np.int64], power_m2: FloatArray, room: NDArray[np.int64]) -> int:
-    """Move cameras, in place, from edges that hold more than their `room` (E,) to others, cheapest first; how many were moved."""
+    """Move cameras, in place, from edges above their `room` (E,) to others, cheapest first."""
     counts = np.bincount(chosen, minlength=len(room))
     moved = 0
     while (counts > room).any():

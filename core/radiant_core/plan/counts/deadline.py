@@ -1,16 +1,14 @@
-"""How fast an edge is with c cameras, and how many cameras each edge should get (paper Eqn. 5-8 and
-RTP, Eqn. 9-17).
+"""The time of an edge with c cameras, and the counts that follow (paper Eqn. 5-8; RTP, Eqn. 9-17).
 
-    T^n(k) = G(k) + F_n(k) + H(k) / B^n                      one device with k cameras, non-decreasing in k
-    T^m(c) = max_n T^n(q_n(c)) + F_m(c) + Σ_n H_n(q_n(c)) / B^m      one edge with c cameras
+    T^n(k) = G(k) + F_n(k) + H(k) / B^n            one device with k cameras, non-decreasing in k
+    T^m(c) = max_n T^n(q_n(c)) + F_m(c) + Σ_n H_n(q_n(c)) / B^m           one edge with c cameras
 
-Write down T^n(1), T^n(2), … of every device up to its memory limit and sort them all: a deadline T
-lets through exactly the entries ≤ T, so the c-th smallest entry is the smallest deadline by which c
-cameras can be done, and the devices of the first c entries are their quotas q_n(c). Quotas only
-grow with c, hence T^m is non-decreasing too and the same sort over edges gives the counts with the
-smallest makespan. No geography enters: no partition into these edges can be faster. RTP fixes the
-quotas (as the paper does); quotas that slow training down to send fewer bytes are not looked for.
-Runs once per plan, O(N log N) in N = cameras × devices.
+Sort the times T^n(1), T^n(2), … of all devices up to their memory limits: a deadline T lets through
+exactly the entries ≤ T, so the c-th smallest entry is the least deadline for c cameras, and the
+devices of the first c entries are their quotas q_n(c). Quotas only grow with c, hence T^m is
+non-decreasing too, and the same sort over edges gives the counts with the smallest makespan. No
+geography enters: no partition into these edges is faster. Slower quotas that send fewer bytes are
+not looked for (nor in the paper). Runs once per plan, O(N log N) in N = cameras × devices.
 """
 
 from __future__ import annotations
@@ -31,11 +29,8 @@ MAX_TABLE_ENTRIES = 50_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EdgeTable:
-    """What one edge needs for 0..K cameras, K = `capacity`.
-
-    device_of_slot (K,): the device that takes the c-th camera; edge_time_s (K+1,): T^m(c),
-    non-decreasing, T^m(0) = 0.
-    """
+    """What one edge needs for 0..K cameras, K = `capacity`. device_of_slot (K,): the device of the
+    c-th camera; edge_time_s (K+1,): T^m(c), non-decreasing, T^m(0) = 0."""
 
     num_devices: int
     device_of_slot: NDArray[np.int64]
@@ -60,7 +55,7 @@ def device_time_s(device: Device, num_cameras: ArrayLike) -> FloatArray:
 
 
 def edge_tables(system: System, num_cameras: int) -> tuple[EdgeTable, ...]:
-    """The table of every edge for up to `num_cameras`; BadInput when curves overflow or cameras × devices is too large."""
+    """The table of every edge; BadInput when curves overflow or cameras × devices is too large."""
     entries = num_cameras * len(system.workers)
     if entries > MAX_TABLE_ENTRIES:
         raise BadInput(
@@ -97,19 +92,16 @@ def aggregate_times_s(edge: Edge, num_cameras: ArrayLike, num_alone: ArrayLike) 
 
 
 def fastest_counts(tables: Sequence[EdgeTable], num_cameras: int) -> tuple[NDArray[np.int64], float]:
-    """Cameras per edge (E,) with the smallest makespan, and that makespan in seconds; the capacities must hold all cameras."""
+    """Cameras per edge (E,) and makespan in seconds, the least; all cameras must fit."""
     slots, slot_time_s = earliest_slots([table.edge_time_s[1:] for table in tables], num_cameras)
     assert len(slots) == num_cameras, "the caller checks the capacity first"
     return np.bincount(slots, minlength=len(tables)), float(slot_time_s[-1]) if num_cameras else 0.0
 
 
 def earliest_slots(times_s: Sequence[FloatArray], num_slots: int) -> tuple[NDArray[np.int64], FloatArray]:
-    """Owners and times of the `num_slots` earliest entries of several non-decreasing lists (fewer
-    where the lists end).
-
-    Equal times go to the owner with fewer entries so far, then to the smaller index, so that owners
-    whose time does not depend on the number of cameras share them evenly.
-    """
+    """Owners and times of the `num_slots` earliest entries of non-decreasing lists, or of all there
+    are. Equal times go to the owner with fewer entries so far, then to the smaller index, so that
+    owners whose time does not depend on the number of cameras share them evenly."""
     lengths = [len(times) for times in times_s]
     owners = np.repeat(np.arange(len(lengths)), lengths)
     ranks = np.concatenate([np.arange(length) for length in lengths])
@@ -119,7 +111,7 @@ def earliest_slots(times_s: Sequence[FloatArray], num_slots: int) -> tuple[NDArr
 
 
 def _flat_indices(slots: NDArray[np.int64], lengths: Sequence[int]) -> NDArray[np.int64]:
-    """Index of each slot's entry in the concatenated lists: the k-th slot of an owner is its k-th entry."""
+    """Index of each slot in the concatenated lists: an owner's k-th slot is its k-th entry."""
     starts = np.cumsum([0, *lengths[:-1]])
     flat = np.empty(len(slots), dtype=np.int64)
     by_owner = np.argsort(slots, kind="stable")

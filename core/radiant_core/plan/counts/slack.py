@@ -1,9 +1,8 @@
-"""A longer makespan for shorter ways: how many cameras every edge can do within slack · the bound,
-and what each slack buys.
+"""A longer makespan for shorter ways: the cameras each edge can do within slack · the bound.
 
 With capacities u_e = max { c : T^m(c) ≤ slack · T* } the cameras go where Σ ‖camera − edge‖² is
 least (`capped_transport`). At slack 1 the makespan is still the bound, with counts that suit the
-land better than the ones the deadline alone gives. Runs once per slack.
+land better than those of the deadline alone. Runs once per slack.
 """
 
 from __future__ import annotations

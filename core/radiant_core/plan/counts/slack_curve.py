@@ -1,4 +1,4 @@
-"""What slack buys: makespan, distances and border length for a handful of slacks. Once per plan, on request."""
+"""What slack buys: makespan, distances and border length. Once per plan, on request."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SlackPoint:
 def slack_curve(
     positions: ArrayLike, system: System, slacks: Sequence[float] = SLACKS, *, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[SlackPoint, ...]:
-    """The exact plan of cameras (C,2) m per slack; `progress` receives the share done. Raises as `plan_regions`, and where none fits."""
+    """The exact plan of cameras (C,2) m per slack. Raises as `plan_regions`, or if none fits."""
     positions = check_array("positions", positions, (None, 2))
     points: list[SlackPoint] = []
     for index, slack in enumerate(slacks):
@@ -58,7 +58,7 @@ def slack_curve(
 
 
 def border_length_m(borders: Sequence[FloatArray]) -> float:
-    """Length of the borders between cells (V,2) m that together fill a rectangle: half of what they have beyond its outline."""
+    """Border length of cells (V,2) m that fill a rectangle: half of what is not its outline."""
     filled = [border for border in borders if len(border)]
     if len(filled) < 2:
         return 0.0

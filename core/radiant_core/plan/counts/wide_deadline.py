@@ -1,10 +1,9 @@
-"""The counts of `deadline.fastest_counts` for systems whose tables would be too large: only the
-entries near the deadline are made.
+"""`deadline.fastest_counts` for too large tables: only the entries near the deadline are made.
 
 Guess: T^n(k) on a geometric grid of k, hence k_n(t) and T^m against the device deadline t by
 interpolation, and the T at which all edges together take C cameras. Then the exact entries within
 `window` of the guessed quotas are sorted as in `deadline`. Proof: what lies below the window is
-earlier than the deadline found, what lies above later; where not, the window is widened. Runs once
+earlier than the deadline found, what lies above later; otherwise the window is widened. Runs once
 per plan, O(D log C) for the guess and C · window entries, some 1 % of C.
 """
 
@@ -36,7 +35,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FastestCounts:
-    """counts (E,) with the smallest makespan and the time (E,) s of each edge with them; read-only, as they are remembered for a drag."""
+    """counts (E,) of the smallest makespan and times (E,) s; read-only, as they are cached."""
 
     counts: Indices
     edge_time_s: FloatArray
@@ -52,13 +51,13 @@ def system_capacity(system: System, num_cameras: int) -> int:
 
 
 def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
-    """Counts with the smallest makespan for any size; the devices must hold all cameras. BadInput when curves overflow."""
+    """Counts with the smallest makespan; all cameras must fit. BadInput when curves overflow."""
     if num_cameras * len(system.workers) <= SMALL_TABLE_ENTRIES:
         tables = edge_tables(system, num_cameras)
         counts, _ = fastest_counts(tables, num_cameras)
         return FastestCounts(counts=counts, edge_time_s=np.array([t.edge_time_s[c] for t, c in zip(tables, counts, strict=True)]))
     fleet = _Fleet(system, num_cameras)
-    guess = fleet.guessed_quotas()
+    guess = fleet.guess_quotas()
     window = _FIRST_WINDOW
     while True:
         margin = int(2 * window / _FIRST_WINDOW)
@@ -66,7 +65,7 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
         high = np.clip(np.ceil(guess * (1 + window)).astype(np.int64) + margin, 0, fleet.limits)
         if int((high - low).sum()) > MAX_TABLE_ENTRIES:
             raise BadInput(f"{num_cameras} cameras on {len(fleet.limits)} devices cannot be told apart by time: use fewer.")
-        found = fleet.solved(low, high)
+        found = fleet.solve(low, high)
         if found is not None:
             return found
         window *= 3
@@ -74,7 +73,7 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
 
 @lru_cache(maxsize=8)
 def cached_edge_counts(system: System, num_cameras: int) -> FastestCounts:
-    """`fastest_edge_counts`, once for all frames of a drag, in which neither the system nor the number of cameras changes."""
+    """`fastest_edge_counts`, once for all frames of a drag."""
     return fastest_edge_counts(system, num_cameras)
 
 
@@ -88,7 +87,7 @@ def _limits(system: System, num_cameras: int) -> Indices:
 
 
 def _num_alone(edge: Edge, num_cameras: int) -> int:
-    """The most cameras of an edge that all go to its fastest device: those it is done with before the next could do one."""
+    """The most cameras that all go to the edge's fastest device, before the next could do one."""
     limits = [num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in edge.devices]
     firsts = sorted((float(device_time_s(d, 1)), index) for index, (d, limit) in enumerate(zip(edge.devices, limits, strict=True)) if limit)
     if not firsts:
@@ -150,8 +149,8 @@ class _Fleet:
         is_alone = (self.num_alone[rows] >= counts.T).T
         return np.where(is_alone, np.minimum(self.alone(counts, rows), joined_s), joined_s)
 
-    def guessed_quotas(self) -> FloatArray:
-        """Quotas (D,) near the optimum, from interpolation; a slope too small to matter shares flat curves evenly."""
+    def guess_quotas(self) -> FloatArray:
+        """Quotas (D,) near the optimum by interpolation; flat curves share evenly."""
         steps = int(np.ceil(np.log(max(self.num_cameras, 2)) / np.log(_GRID_RATIO))) + 1
         grid = np.unique(np.round(np.geomspace(1, self.num_cameras, steps)))
         counts = np.minimum(grid, np.maximum(self.limits, 1)[:, None])
@@ -177,18 +176,18 @@ class _Fleet:
         low, high = 0.0, float(edge_time.max())
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            taken = _interpolated(edge_time, totals, np.full(len(self.starts), middle)).sum()
+            taken = _interpolate(edge_time, totals, np.full(len(self.starts), middle)).sum()
             low, high = (low, middle) if taken >= self.num_cameras else (middle, high)
-        edge_deadline = _interpolated(edge_time, deadlines, np.full(len(self.starts), high))
-        return self._of_all_cameras(_interpolated(times, counts, edge_deadline[self.edge_of_device]))
+        edge_deadline = _interpolate(edge_time, deadlines, np.full(len(self.starts), high))
+        return self._of_all_cameras(_interpolate(times, counts, edge_deadline[self.edge_of_device]))
 
     def _of_all_cameras(self, quotas: FloatArray) -> FloatArray:
-        """Quotas (D,) scaled until they sum to the cameras: where curves are flat the deadline says little about how many fit."""
+        """Quotas (D,) scaled to sum to the cameras: flat curves hardly determine how many fit."""
         for _ in range(8):
             quotas = np.minimum(quotas * (self.num_cameras / max(float(quotas.sum()), 1e-300)), self.limits)
         return quotas
 
-    def solved(self, low: Indices, high: Indices) -> FastestCounts | None:
+    def solve(self, low: Indices, high: Indices) -> FastestCounts | None:
         """The exact optimum if quotas between low and high (D,) hold it and prove it, else None."""
         sizes = high - low
         device = np.repeat(np.arange(len(low)), sizes)
@@ -221,10 +220,10 @@ class _Fleet:
             taken[index], base_s[index] = counts[begin], total[begin]
             entries.append(total[begin + 1 : end + 1])
         require_finite("the time of an edge against cameras", np.concatenate([base_s, *entries]))
-        return self._chosen(taken, base_s, entries, full)
+        return self._choose(taken, base_s, entries, full)
 
-    def _chosen(self, taken: Indices, base_s: FloatArray, entries: list[FloatArray], full: Indices) -> FastestCounts | None:
-        """The earliest entries beyond `taken` (E,), if they are proved to be the earliest of all."""
+    def _choose(self, taken: Indices, base_s: FloatArray, entries: list[FloatArray], full: Indices) -> FastestCounts | None:
+        """The earliest entries beyond `taken` (E,), if they are proved to be the earliest."""
         missing = self.num_cameras - int(taken.sum())
         lengths = np.array([len(times) for times in entries])
         if missing < 0 or missing > lengths.sum():
@@ -235,8 +234,7 @@ class _Fleet:
         chosen = np.lexsort((owner, position + taken[owner], times))[:missing]
         extra = np.bincount(owner[chosen], minlength=len(entries))
         counts = taken + extra
-        # Any other counts take an entry that is not chosen, which is later than all that are; it
-        # has to be as late as what is taken unseen.
+        # Any other counts take an entry later than all that are chosen.
         later = [float(times[more]) for times, more in zip(entries, extra, strict=True) if more < len(times)]
         if float(base_s.max()) > min(later, default=np.inf) or not ((extra < lengths) | (counts == full)).all():
             return None
@@ -244,8 +242,8 @@ class _Fleet:
         return FastestCounts(counts=counts, edge_time_s=np.array(last))
 
 
-def _interpolated(rising: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Row-wise values (R,J) where rising (R,J) reaches at (R,); 0 before the first node, the last value after the last."""
+def _interpolate(rising: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    """Row-wise values (R,J) where rising (R,J) reaches at (R,); 0 before, the last beyond."""
     below = (rising <= at[:, None]).sum(axis=1)
     left = np.clip(below - 1, 0, rising.shape[1] - 1)
     right = np.minimum(below, rising.shape[1] - 1)

@@ -1,5 +1,4 @@
-"""Strips for the devices of an edge (paper Sec. III-C, RTP): which device trains which of the
-edge's cameras.
+"""Strips for the devices of an edge (paper Sec. III-C, RTP): which device trains which cameras.
 
 The quotas come from `deadline`; the cameras are sorted along the longer side of the smallest
 rectangle around them and dealt in the order of devices that keeps the seams short (`strip_order`);
@@ -24,7 +23,7 @@ from radiant_core.plan.system import Edge, System
 
 
 def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[EdgePlan, ...]:
-    """One `EdgePlan` per edge for the cameras (C,2) m of a plan of the same system; BadInput when plan and input differ."""
+    """One `EdgePlan` per edge for cameras (C,2) m; BadInput when they, plan and system differ."""
     positions = check_array("positions", positions, (len(plan.edge_of_camera), 2))
     if plan.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the plan is for edges {', '.join(plan.edge_ids)}, the system has others: plan this system anew.")
@@ -35,13 +34,9 @@ def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[
 
 
 def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], border: FloatArray, *, even: bool = False) -> EdgePlan:
-    """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m, to its devices; strips
-    partition `border` (V,2) m.
-
-    `even`: as many to each device, instead of so many that the slowest is done first. An edge that
-    is known by its curve alone has nobody to deal to yet. BadInput when the devices cannot hold the
-    cameras.
-    """
+    """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m; strips partition `border`
+    (V,2). `even`: as many to each device, not so that the slowest is done first. An edge that is
+    known by its curve alone has no device to deal to. BadInput when the cameras do not fit."""
     if not edge.devices:
         return EdgePlan(
             edge_id=edge.id,
@@ -76,12 +71,9 @@ def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int
 
 
 def long_axis(points: FloatArray) -> FloatArray:
-    """Unit vector (2,) along the longer side of the smallest rectangle around points (K,2),
-    pointing to angles in [0°, 180°).
-
-    One side of that rectangle lies on an edge of the convex hull (Freeman, Shapira 1975). Among
-    equal rectangles the longest, then the smallest angle; east for one spot.
-    """
+    """Unit vector (2,), angle in [0°, 180°), along the longer side of the smallest rectangle around
+    points (K,2); among equal rectangles the longest, then the smallest angle; east for one spot. A
+    side of the rectangle lies on an edge of the convex hull (Freeman, Shapira 1975)."""
     spread = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if spread == 0:
         return np.array([1.0, 0.0])
@@ -93,14 +85,13 @@ def long_axis(points: FloatArray) -> FloatArray:
     axes = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     lengths: FloatArray = np.ptp(hull @ axes.T, axis=0)
     widths: FloatArray = np.ptp(hull @ np.stack([-axes[:, 1], axes[:, 0]]), axis=0)
-    # Rounded, so that rectangles which are equal by symmetry do not change places with the last
-    # digit.
+    # Rounded, so that rectangles equal by symmetry do not change places with the last digit.
     best = np.lexsort((angles, -np.round(lengths, 9), np.round(lengths * widths, 9)))[0]
     return axes[best]
 
 
 def _cuts(along: FloatArray) -> FloatArray:
-    """Where a strip that ends after k of the K sorted cameras is cut, (K+1,): midway to the next; at the ends of the cameras 0 and K."""
+    """Cuts (K+1,) after k of K sorted cameras: midway to the next, at the ends the cameras."""
     if not len(along):
         return np.zeros(1)
     return np.concatenate([along[:1], (along[:-1] + along[1:]) / 2, along[-1:]])
@@ -109,7 +100,7 @@ def _cuts(along: FloatArray) -> FloatArray:
 def _strips(
     border: FloatArray, axis: FloatArray, cuts: FloatArray, quotas: NDArray[np.int64], dealt: NDArray[np.int64]
 ) -> list[FloatArray]:
-    """Per device its part of the border (V,2), which is cut across `axis` at `cuts` (K+1,) between devices in the order `dealt`."""
+    """Each device's part of the border (V,2), cut across `axis` at `cuts` (K+1,), as `dealt`."""
     strips = [np.empty((0, 2))] * len(quotas)
     rest = border
     ends = np.cumsum(quotas[dealt])

@@ -1,12 +1,11 @@
-"""Equal shares: as many cameras for every device as for any other, whatever it can do (the paper's
-"Even", Sec. V).
+"""Equal shares: as many cameras for every device, whatever it can do (the paper's "Even", Sec. V).
 
-    q_n = min(k_n, L) and one more for some with room; k_n: what device n holds, L: the level at which all are dealt
+    q_n = min(k_n, L) and one more for some with room
+    k_n: what device n holds, L: the level at which all are dealt
 
 What is left over goes to the first device of every edge, then to the second ones, so that edges of
-equal numbers are equal too. An edge's count is the sum of its devices' shares, so that it grows
-with their number; an edge that is known by its curve alone counts as one device. Runs once per
-plan, O(D log D) in the devices.
+equal numbers are equal too. An edge's count is the sum of its devices' shares; an edge known by its
+curve alone counts as one device. Runs once per plan, O(D log D).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Counts = NDArray[np.int64]
 
 
 def even_edge_counts(system: System, num_cameras: int) -> Counts:
-    """Cameras per edge (E,), the sums of their devices' equal shares; BadInput where they cannot hold all."""
+    """Cameras per edge (E,), the sums of its devices' equal shares; BadInput where not all fit."""
     shares = _shares(system, num_cameras)
     firsts = np.cumsum([0, *(len(edge.workers) for edge in system.edges[:-1])])
     return np.add.reduceat(shares, firsts)
@@ -35,12 +34,12 @@ def even_quotas(edge: Edge, num_cameras: int) -> Counts:
 
 
 def even_times_s(system: System, counts: Counts) -> FloatArray:
-    """Seconds (E,) of each edge whose devices share its count equally: the slowest of them, then joining and sending."""
+    """Seconds (E,) of each edge with equal shares: the slowest device, then joining and sending."""
     return np.array([_edge_time_s(edge, even_quotas(edge, int(count))) for edge, count in zip(system.edges, counts, strict=True)])
 
 
 def _shares(system: System, num_cameras: int) -> Counts:
-    """Cameras per device as equal as capacities allow: all are filled to one level, some of them one camera higher."""
+    """Cameras per device as equal as capacities allow: one level, some one camera above it."""
     capacities = np.array([num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in system.workers], np.int64)
     if capacities.sum() < num_cameras:
         raise BadInput(f"the devices can hold {capacities.sum()} of {num_cameras} cameras: raise max_cameras or add devices.")

@@ -1,11 +1,12 @@
 """The order of an edge's devices along its strips that makes the seams between them shortest.
 
-    minimise Σ_i chord(q_1 + … + q_i)     over orders q of the quotas, chord(k) = length of the cut after the k-th camera
+    minimise Σ_i chord(q_1 + … + q_i)     over orders q of the quotas,
+    chord(k) = length of the cut after the k-th camera
 
-A cut's place depends only on which devices stand before it, so the least sum over all orders is
-found over subsets instead (Held, Karp, J. SIAM 1962); devices with equal quotas are interchangeable
-and count once. Exact up to `MAX_STATES` subsets (12 different quotas), beyond that the best of
-three orders, improved by exchanging two devices while that helps. Runs once per edge and plan.
+A cut's place depends only on which devices stand before it, so the least sum is found over subsets
+(Held, Karp, J. SIAM 1962); devices with equal quotas count once. Exact up to `MAX_STATES` subsets
+(12 different quotas), beyond that the best of three orders, improved by exchanging two devices
+while that helps. Runs once per edge and plan.
 """
 
 from __future__ import annotations
@@ -21,17 +22,14 @@ MAX_STATES = 1 << 12
 MAX_EXCHANGED = 100
 """Devices up to which exchanges are tried: each round is cubic in them."""
 _STEPS = 1e9
-"""Lengths are compared in billionths of the land's extent, so that no rounding decides between orders that are equal by symmetry."""
+"""Lengths are compared in these parts of the land's extent: rounding must not break ties."""
 
 Indices = NDArray[np.int64]
 
 
 def shortest_order(quotas: Indices, names: Sequence[str], chords_m: FloatArray) -> Indices:
-    """Indices (D',) of the devices with cameras in the order of least seams; `chords_m` (K+1,) the
-    seam after k of K cameras.
-
-    Ties go to the order of the names.
-    """
+    """Indices (D',) of devices with cameras in the order of least seams, ties by name; `chords_m`
+    (K+1,): the seam after k of K cameras."""
     working = sorted(np.flatnonzero(quotas).tolist(), key=lambda device: names[device])
     extent_m = float(chords_m.max())
     if len(working) < 2 or extent_m == 0:
@@ -43,11 +41,11 @@ def shortest_order(quotas: Indices, names: Sequence[str], chords_m: FloatArray) 
         classes.setdefault(int(quotas[device]), []).append(device)
     if np.prod([len(members) + 1.0 for members in classes.values()]) <= MAX_STATES:
         return _exact(classes, chords)
-    return _improved(np.array(working, np.int64), quotas, chords)
+    return _improve(np.array(working, np.int64), quotas, chords)
 
 
 def chords_across(border: FloatArray, axis: FloatArray, at: FloatArray) -> FloatArray:
-    """Lengths (T,) m of a convex polygon's (V,2) cuts across the unit vector `axis` (2,) at coordinates (T,) along it."""
+    """Lengths (T,) m of a convex polygon's (V,2) cuts across `axis` (2,) at (T,) along it."""
     if len(border) < 3:
         return np.zeros(len(at))
     along, across = border @ axis, border @ np.array([-axis[1], axis[0]])
@@ -85,7 +83,7 @@ def _exact(classes: dict[int, list[int]], chords: Indices) -> Indices:
     return np.array(order[::-1], np.int64)
 
 
-def _improved(working: Indices, quotas: Indices, chords: Indices) -> Indices:
+def _improve(working: Indices, quotas: Indices, chords: Indices) -> Indices:
     starts = (working, working[np.argsort(quotas[working], kind="stable")], working[np.argsort(-quotas[working], kind="stable")])
     order = min(starts, key=lambda start: int(chords[np.cumsum(quotas[start])].sum()))
     if len(order) > MAX_EXCHANGED:
@@ -94,8 +92,7 @@ def _improved(working: Indices, quotas: Indices, chords: Indices) -> Indices:
         ends = np.cumsum(quotas[order])
         least, exchange = 0, None
         for first in range(len(order) - 1):
-            # Exchanging `first` with a later device moves the cuts from `first` up to the one
-            # before that device by one amount.
+            # Exchanging `first` and a later device moves the cuts between them by one amount.
             later = np.arange(first + 1, len(order))
             moved = ends[first:-1] + (quotas[order[later]] - quotas[order[first]])[:, None]
             between = np.arange(first, len(order) - 1) < later[:, None]

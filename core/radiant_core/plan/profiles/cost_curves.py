@@ -1,10 +1,9 @@
-"""Cost curves: a time or a size as a function of the number of cameras (paper Sec. III-B, the
-profiled G, F, H).
+"""Cost curves: a time or a size against cameras (paper Sec. III-B, the profiled G, F, H).
 
     value(c) = constant + linear · c + power_coefficient · c ** exponent,   value(0) = 0
 
-No camera costs nothing: a device or edge without work neither starts nor sends. All coefficients
-are non-negative, so curves never fall. Evaluated once per plan on the counts 0..C.
+Without cameras a device or edge neither starts nor sends. No coefficient is negative, so curves
+never fall. Evaluated once per plan on the counts 0..C.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from radiant_core.numerics import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class CostCurve:
-    """Seconds or bytes against cameras. Raises BadInput for a coefficient that is negative or not finite."""
+    """Seconds or bytes against cameras. BadInput for a coefficient below 0 or not finite."""
 
     constant: float = 0.0
     """Cost of having any work at all."""

@@ -1,9 +1,7 @@
-"""Cost curves from measurements: a + b·c + d·c^p with a, b, d ≥ 0, the range they were measured in,
-and corrections while a run goes on.
+"""Cost curves from measurements: a + b·c + d·c^p with a, b, d ≥ 0, and the range they hold for.
 
 For each exponent of a grid the non-negative least squares of the relative error (Lawson, Hanson,
-1974); the best exponent wins, the simpler curve where the power term gains less than 1 %. Runs once
-per profile, a few samples.
+1974); the best exponent wins, or the simpler curve where that gains under 1 %. Once per profile.
 """
 
 from __future__ import annotations
@@ -24,12 +22,12 @@ EXTRAPOLATION = 2.0
 _EXPONENTS = np.arange(0.25, 3.01, 0.125)
 _WORTH_A_TERM = 0.99
 _SAME_ERROR = 1e-6
-"""How far errors that a file states may be off those of its samples: rounding of numbers as text."""
+"""How far errors that a file states may be off its samples': rounding of numbers as text."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FittedCurve:
-    """A curve and what it rests on. Raises BadInput for an empty range, for samples that do not span it, and for errors they belie."""
+    """A curve and its samples. BadInput for an empty range, for samples or errors that misfit."""
 
     curve: CostCurve
     smallest_count: int
@@ -37,7 +35,7 @@ class FittedCurve:
     samples: tuple[tuple[int, float], ...] = ()
     """Camera count and measured value; none for an estimate."""
     rmse: float | None = None
-    """Root mean square of the relative errors at the samples; of an estimate, what its source scatters by, if known."""
+    """Root mean square of relative errors at the samples; the source's scatter for an estimate."""
     worst_error: float | None = None
     """Largest relative error at the samples."""
 
@@ -63,12 +61,9 @@ class FittedCurve:
 
 
 def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -> FittedCurve:
-    """The curve nearest to values (S,) at camera counts (S,), in relative error.
-
-    Raises BadInput without samples, for counts below 1, for values that are not positive, and where
-    values fall with the count, unless they `may_fall`: what a busy machine measured gives a flat
-    curve and a large error.
-    """
+    """The curve nearest to values (S,) at camera counts (S,), in relative error. BadInput without
+    samples, for counts below 1, values that are not positive, and values that fall with the count
+    unless they `may_fall`: a busy machine's give a flat curve and a large error."""
     counts = check_array("counts", counts, (None,))
     values = check_array("values", values, (len(counts),))
     _require_costs(counts, values)
@@ -80,11 +75,11 @@ def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -
     plain = np.stack([np.ones_like(counts), counts], axis=1)
     if len(np.unique(counts)) == 1:
         plain[:, 0] = 0  # One count says nothing about a constant: in proportion.
-    coefficients, error = _fitted(plain, values)
+    coefficients, error = _fit_terms(plain, values)
     curve = CostCurve(constant=coefficients[0], linear=coefficients[1])
     if len(np.unique(counts)) >= 4:
         for exponent in _EXPONENTS[_EXPONENTS != 1]:
-            more, new_error = _fitted(np.column_stack([plain, counts**exponent]), values)
+            more, new_error = _fit_terms(np.column_stack([plain, counts**exponent]), values)
             if new_error < _WORTH_A_TERM * error:
                 error = new_error
                 curve = CostCurve(constant=more[0], linear=more[1], power_coefficient=more[2], exponent=float(exponent))
@@ -117,8 +112,8 @@ def _errors(curve: CostCurve, counts: FloatArray, values: FloatArray) -> tuple[f
     return float(np.sqrt(np.mean(errors**2))), float(np.abs(errors).max())
 
 
-def _fitted(terms: FloatArray, values: FloatArray) -> tuple[list[float], float]:
-    """Non-negative coefficients of the terms (S,K) with the least relative error, and that error."""
+def _fit_terms(terms: FloatArray, values: FloatArray) -> tuple[list[float], float]:
+    """Coefficients ≥ 0 of the terms (S,K) with the least relative error, and that error."""
     scale = np.abs(terms).max(axis=0)
     scale[scale == 0] = 1.0
     solver: Any = optimize

@@ -1,8 +1,4 @@
-"""What an edge sends to the cloud about its devices: one curve of time over cameras and how many
-cameras they hold, nothing else.
-
-Runs once per edge and profile.
-"""
+"""What the cloud receives of an edge: its time curve and capacity. Once per edge and profile."""
 
 from __future__ import annotations
 
@@ -18,12 +14,8 @@ _SAMPLES = 32
 
 
 def capacity_curve(edge: Edge, num_cameras: int) -> FittedCurve:
-    """T^m of an edge fitted by one curve over 1..`num_cameras` cameras; `worst_error` is the
-    largest relative error at its samples.
-
-    T^m has a bend wherever a device comes in or is full, which one curve smooths. BadInput where
-    the edge can hold no camera.
-    """
+    """T^m of an edge fitted by one curve over 1..`num_cameras` cameras, which smooths the bends
+    where a device comes in or is full. BadInput where the edge can hold no camera."""
     table = edge_table(edge, num_cameras)
     if table.capacity < 1:
         raise BadInput(f"edge {edge.id!r} can hold {table.capacity} cameras: give its devices room for at least one.")
@@ -35,7 +27,7 @@ def capacity_curve(edge: Edge, num_cameras: int) -> FittedCurve:
 
 
 def edge_without_devices(edge: Edge, num_cameras: int) -> Edge:
-    """The same edge as the cloud may receive it: place, fitted curve and how many cameras it holds (None: at least `num_cameras`)."""
+    """The edge as the cloud may receive it: curve and cameras (None: at least `num_cameras`)."""
     held = edge_table(edge, num_cameras).capacity
     return Edge(
         id=edge.id,

@@ -1,9 +1,7 @@
-"""`Profile`: what one kind of machine was measured or estimated to cost, and for which training
-that holds.
+"""`Profile`: what a kind of machine was measured or estimated to cost, and for which training.
 
-A planner that uses curves of another training, or far beyond the counts they were measured at, is
-wrong without a sign of it; so every device keeps the profile its curves come from, and
-`profile_warnings` reports where a plan leaves what it holds for.
+A plan from curves of another training, or far beyond the counts they were measured at, is wrong
+without a sign of it; so devices keep their profiles, and `profile_warnings` reports such plans.
 """
 
 from __future__ import annotations
@@ -56,7 +54,7 @@ class ProfileKey:
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """Cost curves of one machine. Raises BadInput where a figure is not positive, and for an estimate without a source."""
+    """Cost curves of one machine. BadInput for figures below 0 or an estimate without a source."""
 
     name: str
     """As a system file calls it: a name of the library, or a curve file."""
@@ -72,13 +70,13 @@ class Profile:
     model_bytes: FittedCurve
     """H: bytes of the model as float32."""
     aggregate_s: FittedCurve | None = None
-    """F_m where several devices' models are joined, over the edge's cameras: all their views are retrained on, or drawn for the cloud."""
+    """F_m over the edge's cameras where several models are joined: all views retrained or drawn."""
     aggregate_alone_s: FittedCurve | None = None
     """F_m where one device has all the edge's cameras, so that nothing is joined."""
     memory_bytes: float | None = None
     """What training may hold there; None for unknown."""
     measured_steps: int | None = None
-    """Steps that were really run where fewer than `key.num_steps`: `train_s` was multiplied accordingly."""
+    """Steps that were run, where fewer than `key.num_steps`; `train_s` was scaled accordingly."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(ProfileKind):

@@ -1,4 +1,4 @@
-"""Where a plan leaves what its machines' profiles hold for: another training, too many cameras, figures that were not measured."""
+"""Warnings where a plan leaves what its profiles hold for: training, cameras, measurements."""
 
 from __future__ import annotations
 
@@ -17,11 +17,7 @@ _MAX_NAMES = 4
 
 def profile_warnings(system: System, quotas: ArrayLike, training: ProfileKey) -> tuple[str, ...]:
     """One sentence per profile and reason, for cameras per device `quotas` (D,) in the system's
-    order and what will be trained.
-
-    Silent for devices and edges without cameras and for curves that a system file spells out:
-    nothing is known of these.
-    """
+    order; none for machines without cameras and curves that a system file spells out."""
     quotas = check_array("quotas", quotas, (len(system.devices),), np.int64)
     users: dict[str, tuple[Profile, list[tuple[str, int]]]] = {}
     joiners: dict[str, tuple[Profile, list[tuple[str, int]]]] = {}
@@ -38,7 +34,7 @@ def profile_warnings(system: System, quotas: ArrayLike, training: ProfileKey) ->
 
 
 def _of_devices(profile: Profile, counts: Sequence[tuple[str, int]], training: ProfileKey) -> list[str]:
-    names = _listed([name for name, _ in counts], "device")
+    names = _list([name for name, _ in counts], "device")
     found = _far([(profile.name, curve.largest_count) for curve in profile.device_curves], counts, "device", "times and sizes")
     if profile.kind == "estimate":
         found.append(f"the times of {names} are estimates for {profile.machine}, never measured: run `radiant profile` there.")
@@ -60,7 +56,7 @@ def _of_edges(profile: Profile, counts: Sequence[tuple[str, int]], training: Pro
     found = _far([(profile.name, curve.largest_count) for curve in curves], counts, "edge", "time of aggregation")
     if profile.key.aggregate_preset != training.aggregate_preset:
         found.append(
-            f"the curves of {_listed([name for name, _ in counts], 'edge')}, profile {profile.name!r}, are of aggregation preset "
+            f"the curves of {_list([name for name, _ in counts], 'edge')}, profile {profile.name!r}, are of aggregation preset "
             f"{profile.key.aggregate_preset}, this plan is for {training.aggregate_preset}: its time of aggregation is another."
         )
     return found
@@ -72,11 +68,11 @@ def _far(ranges: Sequence[tuple[str, int]], counts: Sequence[tuple[str, int]], k
     if not far:
         return []
     return [
-        f"{_listed([owner for owner, _ in far], kind)} would get up to {max(count for _, count in far)} photographs, profile {name!r} was "
+        f"{_list([owner for owner, _ in far], kind)} would get up to {max(count for _, count in far)} photographs, profile {name!r} was "
         f"made with {largest} at most: the predicted {what} are extrapolated."
     ]
 
 
-def _listed(names: Sequence[str], kind: str) -> str:
+def _list(names: Sequence[str], kind: str) -> str:
     shown = ", ".join(names[:_MAX_NAMES]) + (f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else "")
     return f"{kind}{'s' * (len(names) > 1)} {shown}"

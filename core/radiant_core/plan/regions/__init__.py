@@ -1,1 +1,1 @@
-"""Which edge owns which cameras (paper Sec. III-B, ARP): transport to the cells of a power diagram."""
+"""Cameras of each edge (paper Sec. III-B, ARP): transport to the cells of a power diagram."""

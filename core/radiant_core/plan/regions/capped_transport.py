@@ -1,15 +1,13 @@
-"""Cameras dealt to edges at the least Σ ‖camera − edge‖² with at most u_e cameras at edge e, and
-the weights that prove it.
+"""Cameras dealt to edges at the least Σ ‖camera − edge‖² within capacities, and proof by weights.
 
     minimise Σ_c ‖x_c − P_e(c)‖²   with at most u_e cameras at edge e
 
 Optimal exactly where weights w ≤ 0 exist, w_e < 0 only at full edges, under which every camera is
-in its power cell (the KKT conditions of the transport problem). Counts are guessed on boxes of
-cameras from the smoothed dual and then from Newton's steps on the true counts; the cameras are
-dealt with the guess (`transport`); then, while moving cameras along some chain of edges shortens
-the sum, the shortest chain is taken (successive shortest paths on the graph of edges; Ahuja,
-Magnanti, Orlin, Network Flows, 1993, ch. 9), which ends in the optimum whatever the guess. Runs
-once per plan with slack; a chain costs O(E² + cameras of its edges · E).
+in its power cell (the KKT conditions). Counts are guessed on boxes of cameras from the smoothed
+dual and Newton's steps on the true counts; cameras are dealt with the guess (`transport`); then the
+shortest chain of edges is taken while moving cameras along it shortens the sum (successive shortest
+paths; Ahuja, Magnanti, Orlin, Network Flows, 1993, ch. 9), which ends in the optimum whatever the
+guess. Once per plan with slack; a chain costs O(E² + cameras of its edges · E).
 """
 
 from __future__ import annotations
@@ -31,17 +29,13 @@ _BOXES_PER_SIDE = 64
 _CAMERAS_PER_BOX = 4
 _NEWTON_STEPS = 10
 _ROUNDING = 1e-14
-"""A chain must win this share of the largest squared distance per camera, so that rounding cannot move cameras in circles."""
+"""Share of the largest squared distance per camera that a chain must win: no endless circles."""
 
 
 def deal_within(positions: FloatArray, sites: FloatArray, capacities: Indices) -> Dealt:
     """Deal cameras at positions (C,2) m, about a local origin, to distinct sites (E,2) m, at most
-    capacities (E,) to each.
-
-    In the result `violation_m2` is by how much the worst camera misses its cell among all edges of
-    positive capacity, `num_paths` the chains taken. Raises BadInput where the capacities hold too
-    few.
-    """
+    capacities (E,) to each; BadInput where these hold too few. Of the result `violation_m2` is over
+    edges of positive capacity, `num_paths` the chains taken."""
     capacities = np.minimum(check_array("capacities", capacities, (len(sites),), np.int64), len(positions))
     if capacities.min(initial=0) < 0 or capacities.sum() < len(positions):
         raise BadInput(f"capacities sum to {capacities.sum()} for {len(positions)} cameras: give at least 0 each, together all cameras.")
@@ -70,21 +64,20 @@ def deal_within(positions: FloatArray, sites: FloatArray, capacities: Indices) -
 
 
 class _Boxes:
-    """Boxes of about equally many cameras: their means (P,2), cameras (P,), and counts of them that change smoothly with weights."""
+    """Boxes of cameras: means (P,2), cameras (P,), and counts that change smoothly with weights."""
 
     def __init__(self, positions: FloatArray, sites: FloatArray) -> None:
         means, cameras, radii_m = _boxes(positions)
         self.cameras = cameras
         self.squared_m2 = np.sum((means[:, None] - sites) ** 2, axis=-1)
-        # A box beside a border counts for both sides: where the border has moved by its radius,
-        # powers differ by radius · gap of the sites.
+        # At a border a box counts for both sides: across its radius powers differ by radius · gap.
         gaps_m = np.sort(np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0)), axis=1)[:, 1:2]
         gap_m = float(np.sqrt(np.mean(gaps_m**2))) if gaps_m.size else 1.0
         self.widths_m2 = gap_m * np.maximum(radii_m, 1e-4 * max(float(np.ptp(positions, axis=0).max()), gap_m))
         self.unit_m2 = float(np.median(self.widths_m2))
 
     def dual(self, weights: FloatArray, limits: FloatArray) -> tuple[float, FloatArray]:
-        """Σ_p cameras_p · τ_p log Σ_e exp((w_e − d²_pe)/τ_p) − Σ_e u_e w_e, and its gradient (E,): counts − limits; both per camera."""
+        """(Σ_p c_p τ_p log Σ_e exp((w_e − d²_pe)/τ_p) − u·w) / C, c_p cameras; gradient (E,)."""
         highest, shares = self._shares(weights)
         total = float(self.cameras.sum())
         return float(self.cameras @ highest - limits @ weights) / total, (self.cameras @ shares - limits) / total
@@ -116,7 +109,7 @@ class _Boxes:
 
 
 def _boxes(positions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means (P,2), cameras (P,) and radii (P,) m of boxes: columns of equally many cameras, each cut into rows of equally many."""
+    """Means (P,2), cameras (P,), radii (P,) m of boxes: columns, cut into rows, of equal counts."""
     per_side = int(np.clip(np.sqrt(len(positions) / _CAMERAS_PER_BOX), 1, _BOXES_PER_SIDE))
     columns = np.empty(len(positions), np.int64)
     columns[np.lexsort((positions[:, 1], positions[:, 0]))] = np.arange(len(positions)) * per_side // len(positions)
@@ -131,7 +124,7 @@ def _boxes(positions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _guess(positions: FloatArray, sites: FloatArray, limits: Indices) -> tuple[Indices, FloatArray]:
-    """Counts (E,) within the limits near the optimum, and weights (E,) ≤ 0 near those that lead there."""
+    """Counts (E,) within the limits near the optimum, and weights (E,) ≤ 0 near theirs."""
     boxes = _Boxes(positions, sites)
     weights = boxes.smooth_weights(limits)
     best, least = weights, np.inf
@@ -158,7 +151,7 @@ def _cell_counts(positions: FloatArray, sites: FloatArray, weights: FloatArray) 
 
 
 def _within(wanted: Indices, limits: Indices) -> Indices:
-    """Counts (E,) cut at the limits, what is cut off spread over the others in proportion to their room."""
+    """Counts (E,) cut at the limits; the excess goes to the others in proportion to their room."""
     counts = np.minimum(wanted, limits)
     room, left = limits - counts, int(wanted.sum() - counts.sum())
     if left:
@@ -169,7 +162,7 @@ def _within(wanted: Indices, limits: Indices) -> Indices:
 
 
 class _Flow:
-    """The cameras of every edge, and for every pair of edges the least cost of moving one camera from the first to the second."""
+    """The cameras of every edge, and the least cost (E,E) of moving one from edge to edge."""
 
     def __init__(self, positions: FloatArray, sites: FloatArray, limits: Indices, dealt: Dealt) -> None:
         self.positions, self.sites, self.limits = positions, sites, limits
@@ -201,14 +194,14 @@ class _Flow:
         return taken
 
     def middle_weights(self) -> FloatArray:
-        """Weights (E,) ≤ 0 midway between the least and the greatest that keep every camera in its cell and edges with room at 0."""
+        """Weights (E,) ≤ 0 midway between the extremes that keep cameras in cells; 0 with room."""
         room = self.counts < self.limits
         if not room.any():
             room = np.arange(len(room)) == int(self.weights.argmax())
             self.weights = self.weights - self.weights.max()
         self.weights = -self._distances(room)[0]
         least = np.where(room, 0.0, self.weights)
-        reduced = self._reduced().T
+        reduced = self._reduced_costs().T
         raised = -self.weights
         while ((lower := (reduced + raised).min(axis=1)) < raised).any():
             raised = np.minimum(raised, lower)
@@ -216,16 +209,16 @@ class _Flow:
         return np.minimum((least + greatest) / 2, 0.0)
 
     def violation_m2(self, weights: FloatArray) -> float:
-        """max over cameras and edges of how much nearer, in power, another edge is than the camera's own."""
+        """max over cameras and edges of how much nearer, in power, another edge is than its own."""
         return float(max(0.0, (weights - weights[:, None] - self.costs).max()))
 
-    def _reduced(self) -> FloatArray:
-        """Costs (E,E) less the difference of the weights: at least 0 but for rounding, which is cut off, so that no circle is negative."""
+    def _reduced_costs(self) -> FloatArray:
+        """Costs (E,E) less weight differences, cut at 0: rounding makes no negative circle."""
         return np.maximum(self.costs + self.weights[:, None] - self.weights, 0.0)
 
     def _distances(self, room: NDArray[np.bool_]) -> tuple[FloatArray, Indices]:
-        """Cost (E,) of the cheapest chain from each edge to one with room, and the next edge on it, −1 at its end (Bellman, Ford)."""
-        reduced = self._reduced()
+        """Cost (E,) of the cheapest chain to room and its next edge, −1 at ends (Bellman, Ford)."""
+        reduced = self._reduced_costs()
         distance = np.where(room, self.weights, np.inf)
         following = np.full(len(distance), -1)
         rows = np.arange(len(distance))
@@ -268,7 +261,7 @@ class _Flow:
         self.movers[edge, nearer] = len(self.members[edge]) - 1
 
     def _look(self, edge: int, others: Indices) -> None:
-        """Find for each of the other edges (J,) the camera of `edge` that is cheapest to move there."""
+        """Find for each of the other edges (J,) the camera of `edge` cheapest to move there."""
         if not len(self.members[edge]):
             self.costs[edge] = np.inf
             self.costs[edge, edge] = 0.0
@@ -278,7 +271,7 @@ class _Flow:
         self.costs[edge, others] = changes[self.movers[edge, others], np.arange(len(others))]
 
     def _changes(self, edge: int, cameras: Indices, others: Indices) -> FloatArray:
-        """‖x − P_j‖² − ‖x − P_edge‖² of cameras (K,) against other edges (J,), about the middle of the two sites: (K,J)."""
+        """(K,J) ‖x − P_j‖² − ‖x − P_edge‖² of cameras (K,), edges (J,), about their middle."""
         middles = (self.sites[others] + self.sites[edge]) / 2
         toward = 2 * (self.sites[edge] - self.sites[others])
         return self.positions[cameras] @ toward.T - np.sum(middles * toward, axis=1)

@@ -1,14 +1,14 @@
-"""Decisions made before the planner runs: fixed weights, locked regions, pinned cameras; the rest
-is planned around it.
+"""Decisions before the planner runs: fixed weights, locked regions, pinned cameras.
 
     locked region    the cameras that the edge has in the plan to start from, and no others
-    fixed weight     the edge's cell in the diagram to start from, with its weight replaced; the cell's cameras and no others
+    fixed weight     the edge's cell in the diagram to start from, with its weight replaced;
+                     the cell's cameras and no others
     pinned camera    belongs to the edge it is pinned to, which may have others too
 
-The cameras left over are dealt among the edges that are neither locked nor fixed, with the counts
-of the least makespan and the least Σ ‖camera − edge‖² for them. The weights drawn are those of that
-dealing, shifted to fit between the fixed and locked ones as well as they can: a camera may end
-outside its cell, which the plan counts. Runs once per plan, and per frame of a drag.
+The other cameras are dealt among the edges that are neither locked nor fixed, with the counts of
+the least makespan and the least Σ ‖camera − edge‖² for them. The weights drawn are those of that
+dealing, shifted to fit between fixed and locked ones as well as they can: a camera may end outside
+its cell, which the plan counts. Runs once per plan, and per frame of a drag.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MAX_WEIGHT_M2 = 1e17
 
 @dataclass(frozen=True, kw_only=True)
 class PlanConstraints:
-    """What is given. Raises BadInput for weights that are not finite and edges that are both fixed and locked."""
+    """What is given. BadInput for weights that are not finite, for edges both fixed and locked."""
 
     fixed_weights_m2: Mapping[str, float] = field(default_factory=dict[str, float])
     """Weight per edge id, on the scale of the plan to start from."""
@@ -63,7 +63,7 @@ class PlanConstraints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reference:
-    """What constraints refer to: weights (E,) m², and the edge of each camera (C,), None where no plan was given to start from."""
+    """Weights (E,) m² and edge of each camera (C,), None without a plan to start from."""
 
     weights: FloatArray
     edge_of_camera: Indices | None
@@ -71,7 +71,7 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConstrainedDealing:
-    """Who has which camera (C,), weights (E,) m², times (E,) s, the worst violation among what is free, the constraints in words."""
+    """Edge (C,) per camera, weights (E,) m², times (E,) s, worst violation, decisions in words."""
 
     edge_of_camera: Indices
     weights: FloatArray
@@ -84,10 +84,8 @@ def deal_around(
     cameras: FloatArray, sites: FloatArray, system: System, constraints: PlanConstraints, reference: Reference
 ) -> ConstrainedDealing | str:
     """Deal cameras (C,2) m to sites (E,2) m under constraints; a sentence where memory forbids it.
-
-    Raises BadInput for unknown edges and cameras, for a locked region without a plan to start from,
-    and where a camera of a locked region is pinned elsewhere.
-    """
+    BadInput for unknown edges and cameras, for a locked region without a plan to start from, and
+    for a camera of a locked region pinned elsewhere."""
     ids = [edge.id for edge in system.edges]
     fixed, locked = _flags(ids, tuple(constraints.fixed_weights_m2)), _flags(ids, constraints.locked)
     weights = reference.weights.copy()
@@ -107,27 +105,18 @@ def deal_around(
     weights[edges] = dealt.weights
     has_free = np.zeros(len(ids), bool)
     has_free[edges] = (counts - given)[edges] > 0
-    weights = _fitted(cameras, sites, weights, owner, free, (has_free, is_open, fixed, locked))
-    # Dealing among fewer edges ties the weights less: where nothing changed, those of the reference
-    # fit better.
+    weights = _fit_weights(cameras, sites, weights, owner, free, (has_free, is_open, fixed, locked))
+    # Fewer edges tie the weights less: where nothing changed, the reference's fit better.
     weights = min((weights, before), key=lambda tried: _worst_violation(cameras, sites, tried, owner))
     words = _sentences(constraints, np.bincount(owner, minlength=len(ids)), ids)
     return ConstrainedDealing(
-        edge_of_camera=owner,
-        weights=weights,
-        edge_time_s=found.edge_time_s,
-        free_violation_m2=dealt.violation_m2,
-        sentences=words,
+        edge_of_camera=owner, weights=weights, edge_time_s=found.edge_time_s, free_violation_m2=dealt.violation_m2, sentences=words
     )
 
 
 def counts_at_least(system: System, num_cameras: int, least: Indices) -> FastestCounts:
-    """Counts (E,) of the smallest makespan that are nowhere below `least` (E,), which must fit into
-    the devices and the cameras.
-
-    An edge that would get fewer keeps its least at any earlier deadline, so it can be taken out and
-    the others planned anew.
-    """
+    """Counts (E,) of the smallest makespan, none below `least` (E,), which must fit. An edge that
+    would get fewer keeps its least at any earlier deadline: the others are planned without it."""
     counts, times_s = least.copy(), np.zeros(len(least))
     active = np.ones(len(least), bool)
     while active.any():
@@ -208,10 +197,10 @@ def _open_counts(system: System, given: Indices, is_open: Flags, num_free: int) 
     return FastestCounts(counts=counts, edge_time_s=times_s)
 
 
-def _fitted(
+def _fit_weights(
     cameras: FloatArray, sites: FloatArray, weights: FloatArray, owner: Indices, free: Indices, groups: tuple[Flags, Flags, Flags, Flags]
 ) -> FloatArray:
-    """Weights (E,) in which open edges stand to fixed ones, and locked edges to all, so that the worst camera misses least."""
+    """Weights (E,) fitting open edges to fixed ones, locked to all: the worst miss is least."""
     has_free, is_open, fixed, locked = groups
     weights = weights.copy()
     done = has_free.copy()
@@ -234,7 +223,7 @@ def _fitted(
 
 
 def _shift(cameras: FloatArray, sites: FloatArray, weights: FloatArray, ours: tuple[Flags, Flags], theirs: tuple[Flags, Flags]) -> float:
-    """By how much to raise our edges' weights: midway between what our cameras need at least and theirs allow; (cameras, edges) flags."""
+    """Raise of our weights, midway between our need and their limit; (cameras, edges) flags."""
     (our_cameras, our_edges), (their_cameras, their_edges) = ours, theirs
     gap = [
         _least_powers(cameras[chosen], sites, weights, our_edges) - _least_powers(cameras[chosen], sites, weights, their_edges)

@@ -1,9 +1,8 @@
-"""Where the edges stand: given in metres, as latitude and longitude, or placed among the cameras
-from a seed.
+"""Where the edges stand: given in metres or latitude and longitude, or placed among the cameras.
 
 Placing starts with k-means++ (Arthur, Vassilvitskii 2007: the next site is a camera drawn with
 probability ∝ its squared distance to the sites so far) and goes on with a few rounds of Lloyd's;
-edges with a given position take part but stay. Runs once per plan.
+given positions take part but stay. Runs once per plan.
 """
 
 from __future__ import annotations
@@ -26,22 +25,18 @@ _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayLike | None, seed: int) -> System:
-    """The same system with a position in metres on every edge, for cameras (C,2) m about an origin
-    (3,) [deg, deg, m].
-
-    Seeded edges lie inside the cameras' bounding box. BadInput for an edge with latitude and
-    longitude when the scene has no origin on the globe (None), without cameras, and for positions
-    beyond 1e8 m.
-    """
+    """The system with every edge at a position in metres, for cameras (C,2) m about an origin (3,)
+    [deg, deg, m]; seeded ones lie inside the cameras' bounding box. BadInput for latitude and
+    longitude without an origin (None), for no cameras, and for positions beyond 1e8 m."""
     positions = check_array("positions", positions, (None, 2))
     if not len(positions):
         raise BadInput("no camera positions were given to place the edges among: give at least one.")
-    located = [_located(edge, origin_lat_lon_alt) for edge in system.edges]
+    located = [_locate(edge, origin_lat_lon_alt) for edge in system.edges]
     given = [edge.position for edge in located if edge.position is not None]
     require_within_reach(positions, np.array(given).reshape(-1, 2))
     num_free = len(located) - len(given)
     free = iter(_seeded_positions(positions, np.array(given).reshape(-1, 2), num_free, seed))
-    edges = [edge if edge.position is not None else _moved_to(edge, next(free)) for edge in located]
+    edges = [edge if edge.position is not None else _move_to(edge, next(free)) for edge in located]
     return replace(system, edges=tuple(edges))
 
 
@@ -54,11 +49,7 @@ def require_within_reach(*positions: FloatArray) -> None:
 
 def separate_sites(sites: FloatArray, extent_m: float) -> FloatArray:
     """Sites (E,2) m of which no two share a spot: those within 1e-6 extents of an earlier one step
-    aside by about 1e-3 extents.
-
-    Two edges at one spot have no border between them; a step aside gives them one without changing
-    which cameras are nearest to it.
-    """
+    aside by about 1e-3 extents, so that there is a border; the nearest cameras stay the same."""
     sites = sites.copy()
     for index in range(1, len(sites)):
         spot, turn = sites[index].copy(), index
@@ -69,7 +60,7 @@ def separate_sites(sites: FloatArray, extent_m: float) -> FloatArray:
     return sites
 
 
-def _located(edge: Edge, origin_lat_lon_alt: ArrayLike | None) -> Edge:
+def _locate(edge: Edge, origin_lat_lon_alt: ArrayLike | None) -> Edge:
     if edge.position is not None or edge.lat_lon_deg is None:
         return edge
     if origin_lat_lon_alt is None:
@@ -78,15 +69,15 @@ def _located(edge: Edge, origin_lat_lon_alt: ArrayLike | None) -> Edge:
             "position_m, or neither to have it placed."
         )
     origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
-    return _moved_to(edge, enu_from_geodetic([[*edge.lat_lon_deg, origin[2]]], origin)[0])
+    return _move_to(edge, enu_from_geodetic([[*edge.lat_lon_deg, origin[2]]], origin)[0])
 
 
-def _moved_to(edge: Edge, position: FloatArray) -> Edge:
+def _move_to(edge: Edge, position: FloatArray) -> Edge:
     return replace(edge, position=(float(position[0]), float(position[1])))
 
 
 def _seeded_positions(positions: FloatArray, given: FloatArray, num_free: int, seed: int) -> FloatArray:
-    """Positions (num_free,2) m of the edges that may stand anywhere, beside the given ones (G,2) m."""
+    """Positions (num_free,2) m of the edges to place, beside the given ones (G,2) m."""
     rng = np.random.default_rng(seed)
     sites = given
     for _ in range(num_free):

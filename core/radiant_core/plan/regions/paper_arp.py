@@ -1,13 +1,12 @@
-"""The paper's Adaptive Region Planning (Alg. 1) on a power diagram, kept for comparison with the
-exact planner.
+"""The paper's Adaptive Region Planning (Alg. 1) on a power diagram, for comparison only.
 
-    R ← Voronoi(P);  while max_m |T^m − T̄| > T_thres:  m* ← argmax_m |T^m − T̄|;  move the boundary of m* by d
+    R ← Voronoi(P);  while max_m |T^m − T̄| > T_thres:
+        m* ← argmax_m |T^m − T̄|;  move the boundary of m* by d
 
 Moving the boundary of m* is read as a weight change Δw = ∓ 2 d ‖P_m* − P_nearest‖: its border to
-the nearest edge moves by d along the normal, those to farther edges by less, and the cells stay a
-partition (Eqn. 9, 10), which moving half-planes does not keep. With a fixed d the loop often
-cycles; since weights are whole numbers of steps a state seen before proves it, and the loop stops
-there with the best partition it saw. O(C·E) per iteration.
+the nearest edge moves by d along the normal, others by less, and the cells stay a partition (Eqn.
+9, 10), unlike moved half-planes. With a fixed d the loop often cycles; weights are whole numbers of
+steps: a state seen before proves it, and the best partition is returned. O(C·E) per iteration.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class PaperConfig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PaperRegions:
-    """The best partition seen: weights (E,) m², cell of each camera (C,), makespan in seconds after each iteration."""
+    """The best partition: weights (E,) m², cell per camera (C,), makespan s after iterations."""
 
     weights: FloatArray
     edge_of_camera: NDArray[np.int64]
@@ -55,7 +54,7 @@ class PaperRegions:
 def paper_regions(
     positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], boundary_step_m: float, config: PaperConfig
 ) -> PaperRegions:
-    """Run Alg. 1 for cameras (C,2) m and edges (E,2) m; best = fewest cameras over the memory limits, then smallest makespan."""
+    """Alg. 1 for cameras (C,2), edges (E,2) m; best: least cameras over memory, least makespan."""
     weight_of_step = 2 * boundary_step_m * _nearest_site_m(sites)
     steps = np.zeros(len(sites), dtype=np.int64)
     best, best_key = steps, (np.inf, np.inf)
@@ -81,7 +80,7 @@ def paper_regions(
 
 
 def estimated_times_s(tables: Sequence[EdgeTable], counts: NDArray[np.int64]) -> FloatArray:
-    """T^m (E,) in seconds; beyond an edge's capacity K in proportion, T^m(K) · c / K, so that Alg. 1 can shrink it."""
+    """T^m (E,) s; beyond an edge's capacity K T^m(K) · c / K, so that Alg. 1 can shrink it."""
     return np.array([_estimated_time_s(table, int(count)) for table, count in zip(tables, counts, strict=True)])
 
 

@@ -1,10 +1,10 @@
 """Power diagrams: which cell a position lies in, and the cells as polygons.
 
-    cell e = { x : ‖x − P_e‖² − w_e ≤ ‖x − P_j‖² − w_j for all j }     (weights 0: the Voronoi diagram)
+    cell e = { x : ‖x − P_e‖² − w_e ≤ ‖x − P_j‖² − w_j for all j }   (weights 0: Voronoi diagram)
 
-The border between i and j is a line across P_i P_j; a weight change Δw moves it by Δw / (2 ‖P_i −
-P_j‖). Cells are convex, disjoint and cover the plane (Aurenhammer, Power diagrams, SIAM J. Comput.
-1987). `assign` runs once per candidate plan, the polygons once per plan.
+The border of i and j is a line across P_i P_j; a weight change Δw moves it by Δw / (2 ‖P_i − P_j‖).
+Cells are convex, disjoint and cover the plane (Aurenhammer, Power diagrams, SIAM J. Comput. 1987).
+`assign` runs once per candidate plan, the polygons once per plan.
 """
 
 from __future__ import annotations
@@ -18,16 +18,13 @@ from radiant_core.numerics import FloatArray, check_array
 
 
 def assign(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> NDArray[np.int64]:
-    """Cell (C,) of positions (C,2) m among sites (E,2) m with weights (E,) m²; ties go to the smallest index."""
+    """Cell (C,) of positions (C,2) m, sites (E,2) m, weights (E,) m²; ties: the smallest index."""
     return assign_power_cells(positions, sites, weights).astype(np.int64)
 
 
 def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> tuple[FloatArray, ...]:
-    """Cells clipped to a convex counter-clockwise outline (V,2) m: per site a polygon (V,2), or
-    (0,2) for an empty cell.
-
-    Of sites at one spot the heaviest has the whole cell, the first among equals.
-    """
+    """Cells clipped to a convex counter-clockwise outline (V,2) m: a polygon (V,2) per site, (0,2)
+    if empty. Of sites at one spot the heaviest has the whole cell, the first among equals."""
     corners = check_array("outline", outline, (None, 2))
     centre = corners.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
     local_sites = check_array("sites", sites, (None, 2)) - centre
@@ -40,7 +37,7 @@ def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> t
 
 
 def clip_polygon(polygon: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
-    """The part of a convex polygon (V,2) with normal · x ≤ offset, turning as before; (0,2) where no area is left."""
+    """The part of a convex polygon (V,2) with normal · x ≤ offset; (0,2) where it has no area."""
     heights = polygon @ normal - offset
     corners: list[FloatArray] = []
     for here, there, low, high in zip(polygon, np.roll(polygon, -1, axis=0), heights, np.roll(heights, -1), strict=True):
@@ -60,7 +57,7 @@ def polygon_area_m2(polygon: FloatArray) -> float:
 
 
 def bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest coordinates (2,) of positions (C,2): by column, forty times as fast as along axis 0 at a million rows."""
+    """Bounds (2,) of positions (C,2), by column: 40 times as fast as along axis 0 at 10⁶ rows."""
     columns = positions.T
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
 

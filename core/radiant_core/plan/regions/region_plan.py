@@ -1,12 +1,10 @@
-"""Regions of the edges (paper Sec. III-B, ARP): who owns which cameras so that the slowest edge is
-as fast as possible.
+"""Regions of the edges (paper Sec. III-B, ARP): who owns which cameras for the least makespan.
 
-In the paper's cost model an edge's time depends on its region only through the number of cameras in
-it. So the best counts are found first, without geography (`deadline`); then the cameras are dealt
-to the edges with exactly these counts and the least Σ ‖camera − edge‖² (`transport`). The
-least-squares assignment for any counts is a power diagram of the edge positions (Aurenhammer,
-Hoffmann, Aronov, Algorithmica 1998): convex, disjoint, covering regions at the geography-free lower
-bound.
+In the paper's cost model an edge's time depends on its region only through its number of cameras.
+So the best counts are found first, without geography (`deadline`); then the cameras are dealt to
+the edges with exactly these counts and the least Σ ‖camera − edge‖² (`transport`): a power diagram
+of the edge positions (Aurenhammer, Hoffmann, Aronov, Algorithmica 1998), hence convex, disjoint,
+covering regions at the geography-free lower bound.
 
     exact     counts with the smallest makespan: optimal in this model, with a certificate
     even      as many cameras for every device as the memory limits allow (`even_shares`)
@@ -29,13 +27,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import edge_tables
 from radiant_core.plan.counts.slack import capacities_within
-from radiant_core.plan.counts.wide_deadline import (
-    FastestCounts,
-    cached_edge_counts,
-    fastest_edge_counts,
-    system_capacity,
-    times_of_counts,
-)
+from radiant_core.plan.counts.wide_deadline import FastestCounts, cached_edge_counts, fastest_edge_counts, system_capacity, times_of_counts
 from radiant_core.plan.devices.even_shares import even_edge_counts, even_times_s
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.regions.capped_transport import deal_within
@@ -48,9 +40,9 @@ from radiant_core.plan.system import System
 
 _BLOCK_PAIRS = 500_000
 MARGIN = 0.1
-"""Width of land beyond the outermost cameras that still belongs to a region, as a share of their bounding box's longer side."""
+"""Land of regions beyond the outermost cameras, as a share of their box's longer side."""
 CERTIFICATE_TOLERANCE = 1e-12
-"""A camera may miss its cell by this share of the largest squared distance: thousands of roundings, below a micrometre per km."""
+"""Share of the largest squared distance a camera may miss its cell by: below a µm per km."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,11 +60,8 @@ class PlanInfeasible:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plane:
-    """Cameras (C,2), sites (E,2), their bounding box (4,2) and the same with a margin, `outline`,
-    all in metres about `centre` (2,).
-
-    side_m: longer side of the cameras' bounding box, 1 where they share one spot.
-    """
+    """Cameras (C,2), sites (E,2), the cameras' bounding box (4,2) and the same with a margin,
+    `outline`, in metres about `centre` (2,); side_m: the box's longer side, 1 for one spot."""
 
     cameras: FloatArray
     sites: FloatArray
@@ -108,16 +97,15 @@ def plan_regions(  # noqa: PLR0913
     slack: float | None = None,
     constraints: PlanConstraints | None = None,
 ) -> CloudPlan | PlanInfeasible:
-    """Regions for cameras (C,2) m by one of the methods above; every edge needs a position
-    (`place_edges`).
+    """Regions for cameras (C,2) m by one of the methods above, of a system with `place_edges` done.
 
     status: optimal = the lower bound with a certificate; converged = within the paper's threshold
     (of the bound, for methods that do not iterate); stopped otherwise. `start`: a plan of nearly
     the same input for `exact` to start from. `tolerance`: `exact` leaves every camera at its
     nearest edge where that is slower than the bound by this share at most. `slack` ≥ 1: `exact` may
     take this many times the bound if that shortens Σ distance² (`slack.py`); `constraints`: `exact`
-    plans around them. Raises BadInput for a tolerance or slack out of range, both or constraints
-    with them, and for positions that are not finite, none, or beyond 1e8 m.
+    plans around them. BadInput for a tolerance or slack out of range, both or constraints with
+    them, and for positions that are not finite, none, or beyond 1e8 m.
     """
     _require_options(method, tolerance, slack, constraints)
     plane = _plane(positions, system)
@@ -152,12 +140,9 @@ def plan_regions(  # noqa: PLR0913
 
 
 def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
-    """Regions for cameras (C,2) m that already belong to edges (C,): every place to the edge whose
-    cameras' mean is nearest.
-
-    Edges without cameras own no land. The lower bound is that of the same counts of cameras dealt
-    freely, 0 where memory forbids it.
-    """
+    """Regions for cameras (C,2) m that already belong to edges (C,): every place to the edge with
+    the nearest mean camera; none to edges without cameras. The lower bound is that of the same
+    counts of cameras dealt freely, 0 where memory forbids it."""
     positions = check_array("positions", positions, (len(edge_of_camera), 2))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
     fits = system_capacity(system, len(positions)) >= len(positions)
@@ -166,12 +151,8 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
 
 
 def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
-    """Regions for cameras (C,2) m that belong to edges (C,): the power diagram of the edges' mean
-    cameras with as many in each cell.
-
-    Which cameras lie in a cell may differ from `edge_of_camera`. Times and the lower bound are left
-    at 0.
-    """
+    """The power diagram of the mean cameras (C,2) m of edges (C,) with as many cameras in each
+    cell, though not always the same ones. Times and the lower bound are left at 0."""
     positions = check_array("positions", positions, (len(edge_of_camera), 2))
     counts = np.bincount(edge_of_camera, minlength=len(system.edges))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
@@ -181,8 +162,8 @@ def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64],
 def _regions_of_owners(
     plane: _Plane, system: System, edge_of_camera: NDArray[np.int64], weights: FloatArray, lower_bound_s: float
 ) -> CloudPlan:
-    """The power diagram of the plane's sites (E,2) and weights (E,) for cameras that belong to edges (C,) wherever they lie."""
-    weights = _closed_where_unused(weights, np.bincount(edge_of_camera, minlength=len(weights)), plane)
+    """The power diagram of the plane's sites with weights (E,), whatever edges own the cameras."""
+    weights = _close_unused(weights, np.bincount(edge_of_camera, minlength=len(weights)), plane)
     return CloudPlan(
         method="captured",
         edge_ids=tuple(edge.id for edge in system.edges),
@@ -249,7 +230,7 @@ def _require_options(method: PlanMethod, tolerance: float, slack: float | None, 
 
 
 def _slack_partition(plane: _Plane, system: System, fastest: FastestCounts, slack: float) -> _Partition:
-    """The least Σ distance² within slack times the bound; never fewer places than the fastest counts, whatever rounding says."""
+    """The least Σ distance² within slack · bound, with at least the fastest counts' capacities."""
     capacities = capacities_within(system, len(plane.cameras), slack * float(fastest.edge_time_s.max()))
     dealt = deal_within(plane.cameras, plane.sites, np.maximum(capacities, fastest.counts))
     return _Partition(edge_of_camera=dealt.edge_of_position, weights=dealt.weights, violation_m2=dealt.violation_m2, aim="slack")
@@ -258,7 +239,7 @@ def _slack_partition(plane: _Plane, system: System, fastest: FastestCounts, slac
 def _constrained_partition(
     plane: _Plane, system: System, fastest: FastestCounts, constraints: PlanConstraints, start: CloudPlan | None
 ) -> _Partition | str:
-    """The plan around constraints, on the weights of the plan to start from or of the exact one; a sentence where there is none."""
+    """The plan around constraints, on the weights of `start` or the exact plan; else a reason."""
     if start is not None and start.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the plan to start from has edges {', '.join(start.edge_ids)}, the system others: give one of this system.")
     weights = _exact_partition(plane, fastest.counts, None).weights if start is None and constraints.fixed_weights_m2 else None
@@ -322,7 +303,7 @@ def _cloud_plan(
         edge_time_s = times_of_counts(system, counts)
     lower_bound_s = float(fastest.edge_time_s.max())
     makespan_s = float(edge_time_s.max())
-    weights = _closed_where_unused(partition.weights, counts, plane)
+    weights = _close_unused(partition.weights, counts, plane)
     num_outside = 0
     if partition.violation_m2 is None:
         num_outside = num_cameras_outside(plane.cameras, plane.sites, weights, partition.edge_of_camera)
@@ -354,12 +335,10 @@ def _cloud_plan(
     )
 
 
-def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: _Plane) -> FloatArray:
-    """Weights (E,) under which edges without cameras own no land: no model of it would be trained.
-
-    ‖x − P_e‖² − ‖x − P_j‖² is linear in x, so an edge that loses to one used edge j at all corners
-    loses everywhere; it loses by a squared side length more, which no rounding undoes.
-    """
+def _close_unused(weights: FloatArray, counts: NDArray[np.int64], plane: _Plane) -> FloatArray:
+    """Weights (E,) under which edges without cameras own no land, as no model of it would be
+    trained. ‖x − P_e‖² − ‖x − P_j‖² is linear in x: an edge that loses to one used edge j at all
+    corners loses everywhere; it loses by a squared side length more, which no rounding undoes."""
     weights = weights.copy()
     other = int(counts.argmax())
     for edge in np.flatnonzero(counts == 0):
@@ -374,7 +353,7 @@ def is_certified(cameras: FloatArray, sites: FloatArray, weights: FloatArray, ed
 
 
 def num_cameras_outside(cameras: FloatArray, sites: FloatArray, weights: FloatArray, edge_of_camera: NDArray[np.int64]) -> int:
-    """Cameras (C,2) m outside their own power cell by more than the tolerance; in blocks, as C × E may be large."""
+    """Cameras (C,2) m outside their power cells by more than the tolerance; C × E in blocks."""
     missed_m2, largest_m2 = np.zeros(len(cameras)), 0.0
     rows = max(1, _BLOCK_PAIRS // len(weights))
     for start in range(0, len(cameras), rows):

@@ -1,5 +1,4 @@
-"""Cameras dealt to edges with given counts at the least Σ ‖camera − edge‖², and the power diagram
-that draws the same borders.
+"""Cameras dealt with given counts at the least Σ ‖camera − edge‖², and their power diagram.
 
     minimise Σ_c ‖x_c − P_e(c)‖²   with exactly counts[e] cameras at edge e
 
@@ -7,8 +6,7 @@ The dual of this transport problem is the power diagram's weights (Aurenhammer, 
 Algorithmica 1998). The native module solves it on ever finer boxes of cameras: damped Newton on the
 smoothed dual (Kitagawa, Mérigot, Thibert, JEMS 2019) over a tree of cameras, a ridge where cells
 share no camera, the last cameras by cheapest chains (Ahuja, Magnanti, Orlin, Network Flows, 1993,
-ch. 9), which end in the exact optimum whatever Newton left. The certificate is taken over all
-cameras afterwards. Runs once per plan.
+ch. 9), which end in the exact optimum. The certificate over all cameras follows. Once per plan.
 """
 
 from __future__ import annotations
@@ -27,12 +25,9 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dealt:
-    """Where the cameras went.
-
-    edge_of_position (C,): −1 for a position whose cameras went to several edges; parts (S,3): those
-    as (position, edge, cameras); weights (E,) m²: every camera lies in its power cell up to
-    `violation_m2`; edges without cameras have weight 0.
-    """
+    """Where the cameras went. edge_of_position (C,): −1 where cameras went to several edges; parts
+    (S,3): those as (position, edge, cameras); weights (E,) m²: every camera lies in its power cell
+    up to `violation_m2`; 0 for edges without cameras."""
 
     edge_of_position: Indices
     parts: Indices
@@ -48,11 +43,8 @@ def deal_with_counts(
     positions: FloatArray, sites: FloatArray, counts: Indices, *, multiplicities: ArrayLike | None = None, weights: FloatArray | None = None
 ) -> Dealt:
     """Deal cameras at positions (C,2) m to distinct sites (E,2) m with exactly counts (E,).
-
     multiplicities (C,): cameras at each position, a count raster; weights (E,) m²: of a similar
-    plan, to start from. Coordinates should be about a local origin. Raises BadInput unless the
-    counts are not negative and sum to the cameras.
-    """
+    plan, to start from. Use coordinates about a local origin. BadInput unless the counts fit."""
     counts = check_array("counts", counts, (len(sites),), np.int64)
     given = None if multiplicities is None else check_array("multiplicities", multiplicities, (len(positions),), np.int64)
     num_cameras = len(positions) if given is None else int(given.sum())
@@ -77,16 +69,11 @@ def deal_with_counts(
     edge_of_position = np.where(cells >= 0, used[cells], -1)
     parts = np.stack([parts[:, 0], used[parts[:, 1]], parts[:, 2]], axis=1)
     return Dealt(
-        edge_of_position=edge_of_position,
-        parts=parts,
-        weights=out_weights,
-        violation_m2=violation_m2,
-        num_rounds=rounds,
-        num_paths=paths,
+        edge_of_position=edge_of_position, parts=parts, weights=out_weights, violation_m2=violation_m2, num_rounds=rounds, num_paths=paths
     )
 
 
 def violations(squared_m2: FloatArray, weights: FloatArray, edge_of_camera: Indices) -> FloatArray:
-    """How far each camera is from its own power cell, m² (C,): own − min_e of squared_m2[c, e] − w[e], ≥ 0."""
+    """How far each camera is from its cell, m² (C,): own − min_e squared_m2[c, e] − w[e], ≥ 0."""
     power = squared_m2 - weights
     return power[np.arange(len(squared_m2)), edge_of_camera] - power.min(axis=1)

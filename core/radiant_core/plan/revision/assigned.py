@@ -1,8 +1,5 @@
-"""The plan of photographs that already belong to devices. Runs once per run.
-
-Regions are the power diagram of the edges' mean positions without weights, strips the hulls of each
-device's positions.
-"""
+"""The plan of photographs that already belong to devices: regions are the power diagram of the
+edges' mean positions without weights, strips the hulls of devices' positions. Runs once per run."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from radiant_core.plan.system import Edge, System
 
 
 def device_indices(owners: Sequence[str], system: System) -> NDArray[np.int64]:
-    """Index (C,) over the devices of all edges of each owner's id; BadInput for a device the system does not have."""
+    """Index (C,) over the devices of all edges of each owner; BadInput for an unknown one."""
     index_of = {device.id: index for index, device in enumerate(system.devices)}
     unknown = sorted(set(owners) - set(index_of))
     if unknown:
@@ -31,7 +28,7 @@ def device_indices(owners: Sequence[str], system: System) -> NDArray[np.int64]:
 
 
 def assigned_plan(positions: ArrayLike, owners: Sequence[str], system: System) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The plan in which camera i of positions (C,2) m belongs to the device with the id `owners[i]`; raises as `plan_of_owners`."""
+    """The plan of positions (C,2) m that devices `owners` hold; raises as `plan_of_owners`."""
     positions = check_array("positions", positions, (len(owners), 2))
     device_of_camera = device_indices(owners, system)
     edge_of_device = np.repeat(np.arange(len(system.edges)), [len(edge.devices) for edge in system.edges])

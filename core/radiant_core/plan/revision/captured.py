@@ -1,10 +1,8 @@
-"""Applies a plan to the captured photographs: each belongs to the device of the nearest planned
-waypoint.
+"""Applies a plan to captured photographs: each belongs to the device of the nearest waypoint.
 
 P planned, C captured. Once per run, after capture, O((P + C) log P). Photographs never move between
-devices, so nothing is balanced again: borders and strips stay, counts and times are those of what
-was captured,
-    T^m = max_n T^n(k_n) + F_m(Σ k_n) + Σ_n H_n(k_n) / B^m      for k_n photographs at device n (paper Eqn. 5-8).
+devices: borders and strips stay, counts and times are those of what was captured,
+    T^m = max_n T^n(k_n) + F_m(Σ k_n) + Σ_n H_n(k_n) / B^m    for k_n photographs at n (Eqn. 5-8).
 """
 
 from __future__ import annotations
@@ -33,15 +31,10 @@ MIN_SITE_M = 100.0
 def plan_captured(
     cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], planned_xy: ArrayLike, captured_xy: ArrayLike, *, system: System
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The plan of `planned_xy` (P,2) m for the photographs at `captured_xy` (C,2) m of the same
-    frame; indices are rows of the latter.
-
+    """The plan of `planned_xy` (P,2) m for photographs at `captured_xy` (C,2) m of the same frame.
     A device none of whose waypoints was captured has no camera and no time. status: optimal or
     converged where the captured counts happen to be, against the bound of C cameras; else stopped.
-    Raises BadInput when plan and system are not of one kind, when nothing was captured, when a
-    device captured more than its memory holds, or when most photographs lie farther from every
-    waypoint than the plan is wide.
-    """
+    BadInput as `plan_of_owners` and `nearest_planned`, and when nothing was captured."""
     planned = check_array("planned_xy", planned_xy, (None, 2))
     captured = check_array("captured_xy", captured_xy, (None, 2))
     require_plan_of(len(planned), cloud_plan, edge_plans)
@@ -53,19 +46,11 @@ def plan_captured(
 
 
 def plan_of_owners(
-    cloud_plan: CloudPlan,
-    edge_plans: Sequence[EdgePlan],
-    device_of_captured: NDArray[np.int64],
-    captured_xy: ArrayLike,
-    *,
-    system: System,
+    cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], device_of_captured: NDArray[np.int64], captured_xy: ArrayLike, *, system: System
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The regions and strips of a plan for photographs at `captured_xy` (C,2) m that are on the
-    devices (C,), counted over all edges.
-
-    Raises BadInput when plan and system are not of one kind, or when a device captured more than
-    its memory holds.
-    """
+    """The regions and strips of a plan for photographs at `captured_xy` (C,2) m on devices (C,),
+    counted over all edges. BadInput when plan and system are not of one kind, or when a device
+    captured more than its memory holds."""
     captured = check_array("captured_xy", captured_xy, (len(device_of_captured), 2))
     require_same_system(edge_plans, system)
     counts = np.bincount(device_of_captured, minlength=len(system.devices))
@@ -94,10 +79,7 @@ def find_captured_elsewhere(
     edge_plans: Sequence[EdgePlan], planned_xy: ArrayLike, device_of_captured: NDArray[np.int64], captured_xy: ArrayLike
 ) -> NDArray[np.bool_]:
     """Which photographs (C,) of the devices (C,) lie nearest to a waypoint of another edge's
-    devices, whose region is not theirs.
-
-    Raises BadInput when most lie farther from every waypoint than the plan is wide.
-    """
+    devices, whose region is not theirs; raises as `nearest_planned`."""
     planned = check_array("planned_xy", planned_xy, (None, 2))
     captured = check_array("captured_xy", captured_xy, (len(device_of_captured), 2))
     edge_of_device = np.repeat(np.arange(len(edge_plans)), [len(plan.device_ids) for plan in edge_plans])
@@ -115,7 +97,7 @@ def require_same_system(edge_plans: Sequence[EdgePlan], system: System) -> None:
 
 
 def nearest_planned(planned: FloatArray, captured: FloatArray) -> NDArray[np.int64]:
-    """Row of the nearest waypoint (C,) of photographs (C,2) m; BadInput when most lie farther from all than the plan is wide."""
+    """Nearest waypoint (C,) of photographs (C,2) m; BadInput when most are a plan's width away."""
     tree: Any = KDTree(planned)
     distances_m: FloatArray
     nearest: NDArray[np.int64]

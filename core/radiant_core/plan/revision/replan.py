@@ -1,17 +1,14 @@
-"""Revises a plan after the fleet has changed: a device died, became slow or is busy, a device or
-edge joined.
+"""Revises a plan after a change of the fleet: machines that died, are slow or busy, or joined.
 
-First the least makespan, then the fewest positions that change their device, then geography: those
-that move go where
+First the least makespan, then the fewest positions that change their device, then geography:
     minimise Σ_moved ‖x − centre of the new device‖² − ‖x − centre of the old one‖²
 with the quotas of `replan_counts`: a transport problem, solved by the native module where one
-device loses or all that lose give up everything, as a linear program (HiGHS; the constraints are a
-network, so its corners are whole numbers) for up to 40,000 arcs, and else device by device, those
-that give up everything together. Positions that are captured or lie with a device that is done
-never move; on a dead device captured ones are lost.
-Regions stay as they were where no position changed its edge, else they are the power diagram of the
-edges' mean positions with the new counts: moved positions lie apart, and the edges' own places
-would draw regions that others train in. Runs once per re-plan.
+device loses or all that lose give up everything, as a linear program (HiGHS; a network's corners
+are whole numbers) for up to 40,000 arcs, else device by device, those that give up everything
+together. Captured positions and those of a device that is done never move; on a dead device
+captured ones are lost. Regions stay where no position changed its edge, else they are the power
+diagram of the edges' mean positions with the new counts: the edges' own places would draw regions
+that others train in. Runs once per re-plan.
 """
 
 from __future__ import annotations
@@ -43,7 +40,7 @@ MAX_ARCS = 40_000
 
 @dataclass(frozen=True, kw_only=True)
 class FleetChange:
-    """What has changed since the plan was made, by ids of devices or edges; an edge stands for all its devices."""
+    """What has changed since the plan, by ids; that of an edge stands for all its devices."""
 
     dead: frozenset[str] = frozenset()
     """Lost with what they captured; their other positions go to other devices."""
@@ -81,7 +78,7 @@ class ReplanInfeasible:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replan:
-    """The new plan, of `system`, and what it changes. P positions, D devices of all edges of the new system in order."""
+    """The new plan of `system`. P positions, D devices of all edges of the new system in order."""
 
     system: System
     cloud: CloudPlan
@@ -93,7 +90,7 @@ class Replan:
     lost: NDArray[np.bool_]
     """(P,) captured by a device that is dead: no device trains on them."""
     time_before_s: FloatArray
-    """(D,) as things are now if nothing moves; inf for a dead device that still has positions to capture."""
+    """(D,) if nothing moves; inf for a dead device that still has positions to capture."""
     time_after_s: FloatArray
     """(D,)"""
     makespan_before_s: float
@@ -108,7 +105,7 @@ class Replan:
 
 
 def extend_system(system: System, joining: System) -> System:
-    """The system with further edges, or further devices at edges it has; BadInput where an id comes twice or nothing joins."""
+    """The system with further edges or devices; BadInput where ids repeat or nothing joins."""
     new = {edge.id: edge for edge in joining.edges}
     known = {edge.id for edge in system.edges}
     grown = tuple(replace(edge, devices=(*edge.devices, *(new[edge.id].devices if edge.id in new else ()))) for edge in system.edges)
@@ -126,13 +123,9 @@ def replan(  # noqa: PLR0913
     joining: System | None = None,
     tolerance: float = 0.0,
 ) -> Replan | ReplanInfeasible:
-    """The new plan of positions (P,2) m; captured (P,) bool, none without it; every edge of
-    `system` and `joining` needs a position.
-
-    tolerance: share by which the makespan may exceed the least one, to move fewer. Raises BadInput
-    when plan, positions and system do not belong together, for unknown ids and for a negative
-    tolerance.
-    """
+    """The new plan of positions (P,2) m; captured (P,) bool, none without it; tolerance: share by
+    which the makespan may exceed the least, to move fewer. Every edge needs a position. BadInput
+    when plan, positions and system do not belong together, for unknown ids and tolerance < 0."""
     positions = check_array("positions", positions, (len(cloud_plan.edge_of_camera), 2))
     fixed = np.zeros(len(positions), bool) if captured is None else check_array("captured", captured, (len(positions),), np.int64) > 0
     if not (np.isfinite(tolerance) and tolerance >= 0):
@@ -164,7 +157,7 @@ def replan(  # noqa: PLR0913
 
 
 def _expand_edges(change: FleetChange, system: System) -> FleetChange:
-    """The change with every edge id replaced by its devices (done edges stay listed too); BadInput for an unknown id."""
+    """The change with edge ids replaced by those of devices (done edges stay too)."""
     members = {edge.id: {device.id for device in edge.devices} for edge in system.edges}
     devices = {device.id for device in system.devices}
     for name in (*change.dead, *change.done, *change.closed, *change.slow, *change.busy_s):
@@ -180,7 +173,7 @@ def _expand_edges(change: FleetChange, system: System) -> FleetChange:
 
 
 def _slow_down(system: System, change: FleetChange) -> System:
-    def slower(edge: Edge) -> Edge:
+    def slow_down_edge(edge: Edge) -> Edge:
         whole = change.slow.get(edge.id, 1.0)
         factors = [whole * change.slow.get(device.id, 1.0) if device.id != edge.id else whole for device in edge.devices]
         devices = tuple(
@@ -189,11 +182,10 @@ def _slow_down(system: System, change: FleetChange) -> System:
         )
         return replace(edge.with_aggregation_scaled(whole), devices=devices)
 
-    return replace(system, edges=tuple(slower(edge) for edge in system.edges))
+    return replace(system, edges=tuple(slow_down_edge(edge) for edge in system.edges))
 
 
 def _renumber_devices(device_of_position: Indices, system: System, joining: System | None) -> Indices:
-    """Device (P,) counted in the system with what joins."""
     if joining is None:
         return device_of_position
     index_of = {device.id: index for index, device in enumerate(extend_system(system, joining).devices)}
@@ -245,7 +237,6 @@ def _infeasible(loads: Sequence[EdgeLoad], num_positions: int) -> ReplanInfeasib
 
 
 def _per_device(system: System, change: FleetChange, found: SolvedCounts) -> Indices:
-    """Quotas (D,) of all devices, 0 for the dead."""
     quotas: list[int] = []
     for edge, living in zip(system.edges, found.quotas, strict=True):
         rest = iter(living)
@@ -254,7 +245,7 @@ def _per_device(system: System, change: FleetChange, found: SolvedCounts) -> Ind
 
 
 def _deal(positions: FloatArray, before: Indices, must_stay: NDArray[np.bool_], quotas: Indices, system: System) -> Indices:
-    """Device (P,) of every position: quotas (D,) kept, as few moves as they allow, those as near as possible."""
+    """Device (P,) of each position: quotas (D,) kept with the fewest and nearest moves."""
     held = np.bincount(before, minlength=len(quotas))
     lost = np.bincount(before[must_stay], minlength=len(quotas)) * (quotas == 0)
     gains, losses = np.maximum(0, quotas - held), np.maximum(0, held - lost - quotas)
@@ -276,7 +267,7 @@ def _centres(positions: FloatArray, before: Indices, system: System) -> FloatArr
 
 
 def _transport(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
-    """New owners (K,) of points (K,2): losses[n] of those of device n leave, gains[n] arrive, at the least squared distance."""
+    """New owners (K,) of points (K,2) at the least squared distance; losses leave, gains arrive."""
     receivers = np.flatnonzero(gains)
     losers = np.unique(owners)
     all_leave = len(points) == losses[losers].sum()
@@ -313,7 +304,7 @@ def _transport_natively(points: FloatArray, devices: Indices, centres: FloatArra
 
 
 def _solve_linear_program(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
-    """Arcs point → receiver with the change of squared distance; every point at most one, receivers and losers exactly."""
+    """Arcs point → receiver: each point at most one, receivers and losers exactly their counts."""
     receivers, losers = np.flatnonzero(gains), np.unique(owners)
     num_points, num_receivers = len(points), len(receivers)
     near = np.sum((points[:, None] - centres[receivers]) ** 2, axis=-1)
@@ -339,7 +330,7 @@ def _solve_linear_program(points: FloatArray, owners: Indices, centres: FloatArr
 
 
 def _deal_new_in_strips(positions: FloatArray, before: Indices, after: Indices, held: Indices, system: System) -> Indices:
-    """Deal the positions that new devices of one edge received together to them in strips along the long side."""
+    """Deal what new devices of one edge received together to them, in strips."""
     first = 0
     for edge in system.edges:
         new = [index for index in range(first, first + len(edge.devices)) if not held[index]]
@@ -399,7 +390,7 @@ def _result(  # noqa: PLR0913
 
 
 def _times_s(system: System, loads: Sequence[EdgeLoad], owners: Indices, lost: NDArray[np.bool_]) -> FloatArray:
-    """Time at which each device (D,) has sent its model; inf for a dead one with positions, 0 for one without."""
+    """Time at which each device (D,) has sent its model; inf for a dead one, 0 for an idle one."""
     counts = dict(zip((d.id for d in system.devices), np.bincount(owners[~lost], minlength=len(system.devices)).tolist(), strict=True))
     alive = {machine.device.id: machine for load in loads for machine in load.machines}
     return np.array([alive[name].time_s(count) if name in alive else (np.inf if count else 0.0) for name, count in counts.items()])
@@ -415,7 +406,7 @@ def _makespan_s(loads: Sequence[EdgeLoad], system: System, owners: Indices, chan
 def _edge_plans(
     old_plans: Sequence[EdgePlan], positions: FloatArray, system: System, owners: tuple[Indices, Indices], time_s: FloatArray
 ) -> tuple[EdgePlan, ...]:
-    """The new plan of each edge; strips stay if nothing of the edge changed, else they are hulls."""
+    """The new plan of each edge; strips stay if nothing of the edge changed, else hulls."""
     before, after = owners
     old_of = {plan.edge_id: plan for plan in old_plans}
     plans: list[EdgePlan] = []

@@ -1,21 +1,18 @@
-"""Quotas of positions per device after a fleet change: the least makespan, then the fewest
-positions that move.
+"""Quotas of positions per device after a fleet change: least makespan, then fewest moves.
 
-A device n holds f_n positions that stay (captured), may take up to u_n, and is busy until r_n with
-what it already does:
-    τ_n(q) = r_n + G(q) + F_n(q) + H(q) / B^n  for q > 0, else 0        a closed device keeps what it has and is ready at r_n
+A device n holds f_n positions that stay (captured), takes up to u_n, and is busy until r_n:
+    τ_n(q) = r_n + G(q) + F_n(q) + H(q) / B^n  for q > 0, else 0        (closed: q fixed, τ_n = r_n)
     T^m(c) = max_n τ_n(q_n) + F_m(c) + Σ_n H_n(q_n) / B^m               f_n ≤ q_n ≤ u_n, Σ_n q_n = c
 The deadline T* comes as in `deadline`: the times of the (f_n + 1)-th, (f_n + 2)-th … position of
 every open device, sorted; the edges' tables sorted again. Under T* an edge with c positions allows
 each device at most κ_n(c), which falls with c. With w_n positions now,
     forced(c) = Σ_n max(0, w_n − κ_n(c)),      leaving(c) = max(forced(c), Σ_n w_n − c)
 is the fewest that must leave its devices. Up to some c° one position more saves one move, beyond it
-none is saved and some may be forced: every edge gets c° at least, and what is then left over is
-dealt by dynamic programming over edges. Exact where all open devices of an edge send equally many
-bytes per position and nothing beside, and where F_m does not depend on how many devices have the
-positions (`aggregate_alone_s`); else quotas are kept under T* and `proved` is False.
-Runs once per re-plan: O(P log P) and, only where moves are forced, E · X² for X positions left
-over.
+none: every edge gets c° at least, the rest is dealt by dynamic programming over edges. Exact where
+all open devices of an edge send equally many bytes per position and nothing beside, and where F_m
+does not depend on how many devices have the positions (`aggregate_alone_s`); else quotas are kept
+under T* and `proved` is False. Runs once per re-plan: O(P log P) and, only where moves are forced,
+E · X² for X positions left over.
 """
 
 from __future__ import annotations
@@ -33,14 +30,14 @@ from radiant_core.plan.system import Device, Edge
 
 Indices = NDArray[np.int64]
 ROUNDING = 1e-12
-"""A time may exceed the deadline by this share: sums in another order differ by a few roundings."""
+"""A time may exceed the deadline by this share, a few roundings of sums in another order."""
 MAX_STEPS = 2_000_000_000
-"""E · X² of the dynamic programme; beyond it the fastest counts are taken and nothing is proved about moves."""
+"""E · X² of the dynamic programme; beyond it the fastest counts are taken, unproved."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MachineLoad:
-    """One device: `now` positions of which `fixed` stay, capacity `most`; busy until `busy_s`; closed: accepts no more."""
+    """A device: `now` positions, `fixed` of them stay, at most `most`; closed: accepts no more."""
 
     device: Device
     now: int
@@ -88,7 +85,7 @@ class EdgeLoad:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolvedCounts:
-    """quotas: per edge its devices' positions; deadline_s: the least makespan; proved: that no fewer positions could move."""
+    """quotas per edge and device; deadline_s: the least makespan; proved: no fewer can move."""
 
     quotas: tuple[tuple[int, ...], ...]
     deadline_s: float
@@ -96,7 +93,7 @@ class SolvedCounts:
 
 
 def solve_counts(loads: Sequence[EdgeLoad], num_positions: int, tolerance: float = 0.0) -> SolvedCounts | None:
-    """Quotas for all positions, within `tolerance` of the least makespan; None where the machines cannot hold them."""
+    """Quotas for all positions, within `tolerance` of the least makespan; None if too many."""
     tables = [_Table(load, num_positions) for load in loads]
     num_free = num_positions - sum(load.fixed for load in loads)
     owners, times_s = earliest_slots([table.time_s[1:] for table in tables], num_free)
@@ -113,7 +110,7 @@ def solve_counts(loads: Sequence[EdgeLoad], num_positions: int, tolerance: float
 
 
 class _Table:
-    """Times (K+1,) of one edge with its fixed positions and 0..K more, and which device takes each of them."""
+    """Times (K+1,) of an edge with its fixed positions and 0..K more, and the device of each."""
 
     def __init__(self, load: EdgeLoad, num_positions: int) -> None:
         self.load = load
@@ -129,8 +126,7 @@ class _Table:
             require_finite(f"the time of device {machine.device.id!r} against positions", self.slot_s[-1])
         self.uniform = _send_alike([m.device.model_bytes for m, room in zip(load.machines, self.rooms, strict=True) if room])
         if load.edge.aggregate_alone_s is not None and len(load.machines) > 1:
-            # Where nothing is retrained for one device alone, time also depends on which device has
-            # the positions.
+            # Where one device alone retrains nothing, time depends on who has the positions.
             self.uniform &= sum(m.fixed > 0 for m in load.machines) > 1
         self.owners, times_s = earliest_slots(self.slot_s, spare) if load.machines else (np.zeros(0, np.int64), np.zeros(0))
         base_s = max((m.time_s(m.fixed) for m in load.machines), default=0.0)
@@ -163,7 +159,7 @@ class _Table:
 
 
 class _Choices:
-    """Under a deadline: for each count of an edge from `first` on, the most each device may hold and the fewest that must leave."""
+    """Per count of an edge from `first` on: most per device under a deadline, fewest leaving."""
 
     def __init__(self, table: _Table, allowed_s: float) -> None:
         self.table, self.allowed_s = table, allowed_s
@@ -187,7 +183,7 @@ class _Choices:
         return self.leaving[self.first :] - self.leaving[self.first]
 
     def quotas(self, count: int) -> list[int]:
-        """Quotas of `count` positions with the fewest leaving; ties go to the device named first."""
+        """Quotas of `count` positions with the fewest leaving; ties: the device named first."""
         load = self.table.load
         caps: list[int] = self.caps[:, int(count) - int(self.counts[0])].tolist()
         if not load.machines:
@@ -202,7 +198,7 @@ class _Choices:
         return quotas if self.table.uniform else self._under_deadline(quotas, int(count))
 
     def _under_deadline(self, quotas: list[int], count: int) -> list[int]:
-        """Quotas moved towards the fastest ones, position by position, until what they send fits as well."""
+        """Quotas moved towards the fastest, position by position, until what they send fits too."""
         fixed = [m.fixed for m in self.table.load.machines]
         fastest = np.bincount(self.table.owners[: count - sum(fixed)], minlength=len(fixed)) + fixed
         while self.table.load.time_s(quotas) > self.allowed_s and (gaps := fastest - np.array(quotas)).any():
@@ -212,7 +208,7 @@ class _Choices:
 
 
 def _distribute(choices: Sequence[_Choices], num_positions: int, fastest: Indices) -> tuple[list[int], bool]:
-    """Positions of each edge with the fewest moves, nearer edges first among equals; and whether that is proved."""
+    """Positions per edge with the fewest moves, nearer edges first, and whether that is proved."""
     firsts = [int(choice.counts[choice.first]) for choice in choices]
     left = num_positions - sum(firsts)
     free = [int(np.searchsorted(choice.extra_cost, 0, side="right")) - 1 for choice in choices]
@@ -229,7 +225,7 @@ def _distribute(choices: Sequence[_Choices], num_positions: int, fastest: Indice
 
 
 def _distribute_cheapest(choices: Sequence[_Choices], total: int) -> list[int]:
-    """Distribute `total` positions over the edges at the least cost: min-plus convolutions and backtracking."""
+    """Deal `total` positions to edges at the least cost: min-plus convolutions, backtracking."""
     farthest_m = max(choice.table.load.distance_m for choice in choices) or 1.0
     best = np.full(total + 1, np.inf)
     best[0] = 0.0

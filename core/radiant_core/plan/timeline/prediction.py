@@ -1,14 +1,13 @@
-"""What a plan says will happen when, how far off it was, and what the first finished machines teach
-about the rest.
+"""Predicts when a plan's stages happen, measures the errors, and corrects the rest of the system.
 
-    device n: initialise G from 0 on, train F_n, send H / B^n
-    edge m:   aggregate F_m once its last device has sent, then send Σ_n H_n / B^m            (paper Eqn. 5-8, 12-15)
+    device n: initialise G from 0 on, train F_n, send H / B^n                 (paper Eqn. 12-15)
+    edge m:   aggregate F_m once its last device has sent, then send Σ_n H_n / B^m       (5-8)
     error = predicted / measured − 1, in %: negative where a stage took longer than predicted
 
 Correction: a finished device's measured / predicted time scales the curves of all devices with the
 same curves (one machine class); devices of another class whose curves are proportional (the same
-profile on a faster or slower machine) take the median of all such classes; edges alike by their own
-curve. Runs once per plan, once per finished node and once per report; a few numbers per machine.
+profile on another machine) take the median of all such classes; edges by their own curve. Runs once
+per plan, per finished node and per report; a few numbers per machine.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ class StageError:
 
 
 def planned_stages(system: System, edge_plans: Sequence[EdgePlan]) -> tuple[PlannedStage, ...]:
-    """All stages of a plan of this system, devices before their edge; machines without cameras have none."""
+    """All stages of a plan, devices before their edge; machines without cameras have none."""
     stages: list[PlannedStage] = []
     for edge, plan in zip(system.edges, edge_plans, strict=True):
         total = len(plan.camera_indices)
@@ -93,17 +92,13 @@ def planned_stages(system: System, edge_plans: Sequence[EdgePlan]) -> tuple[Plan
 
 
 def stage_errors(planned: Iterable[PlannedStage], measured: Seconds) -> tuple[StageError, ...]:
-    """What was both planned and measured; BadInput for a measured time that is negative or not finite."""
+    """What was planned and measured; BadInput for a measured time below 0 or not finite."""
     for (node, stage), seconds in measured.items():
         if not np.isfinite(seconds) or seconds < 0:
             raise BadInput(f"{node} took {seconds} s to {stage}, expected a finite time of at least 0: measure again.")
     return tuple(
         StageError(
-            node=row.node,
-            stage=row.stage,
-            num_cameras=row.num_cameras,
-            predicted_s=row.seconds,
-            measured_s=measured[row.node, row.stage],
+            node=row.node, stage=row.stage, num_cameras=row.num_cameras, predicted_s=row.seconds, measured_s=measured[row.node, row.stage]
         )
         for row in planned
         if (row.node, row.stage) in measured
@@ -111,11 +106,8 @@ def stage_errors(planned: Iterable[PlannedStage], measured: Seconds) -> tuple[St
 
 
 def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan]) -> StageError | None:
-    """The slowest edge when every machine works for itself, from the stages that were measured
-    alone; None where a node is missing.
-
-    Both times are composed alike: an edge's stages after those of its slowest device.
-    """
+    """The slowest edge when every machine works for itself, from stages measured alone, its own
+    after those of its slowest device; None where a node is missing."""
     nodes = {row.node for row in errors}
     needed = {
         node
@@ -126,7 +118,7 @@ def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan])
     if not needed or needed - nodes:
         return None
 
-    def composed(kind: str) -> float:
+    def compose(kind: str) -> float:
         spent = {node: sum(getattr(row, kind) for row in errors if row.node == node) for node in needed}
         ends = [
             max((spent.get(f"devices/{name}", 0.0) for name in plan.device_ids), default=0.0) + spent.get(f"edges/{plan.edge_id}", 0.0)
@@ -135,16 +127,13 @@ def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan])
         return max(ends)
 
     num_cameras = sum(len(plan.camera_indices) for plan in edge_plans)
-    predicted_s, measured_s = composed("predicted_s"), composed("measured_s")
+    predicted_s, measured_s = compose("predicted_s"), compose("measured_s")
     return StageError(node="all", stage="makespan", num_cameras=num_cameras, predicted_s=predicted_s, measured_s=measured_s)
 
 
 def correct_system(system: System, planned: Iterable[PlannedStage], measured: Seconds) -> System:
     """The system with G, F_n and F_m scaled by what was measured so far; stages that were not
-    measured teach nothing.
-
-    BadInput as `stage_errors`. A machine predicted or measured at 0 s teaches nothing either.
-    """
+    measured, or predicted or measured at 0 s, change nothing. BadInput as `stage_errors`."""
     errors = stage_errors(planned, measured)
     ratio_of = {
         row.node: row.measured_s / row.predicted_s for row in errors if row.stage != "send" and min(row.predicted_s, row.measured_s) > 0
@@ -177,13 +166,9 @@ def correct_system(system: System, planned: Iterable[PlannedStage], measured: Se
 def time_left_s(
     expected_s: Mapping[str, float], parents: Mapping[str, str], running_s: Mapping[str, float], done: Iterable[str], num_workers: int
 ) -> float:
-    """Seconds until all nodes are done on `num_workers` processes of one machine, those that may
-    start taken in order.
-
+    """Seconds until all nodes are done on `num_workers` ≥ 1 processes of one machine, in order.
     expected_s: node → seconds of its own; parents: device → its edge, which waits for all of them;
-    running_s: node → seconds so far. A node that has run longer than expected is taken to end now.
-    BadInput below one worker.
-    """
+    running_s: node → seconds so far. A node that takes longer is taken to end now."""
     if num_workers < 1:
         raise BadInput(f"{num_workers} workers cannot do anything: give at least one.")
     finished = set(done)
@@ -210,7 +195,7 @@ def _after(start_s: float, node: str, num_cameras: int, spans: Iterable[tuple[St
 
 
 def _factors(curves_of: Mapping[str, tuple[CostCurve, ...]], ratio_of: Mapping[str, float]) -> dict[str, float]:
-    """How each machine's curves are scaled: by its own class, else by machines with proportional curves, else not."""
+    """Scale of each machine's curves: by its own class, else by proportional ones, else none."""
     factors: dict[str, float] = {}
     for node, curves in curves_of.items():
         alike = [ratio_of[other] for other, theirs in curves_of.items() if other in ratio_of and theirs == curves]
@@ -224,7 +209,7 @@ def _factors(curves_of: Mapping[str, tuple[CostCurve, ...]], ratio_of: Mapping[s
 
 
 def curve_shape(curves: Sequence[CostCurve]) -> tuple[float, ...]:
-    """Equal for proportional curves: coefficients over their sum, rounded; an exponent counts where its term does."""
+    """Equal for proportional curves: coefficients over their sum, and exponents that count."""
     terms = [term for curve in curves for term in (curve.constant, curve.linear, curve.power_coefficient)]
     whole = sum(terms) or 1.0
     exponents = [curve.exponent if curve.power_coefficient else 0.0 for curve in curves]

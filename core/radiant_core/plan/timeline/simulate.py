@@ -1,9 +1,9 @@
-"""The timeline of a whole fleet: devices train and send, edges join what arrived and send, the
-cloud waits for the last.
+"""The timeline of a fleet: devices train and send, edges join and send, the cloud waits for all.
 
     device n: starts, works (again from the start after a failure and its repair), sends H bytes
     edge m:   waits for its devices that do not drop out, aggregates, sends what it joined
-    send(t, s): ends when ∫ share(τ) dτ from t reaches s, s the seconds at full bandwidth and share a trace of the network
+    send(t, s): ends when ∫ share(τ) dτ from t reaches s, s the seconds at full bandwidth and
+                share a trace of the network
 
 All arrays at once, O(D + E): a million devices in some 50 ms.
 """
@@ -23,12 +23,9 @@ from radiant_core.plan.system import System
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fleet:
     """D devices of E edges, devices in order of their edges, every edge with at least one.
-
     edge_of_device (D,); start_s, work_s, model_bytes, uplink_bytes_per_s (D,); aggregate_s,
-    edge_uplink_bytes_per_s (E,); fails_s (D,): when a device fails, inf for never; what it did is
-    lost and it starts anew after repair_s (D,); dropped (D,): never heard of again, its edge does
-    not wait.
-    """
+    edge_uplink_bytes_per_s (E,); fails_s (D,): when a device fails and loses its work, inf for
+    never; it starts anew after repair_s (D,); dropped (D,): lost for good, not waited for."""
 
     edge_of_device: NDArray[np.int64]
     start_s: FloatArray
@@ -60,7 +57,7 @@ class Fleet:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BandwidthTrace:
-    """The network's share of full bandwidth: shares (T,) > 0 from times_s (T,) on, the first time 0; the last holds for ever."""
+    """Share (T,) > 0 of full bandwidth from times_s (T,) on, the first 0, the last for ever."""
 
     times_s: FloatArray
     shares: FloatArray
@@ -82,7 +79,7 @@ class BandwidthTrace:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Timeline:
-    """device_done_s (D,), inf where it dropped out; edge_ready_s, edge_done_s (E,): all arrived; joined and sent. 0 without devices."""
+    """device_done_s (D,), inf if dropped; edge_ready_s, edge_done_s (E,): all arrived, all sent."""
 
     device_done_s: FloatArray
     edge_ready_s: FloatArray
@@ -113,7 +110,7 @@ def simulate(fleet: Fleet, trace: BandwidthTrace | None = None) -> Timeline:
 
 
 def fleet_of(system: System, quotas: ArrayLike) -> Fleet:
-    """The fleet of a system whose devices have `quotas` (D,) cameras; devices without any do nothing."""
+    """The fleet of a system whose devices have `quotas` (D,) cameras; without any, idle."""
     quotas = check_array("quotas", quotas, (len(system.devices),), np.int64)
     sizes = [len(edge.devices) for edge in system.edges]
     edge_of_device = np.repeat(np.arange(len(sizes)), sizes)

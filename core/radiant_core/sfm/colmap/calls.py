@@ -17,28 +17,23 @@ from radiant_core.errors import BadInput, StageFailed
 try:
     import pycolmap
 except (ImportError, RuntimeError, MemoryError) as error:
-    # It takes half a gigabyte of addresses to load, and where that is refused its error names a
-    # broken installation.
+    # It takes half a gigabyte of addresses; where refused, its error names a broken installation.
     why = str(error.__cause__ or error).strip().split("\n")[0]
     raise BadInput(f"pycolmap cannot be loaded ({why}): allow more memory (ulimit -v), or run ./setup.sh again.") from error
 
 __all__ = ["call_colmap", "pycolmap"]
 TICK_S = 0.25
 Result = TypeVar("Result")
-# Imported, COLMAP's logging takes SIGTERM over and answers it with a list of what is on its stack;
-# the previous handler is restored.
+# Imported, COLMAP's logging replaces the handler of SIGTERM, which is restored.
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
 pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL.value)
 
 
 def call_colmap(doing: str, call: Callable[..., Result], *args: Any, on_tick: Callable[[], None] | None = None, **options: Any) -> Result:
-    """`call(*args, **options)` in a thread of its own, so that Ctrl-C is heard here; `on_tick` is
-    called every 0.25 s meanwhile.
-
-    A `cancellation_token` among the options is cancelled on Ctrl-C. Raises StageFailed, naming what
-    it was `doing`, when pycolmap gives up.
-    """
+    """`call(*args, **options)` in a thread, so that Ctrl-C is heard; `on_tick` runs every 0.25 s. A
+    `cancellation_token` among the options is cancelled on Ctrl-C. StageFailed, naming what it was
+    `doing`, when pycolmap gives up."""
     token = options.get("cancellation_token")
     with ThreadPoolExecutor(max_workers=1) as pool:
         future = pool.submit(call, *args, **options)

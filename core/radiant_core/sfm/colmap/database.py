@@ -1,8 +1,6 @@
-"""Features and matches in a COLMAP database, chunk by chunk for progress. Once per scene; the
-slowest part of it all.
+"""Features and matches in a COLMAP database, in chunks for progress. Once per scene.
 
-What a database has already, of an attempt that was interrupted, is not done again
-(`kept_database.py`).
+The slowest part of all. What an attempt has left is not done again (`kept_database.py`).
 """
 
 from __future__ import annotations
@@ -24,18 +22,13 @@ Item = TypeVar("Item")
 NAMES_NAME = "names.json"
 PHOTOS_PER_CALL_AND_THREAD = 6
 PAIRS_PER_CALL = 400
-"""Each call builds the search index of its photographs anew: calls of 32 pairs took 40 % longer than one call for all."""
+"""Each call indexes its photographs anew: calls of 32 pairs took 40 % longer than one call."""
 
 
 def extract_features(
-    database: Path,
-    photo_folder: Path,
-    photographs: tuple[Photograph, ...],
-    config: SfmConfig,
-    report: Report,
-    masks: Path | None = None,
+    database: Path, photo_folder: Path, photographs: tuple[Photograph, ...], config: SfmConfig, report: Report, masks: Path | None = None
 ) -> None:
-    """Write features into `database`, one camera per make, model, focal length and size; none where a mask in `masks` is 0."""
+    """Write features into `database`, a camera per make, model, focal length, size; none at 0."""
     groups: dict[CameraKey, list[str]] = defaultdict(list)
     for photo in photographs:
         groups[photo.camera].append(photo.name)
@@ -64,7 +57,7 @@ def _cameras_by_name(database: Path) -> dict[str, int]:
 
 
 def _by_mask(names: list[str], masks: Path | None) -> list[tuple[list[str], Path | None]]:
-    """The photographs with a mask, and those without: COLMAP passes over a photograph whose mask it does not find."""
+    """Photographs with a mask, and without: COLMAP skips those whose mask it does not find."""
     if masks is None:
         return [(names, None)]
     masked = [name for name in names if (masks / mask_name(name)).is_file()]
@@ -100,7 +93,7 @@ def _extract(places: tuple[Path, Path, Path | None], names: list[str], camera_id
 
 def match_pairs(database: Path, pairs: Pairs, config: SfmConfig, report: Report) -> None:
     """Match the features of these pairs of names and verify the matches geometrically."""
-    left = _unmatched(database, pairs)
+    left = _unmatched_pairs(database, pairs)
     done = len(pairs) - len(left)
     report(SfmProgress(phase="matching", done=done, total=len(pairs)))
     if not left:
@@ -113,7 +106,7 @@ def match_pairs(database: Path, pairs: Pairs, config: SfmConfig, report: Report)
             report(SfmProgress(phase="matching", done=done, total=len(pairs)))
 
 
-def _unmatched(database: Path, pairs: Pairs) -> Pairs:
+def _unmatched_pairs(database: Path, pairs: Pairs) -> Pairs:
     with pycolmap.Database.open(database) as store:
         ids = {image.name: image.image_id for image in store.read_all_images()}
         return [pair for pair in pairs if not store.exists_two_view_geometry(*(ids[name] for name in pair))]
@@ -148,7 +141,7 @@ def _camera_of(database: Path, name: str) -> int:
 
 @contextmanager
 def _numbered_names(database: Path) -> Iterator[dict[str, str]]:
-    """While open, images are named by their number: COLMAP's list of pairs cannot hold a name with a space."""
+    """While open, images are named by number: COLMAP's list of pairs cannot hold a space."""
     with pycolmap.Database.open(database) as store:
         names = {image.image_id: image.name for image in store.read_all_images()}
     write_json(database.with_name(NAMES_NAME), {str(image_id): name for image_id, name in names.items()})
@@ -160,7 +153,7 @@ def _numbered_names(database: Path) -> Iterator[dict[str, str]]:
 
 
 def restore_names(database: Path) -> None:
-    """Give the images the names that they had before matching; nothing to do where they have them."""
+    """Give the images the names that they had before matching, if they do not have them."""
     record = database.with_name(NAMES_NAME)
     if record.is_file():
         _rename(database, {int(image_id): name for image_id, name in read_json(record).items()})

@@ -1,13 +1,11 @@
-"""What an interrupted attempt left in its database, for the next one to go on with. Once per
-attempt.
+"""What an interrupted attempt left in its database, for the next one to go on with.
 
-    database.json   key: hash of photographs, masks and settings; boot: the machine's, since when it runs
+    database.json   key: hash of photographs, masks and settings; boot: of the machine, its start
     names.json      the images' names by number, while matching has them renamed (`database.py`)
 
 COLMAP writes features and matches in transactions: a process that is killed leaves whole ones. It
-does not wait for the disk, so that nothing is kept once the machine itself went down. What cannot
-be read is not kept either, and what COLMAP fails on is not kept for the next attempt, unless it
-failed on a full disk. Mapping is done anew.
+does not wait for the disk: nothing is kept once the machine went down. What cannot be read is not
+kept either, nor what COLMAP fails on, but for a full disk. Mapping is done anew. Once per attempt.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 def database_key(photographs: Sequence[Photograph], config: SfmConfig, masks: Path | None) -> str:
-    """Hash of all that features and matches are made from: bytes and cameras of photographs, masks, settings, COLMAP's version."""
+    """Hash of what features and matches depend on: photographs, masks, settings, COLMAP."""
     settings = {name: value for name, value in asdict(config).items() if name not in ("num_threads", "memory_bytes")}
     pictures = [[photo.name, photo.path, photo.camera] for photo in photographs]
     return content_key(pycolmap.__version__, settings, pictures, masks if masks is not None and masks.is_dir() else None)
@@ -39,7 +37,7 @@ def database_key(photographs: Sequence[Photograph], config: SfmConfig, masks: Pa
 
 @contextmanager
 def prepare_database(work_folder: Path, key: str) -> Iterator[Path]:
-    """The path of the database in `work_folder`, which is made, or cleaned of all but a database that an attempt with the same key left."""
+    """The database's path in `work_folder`, made or cleaned of all but one with this key."""
     database, record = work_folder / "database.db", work_folder / RECORD_NAME
     made_from = {"key": key, "boot": BOOT_ID.read_text().strip() if BOOT_ID.is_file() else None}
     start_clean(work_folder, keep_database=_is_record(record, made_from) and _is_whole(database))
@@ -60,7 +58,7 @@ def _is_record(record: Path, made_from: dict[str, str | None]) -> bool:
 
 
 def _is_whole(database: Path) -> bool:
-    """Whether COLMAP can open the database and read what it needs of it, with the images' own names afterwards."""
+    """Whether COLMAP can open the database and read what it needs, under the images' own names."""
     if not database.is_file():
         return False
     try:

@@ -1,10 +1,9 @@
-"""From matches to one sparse model: incremental mapping, more pairs and the global mapper for what
-is left, strays removed.
+"""From matches to one sparse model: incremental mapping, the rest by more pairs or globally.
 
-Once per scene. Several models may come back, fragments among them: the one with most images, then
-most points, is kept. An image is a stray when it sees almost no point, when few points and its GPS
-is far from where the model puts it, or when no chain of images with common points leads to most
-others, so that nothing fixes where it is: the global mapper claims every image and leaves such.
+Once per scene. Of several models the one with most images, then most points, is kept. An image is a
+stray when it sees almost no point, when few points and its GPS is far from where the model puts it,
+or when no chain of images with common points leads to most others, so that nothing fixes where it
+is: the global mapper claims every image and leaves such.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ MAX_LEFT_SHARE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class MappingJob:
-    """What every mapping attempt needs: the photographs, their database, the pairs matched so far, where to work."""
+    """What every mapping attempt needs: photographs, their database, matched pairs, a folder."""
 
     photo_folder: Path
     photographs: tuple[Photograph, ...]
@@ -47,7 +46,7 @@ class MappingJob:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mapped:
-    """The chosen model without its strays, the photographs not in it, and the decisions that led there."""
+    """The model without its strays, the photographs not in it, and the decisions for it."""
 
     model: pycolmap.Reconstruction
     unregistered: tuple[str, ...]
@@ -60,25 +59,25 @@ def map_photographs(job: MappingJob) -> Mapped:
         candidate, decisions = without_strays(job, _global_model(job)), []
     else:
         candidate = without_strays(job, _incremental_model(job, "incremental"))
-        candidate, decisions = _improved(job, candidate)
+        candidate, decisions = _improve(job, candidate)
     if candidate is None:
         raise BadInput(
             f"the {len(job.photographs)} photographs in {job.photo_folder} do not overlap enough for structure "
             "from motion: take photographs of one place in which neighbours share more than half of their view."
         )
-    return Mapped(model=candidate, unregistered=_missing(job, candidate), decisions=tuple(decisions))
+    return Mapped(model=candidate, unregistered=_missing_names(job, candidate), decisions=tuple(decisions))
 
 
-def _improved(job: MappingJob, model: pycolmap.Reconstruction | None) -> tuple[pycolmap.Reconstruction | None, list[Decision]]:
-    """Try what is left unregistered again with all its pairs, then with the global mapper; the best model of all."""
+def _improve(job: MappingJob, model: pycolmap.Reconstruction | None) -> tuple[pycolmap.Reconstruction | None, list[Decision]]:
+    """Retry what is unregistered with all its pairs, then the global mapper; the best model."""
     decisions: list[Decision] = []
-    extra = pairs_with([photo.name for photo in job.photographs], _missing(job, model), job.pairs)
+    extra = pairs_with([photo.name for photo in job.photographs], _missing_names(job, model), job.pairs)
     if extra:
         match_pairs(job.database, extra, job.config, job.report)
         wider = without_strays(job, _incremental_model(job, "incremental-wider"))
         decisions.append(_retry_decision(job, model, wider, f"{len(extra)} more pairs"))
         model = _better(model, wider)
-    left = len(_missing(job, model)) / len(job.photographs)
+    left = len(_missing_names(job, model)) / len(job.photographs)
     if job.config.mapper == "auto" and left > MAX_LEFT_SHARE:
         overall = without_strays(job, _global_model(job))
         decisions.append(_retry_decision(job, model, overall, "the global mapper"))
@@ -139,7 +138,7 @@ def _better(old: pycolmap.Reconstruction | None, new: pycolmap.Reconstruction | 
     return new if _size(new) > _size(old) else old
 
 
-def _missing(job: MappingJob, model: pycolmap.Reconstruction | None) -> tuple[str, ...]:
+def _missing_names(job: MappingJob, model: pycolmap.Reconstruction | None) -> tuple[str, ...]:
     registered = set() if model is None else {model.image(image_id).name for image_id in model.reg_image_ids()}
     return tuple(photo.name for photo in job.photographs if photo.name not in registered)
 
@@ -157,11 +156,11 @@ def _retry_decision(job: MappingJob, old: pycolmap.Reconstruction | None, new: p
 
 
 def without_strays(job: MappingJob, model: pycolmap.Reconstruction | None) -> pycolmap.Reconstruction | None:
-    """The model without its strays; None when fewer than two images or almost no points are left."""
+    """The model without its strays; None with fewer than two images or too few points left."""
     if model is None:
         return None
-    # Who leaves takes points along, on which others may have hung.
-    while strays := _strays(job, model) or _unconnected(model):
+    # A removed image takes points along, on which others may have hung.
+    while strays := _strays(job, model) or _unconnected_images(model):
         for image_id in strays:
             model.deregister_frame(model.image(image_id).frame_id)
     return model if model.num_reg_images() >= 2 and model.num_points3D() >= MIN_POINTS else None
@@ -175,8 +174,8 @@ def _strays(job: MappingJob, model: pycolmap.Reconstruction) -> list[int]:
     return [ids[index] for index in np.flatnonzero(stray)]
 
 
-def _unconnected(model: pycolmap.Reconstruction) -> list[int]:
-    """The images outside the largest set in which every image hangs on to another by 15 common points or more."""
+def _unconnected_images(model: pycolmap.Reconstruction) -> list[int]:
+    """Images outside the largest set in which each hangs on another by 15 common points or more."""
     ids = sorted(model.reg_image_ids())
     row_of = {image_id: row for row, image_id in enumerate(ids)}
     seen_by = [(row, row_of[element.image_id]) for row, point in enumerate(model.points3D.values()) for element in point.track.elements]
@@ -188,7 +187,7 @@ def _unconnected(model: pycolmap.Reconstruction) -> list[int]:
 
 
 def _far_from_gps(job: MappingJob, model: pycolmap.Reconstruction, ids: list[int]) -> np.ndarray:
-    """Which images (N,) lie farther from their GPS than five times the median residual of a robust fit."""
+    """Images (N,) farther from GPS than five times the median residual of a robust fit."""
     positions_m, _ = gps_positions(job.photographs)
     row_of = {photo.name: row for row, photo in enumerate(job.photographs)}
     target = positions_m[[row_of[model.image(image_id).name] for image_id in ids]]

@@ -1,4 +1,4 @@
-"""Which photographs are matched with which: GPS neighbours where there is GPS, all pairs without. Once per scene."""
+"""Which photographs are matched: GPS neighbours, or all pairs without GPS. Once per scene."""
 
 from __future__ import annotations
 
@@ -20,10 +20,7 @@ Pairs = list[tuple[str, str]]
 
 def gps_positions(photographs: tuple[Photograph, ...]) -> tuple[FloatArray, FloatArray]:
     """Metres east, north, up (N,3) about the median position, and that origin (3,) [deg, deg, m].
-
-    NaN without GPS, and where GPS has no altitude the height alone; the origin's is 0 where no
-    photograph has one.
-    """
+    NaN without GPS, only the height without altitude; the origin's is 0 where none has one."""
     geodetic = _geodetic(photographs)
     known = np.isfinite(geodetic[:, 0])
     high = np.isfinite(geodetic[:, 2])
@@ -35,7 +32,7 @@ def gps_positions(photographs: tuple[Photograph, ...]) -> tuple[FloatArray, Floa
 
 
 def gps_about(photographs: tuple[Photograph, ...], origin: FloatArray) -> FloatArray:
-    """Metres east, north, up (N,3) about an origin (3,) [deg, deg, m], NaN as in `gps_positions`."""
+    """Metres east, north, up (N,3) about an origin (3,) [deg, deg, m]; NaN as above."""
     geodetic = _geodetic(photographs)
     known, high = np.isfinite(geodetic[:, 0]), np.isfinite(geodetic[:, 2])
     positions_m = np.full((len(photographs), 3), np.nan)
@@ -76,12 +73,8 @@ def choose_pairs(photographs: tuple[Photograph, ...], config: SfmConfig) -> tupl
 
 
 def neighbor_pairs(names: list[str], positions_m: FloatArray, num_neighbors: int) -> Pairs:
-    """Each name with its nearest others by horizontal distance, and those without a position (NaN)
-    with every other.
-
-    Height is left out: it is the worst of GPS, and the same ground is seen from any height. Sorted,
-    each pair once.
-    """
+    """Each name with its nearest others by horizontal distance, as GPS heights are worst, and those
+    without a position (NaN) with every other; sorted, each pair once."""
     known = np.flatnonzero(np.isfinite(positions_m[:, 0]))
     pairs: set[tuple[int, int]] = set()
     if len(known) > 1:

@@ -1,16 +1,13 @@
-"""The last word on poses, lenses and points: one bundle adjustment with a robust loss. Once per
-scene.
+"""The last word on poses, lenses and points: one bundle adjustment with a robust loss, per scene.
 
 The mappers minimise squared errors of reprojection and drop points off by more than 4 px, so that
 what is off by 1 to 4 px, often a wrong match, bends poses and lenses. A Cauchy loss of half a pixel
-weighs it down. Against true poses (town, a device of 11 photographs) the error left after the best
-similarity fell from 39.5 to 28.9 mm, and its focal length came from 0.13 to 0.10 %
-(docs/experiments/frames.md).
+weighs it down: on the town's device of 11 photographs the error against true poses fell from 39.5
+to 28.9 mm, that of the focal length from 0.13 to 0.10 % (docs/experiments/frames.md).
 
 Few photographs straight down on flat ground fix no focal length: it can be traded for height, and
-only an early end of the mapper keeps it anywhere near (one device of brighton: 763 px, then 530 to
-680 px after more iterations of one loss or another, where all photographs give 798). A lens that
-this adjustment would move is not fixed by its photographs, and is kept.
+only an early end of the mapper keeps it near (one device of brighton: 763 px, then 530 to 680 px
+after more iterations, where all photographs give 798). A lens that this would move is kept.
 """
 
 from __future__ import annotations
@@ -24,22 +21,22 @@ LOSS_SCALE_PX = 0.5
 MAX_ITERATIONS = 50
 """As many as the mappers take for theirs."""
 MAX_FOCAL_CHANGE = 0.005
-"""A larger change of a focal length, as a share, says that the photographs do not fix it."""
+"""A larger change of a focal length, as a share, shows that the photographs do not fix it."""
 
 
 def refine(model: pycolmap.Reconstruction, config: SfmConfig, report: Report) -> pycolmap.Reconstruction:
     """`model` with all poses and points adjusted, and the lenses where its photographs fix them."""
     total = int(model.num_reg_images())
     report(SfmProgress(phase="refining", done=0, total=total))
-    refined = _adjusted(model, config, refine_lenses=True)
+    refined = _adjust(model, config, refine_lenses=True)
     if not _same_lenses(model, refined):
-        refined = _adjusted(model, config, refine_lenses=False)
+        refined = _adjust(model, config, refine_lenses=False)
     refined.update_point_3d_errors()
     report(SfmProgress(phase="refining", done=total, total=total))
     return refined
 
 
-def _adjusted(model: pycolmap.Reconstruction, config: SfmConfig, *, refine_lenses: bool) -> pycolmap.Reconstruction:
+def _adjust(model: pycolmap.Reconstruction, config: SfmConfig, *, refine_lenses: bool) -> pycolmap.Reconstruction:
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_focal_length = options.refine_extra_params = refine_lenses

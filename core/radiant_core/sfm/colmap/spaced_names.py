@@ -1,4 +1,4 @@
-"""A model as COLMAP can read it back: its text reader cuts the name of an image at the first space. Once per scene."""
+"""A model that COLMAP reads back: its text reader cuts names at spaces. Once per scene."""
 
 from __future__ import annotations
 

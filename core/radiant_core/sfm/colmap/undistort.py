@@ -1,4 +1,4 @@
-"""Photographs and model without lens distortion: pinhole cameras, the same file names. Once per scene, all pixels."""
+"""Photographs and model without lens distortion: pinhole cameras, same names. Once per scene."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Undistorted:
 
 
 def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_threads: int, report: Report) -> Undistorted:
-    """Write work_folder/undistorted/{images,sparse}; the folder appears only when it is complete."""
+    """Write work_folder/undistorted/{images,sparse}, which appears only when complete."""
     part, final = work_folder / "undistorted.part", work_folder / "undistorted"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
@@ -48,11 +48,8 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
 
 
 def fit_model(model_folder: Path, world_from_model: Sim3, cameras: Cameras) -> None:
-    """Make the COLMAP model in `model_folder` fit the scene made of it: moved into its world,
-    without images that are none of its cameras.
-
-    Points that only those images saw go, too.
-    """
+    """Make the COLMAP model in `model_folder` fit its scene: moved into its world, without images
+    that are none of its cameras and points that only those saw."""
     model = pycolmap.Reconstruction(model_folder)
     model.transform(pycolmap.Sim3d(world_from_model.scale, pycolmap.Rotation3d(world_from_model.rotation), world_from_model.translation))
     kept = set(cameras.names)

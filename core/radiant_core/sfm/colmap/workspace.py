@@ -1,4 +1,4 @@
-"""The two ends of a work folder: which photographs go in, and nothing of an earlier attempt left in it."""
+"""The two ends of a work folder: its photographs, and no rest of an earlier attempt."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from radiant_core.sfm.config import Report, SfmProgress
 DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json", "names.json")
 WORK_FILES = ("pairs.txt",)
 WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", "masks.part", "masks.given")
-"""All that structure from motion puts into its work folder, and all that it removes there when it starts."""
+"""All that structure from motion puts into its work folder and removes there at the start."""
 
 
 def list_usable(folder: Path, report: Report, names: tuple[str, ...] | None = None) -> PhotoListing:
-    """`list_photographs` with its progress, of those `names` where given, without copies; BadInput as there."""
+    """`list_photographs` with its progress, of `names` if given, without copies; raises alike."""
     listing = list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
     return listing.without_copies()
 
@@ -35,7 +35,7 @@ def warn_of_unused(listing: PhotoListing, *, named: bool = True) -> tuple[str, .
 
 
 def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:
-    """Make the work folder and remove what an earlier attempt left of ours in it, except its database where that is to be kept."""
+    """Make the work folder and remove our earlier files, but a database that is to be kept."""
     work_folder.mkdir(parents=True, exist_ok=True)
     for name in (*WORK_FILES, *(() if keep_database else DATABASE_FILES)):
         (work_folder / name).unlink(missing_ok=True)

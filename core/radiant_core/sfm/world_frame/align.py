@@ -1,7 +1,6 @@
-"""Similarities between point sets: least squares, robust against outliers, and as a yardstick
-against a reference model.
+"""Similarities between point sets: least squares, robust, and as a yardstick for a model.
 
-Least squares (once per fit), weights w that sum to 1: with centred X, Y and the SVD  Yᵀ diag(w) X = U D Vᵀ,
+Least squares (once per fit), weights w that sum to 1, centred X, Y, the SVD Yᵀ diag(w) X = U D Vᵀ:
     R = U S Vᵀ,  s = tr(D S) / Σ wᵢ ‖xᵢ‖²,  t = ȳ − s R x̄,   S = diag(1, 1, det(U Vᵀ)).
 Robust (once per scene): of 500 fits to three random pairs the one with the smallest median
 residual, then the least sum of distances Σ ‖s R xᵢ + t − yᵢ‖ over the pairs within 2.5 robust
@@ -25,13 +24,13 @@ NUM_TRIALS = 500
 NUM_REFITS = 30
 INLIER_SIGMAS = 2.5
 SIGMA_FROM_MEDIAN = 1 / 1.538
-"""Standard deviation per axis from the median length of a 3D Gaussian error (the median of a chi distribution, 3 axes)."""
+"""Standard deviation per axis from the median length of a 3D Gaussian error (chi, 3 axes)."""
 MAX_SCALE_ERROR = 0.2
 MAX_TILT_ERROR_RAD = np.radians(5.0)
 
 AlignStatus = Literal["ok", "too few", "inconsistent", "collinear"]
-"""ok; too few: under three pairs; inconsistent: the scale is not known to 20 %; collinear: the
-rotation about the line through the positions is not known to 5°."""
+"""too few: under three pairs; inconsistent: the scale is not known to 20 %; collinear: the rotation
+about the line through the positions is not known to 5°."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,12 +47,12 @@ class Alignment:
     scale_error: float
     """Predicted relative standard deviation of the scale; infinite without a fit."""
     tilt_error_rad: float
-    """Predicted standard deviation of the rotation about the line that fits the positions best; infinite without a fit."""
+    """Predicted standard deviation of the rotation about the positions' line; else infinite."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CenterErrors:
-    """Camera centres against a reference after the least-squares similarity, in the reference's unit."""
+    """Centres against a reference after the least-squares similarity, in the reference's unit."""
 
     reference_from_scene: Sim3
     errors: FloatArray
@@ -68,12 +67,9 @@ class CenterErrors:
 
 
 def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> Sim3:
-    """Least-squares similarity of the pairs source (N,3) → target (N,3), N ≥ 2, with weights (N,)
-    of any positive sum.
-
-    Raises BadInput when all of one side coincide.
-    """
-    source, target = _checked_pairs(source, target)
+    """Least-squares similarity of pairs source (N,3) → target (N,3), N ≥ 2, with weights (N,) of
+    any positive sum. BadInput when all of one side coincide."""
+    source, target = _check_pairs(source, target)
     if len(source) < 2:
         raise BadInput(f"{len(source)} pair of positions cannot fix a similarity: at least 2 are needed, 3 for the rotation.")
     shares = np.ones(len(source)) if weights is None else check_array("weights", weights, (len(source),))
@@ -91,13 +87,10 @@ def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = N
 
 
 def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignment:
-    """Similarity of the pairs source (N,3) → target (N,3) that up to half of them may contradict.
-
-    The predicted errors come from the residual's standard deviation σ and the spread of the inliers
-    along their axes: scale_error = σ / (s · |first axis|), tilt_error = σ / (s · |second axis|), so
-    a straight flight line shows.
-    """
-    source, target = _checked_pairs(source, target)
+    """Similarity of pairs source (N,3) → target (N,3), up to half of them wrong. Errors are
+    predicted from the residual's standard deviation σ and the inliers' spread along their axes:
+    scale_error = σ / (s · |first axis|), tilt_error = σ / (s · |second axis|), large for a line."""
+    source, target = _check_pairs(source, target)
     start = _least_median_fit(source, target, seed)
     if start is None:
         return Alignment(
@@ -119,41 +112,28 @@ def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignmen
     elif tilt_error > MAX_TILT_ERROR_RAD:
         status = "collinear"
     return Alignment(
-        status=status,
-        target_from_source=fit,
-        residuals=residuals,
-        inliers=inliers,
-        scale_error=scale_error,
-        tilt_error_rad=tilt_error,
+        status=status, target_from_source=fit, residuals=residuals, inliers=inliers, scale_error=scale_error, tilt_error_rad=tilt_error
     )
 
 
 def compare_centers(scene_centers: ArrayLike, reference_centers: ArrayLike) -> CenterErrors:
-    """How far camera centres (N,3) are from reference centres (N,3) after the plain least-squares
-    similarity.
-
-    No outlier is left out, so a single lost camera shows in the maximum. BadInput for fewer than
-    three cameras.
-    """
-    source, target = _checked_pairs(scene_centers, reference_centers)
+    """Distances of camera centres (N,3) from references (N,3) after the plain least-squares
+    similarity, in which a lost camera shows. BadInput for fewer than three cameras."""
+    source, target = _check_pairs(scene_centers, reference_centers)
     if len(source) < 3:
         raise BadInput(f"{len(source)} cameras cannot be compared with a reference: a similarity needs at least 3.")
     fit = fit_sim3(source, target)
     distances = np.linalg.norm(target[:, None] - target[None], axis=2)
-    return CenterErrors(
-        reference_from_scene=fit,
-        errors=np.linalg.norm(fit.apply(source) - target, axis=1),
-        extent=float(distances.max()),
-    )
+    return CenterErrors(reference_from_scene=fit, errors=np.linalg.norm(fit.apply(source) - target, axis=1), extent=float(distances.max()))
 
 
-def _checked_pairs(source: ArrayLike, target: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _check_pairs(source: ArrayLike, target: ArrayLike) -> tuple[FloatArray, FloatArray]:
     source = check_array("source", source, (None, 3))
     return source, check_array("target", target, (len(source), 3))
 
 
 def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3 | None:
-    """The similarity through three random pairs with the smallest median residual; None where no three pairs give one."""
+    """The similarity of three random pairs with the smallest median residual; None without any."""
     if len(source) < 3:
         return None
     rng = np.random.default_rng(seed)
@@ -165,8 +145,7 @@ def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3
         except BadInput:
             continue
         median = float(np.median(np.linalg.norm(fit.apply(source) - target, axis=1)))
-        # A shrunken scene always lies near the middle of the target; compare in the source's unit
-        # so that it cannot win.
+        # A shrunken scene lies near the target's middle: it must not win, so source units.
         if median / fit.scale < best_median:
             best, best_median = fit, median / fit.scale
     return best
@@ -174,8 +153,7 @@ def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3
 
 def _refit(source: FloatArray, target: FloatArray, fit: Sim3) -> tuple[Sim3, FloatArray, NDArray[np.bool_]]:
     """Least sum of distances over the inliers, which are chosen anew in each round."""
-    # The floor keeps pairs that agree to rounding error from being called outliers or from taking
-    # all the weight.
+    # The floor keeps pairs equal to rounding from being outliers or taking all the weight.
     floor = 1e-9 * float(np.ptp(target, axis=0).max())
     residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
     inliers = np.ones(len(source), bool)

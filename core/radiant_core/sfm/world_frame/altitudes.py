@@ -1,11 +1,9 @@
-"""Heights for GPS positions that come without altitude, as geotagging from a track and many phones
-write them. Once per scene.
+"""Heights for GPS positions without altitude, as from tracks and phones. Once per scene.
 
 Where at least three photographs and half of those with a position have an altitude, the others get
 the height that the fit to those puts them at. Otherwise altitudes are left aside: up comes from the
-scene, heading, scale and place from the horizontal positions, and heights count from the middle of
-the scene's points. What follows then fits three coordinates as always, and finds its up in the
-heights given here.
+scene, heading, scale and place from horizontal positions, and heights count from the middle of the
+scene's points. What follows fits three coordinates as always, its up in these heights.
 """
 
 from __future__ import annotations
@@ -32,18 +30,15 @@ class Heights:
     origin: FloatArray
     """(3,) [deg, deg, m]."""
     altitude_known: bool = True
-    """Whether the origin's altitude is one; else heights count from the middle of the scene's points."""
+    """Whether the origin's altitude is one; else heights count from the scene's middle."""
     warnings: tuple[str, ...] = ()
     """For the user."""
 
 
 def fill_heights(centers: FloatArray, points: FloatArray, gps: tuple[FloatArray, FloatArray], up: Callable[[], FloatArray]) -> Heights:
-    """Positions without a height that is NaN.
-
-    `gps` are positions (C,3) of camera centres (C,3), all NaN without GPS, and their origin; `up`
-    () → (3,) gives up in the frame of the centres and of points (P,3), and is called only where too
-    few altitudes are known.
-    """
+    """Positions with all heights. `gps` are positions (C,3) of camera centres (C,3), all NaN
+    without GPS, and their origin; `up` () → (3,) gives up in the frame of the centres and points
+    (P,3), only called where too few altitudes are known."""
     positions_m, origin = gps
     placed, high = np.isfinite(positions_m[:, 0]), np.isfinite(positions_m[:, 2])
     if (placed == high).all():

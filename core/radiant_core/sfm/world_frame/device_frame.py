@@ -1,5 +1,4 @@
-"""The frame of a device's own structure from motion: fixed by its photographs' GPS, with its
-uncertainty, or refused. Once per device.
+"""The frame of a device's own structure from motion: fixed by GPS, with uncertainty, or refused.
 
 The robust similarity of camera centres to east-north-up metres (`align.robust_sim3`) leaves
 residuals of σ per axis, by their median and corrected for seven fitted numbers; over n positions
@@ -8,7 +7,7 @@ x_i about their mean, spread Q = Σ x_i x_iᵀ, it is then known to
 each times 1.09, the price of least distances instead of squares (the spatial median in three
 dimensions keeps 8/(3π) of the information). Positions on a line leave the roll about it open. Then,
 and where GPS altitudes would roll the photographs, up comes from the scene as in `world.py`, and
-the rotation's uncertainty is how far level photographs were seen to be off: that is stated.
+the rotation's uncertainty is how far level photographs were seen to be off. Once per device.
 """
 
 from __future__ import annotations
@@ -30,10 +29,10 @@ from radiant_core.sfm.world_frame.world import MAX_GPS_ROLL_DEG
 
 MIN_POSITIONS = 4
 MAX_RESIDUAL_SHARE = 0.25
-"""A residual per axis of more than this share of the positions' extent says nothing of scale and heading."""
+"""A residual per axis above this share of the extent says nothing of scale and heading."""
 MAX_SCALE_UNCERTAINTY = 0.2
 MAX_ROTATION_UNCERTAINTY_RAD = np.radians(15.0)
-"""Beyond these the models of neighbours cannot be found in each other's renders; `frame_refinement` asks more of a model without any."""
+"""Beyond these neighbours' renders do not match; `frame_refinement` asks more without any."""
 MIN_UP_UNCERTAINTY_RAD = np.radians(1.0)
 """Ground and photographs are level to no better than this."""
 ROBUST_PRICE = 1.09
@@ -66,11 +65,8 @@ class RefusedFrame:
 def device_frame(
     scene: SfmScene, lat_lon_alt: Mapping[str, tuple[float, float, float]], origin_lat_lon_alt: ArrayLike, seed: int = 0
 ) -> DeviceFrame | RefusedFrame:
-    """Fix a scene of any frame by the GPS `lat_lon_alt` [deg, deg, m] of its photographs; those
-    without GPS are not in it.
-
-    Raises BadInput when a position is not finite or off the globe.
-    """
+    """Fix a scene of any frame by the GPS `lat_lon_alt` [deg, deg, m] of its photographs, of which
+    some may have none. BadInput when a position is not finite or off the globe."""
     names = [name for name in scene.cameras.names if name in lat_lon_alt]
     if len(names) < MIN_POSITIONS:
         reason = f"only {len(names)} of its {len(scene.cameras)} placed photographs have GPS with an altitude"
@@ -104,7 +100,7 @@ def device_frame(
         return refusal
     frame = Frame(kind="metric", origin_lat_lon_alt=origin, residual_m=_median_residual_m(common_from_device, centers, positions_m))
     return DeviceFrame(
-        scene=_moved(scene, common_from_device, frame),
+        scene=_move(scene, common_from_device, frame),
         common_from_device=common_from_device,
         uncertainty=uncertainty,
         num_inliers=num_inliers,
@@ -116,7 +112,7 @@ def device_frame(
 def _with_up(
     scene: SfmScene, centers: FloatArray, positions_m: FloatArray, fit: Alignment, seed: int
 ) -> tuple[Sim3, str, float | None] | None:
-    """The similarity, where its up comes from, and the uncertainty of an up that is not GPS's; None where nothing fixes it."""
+    """The similarity, its up's source, and the uncertainty of an up not of GPS; else None."""
     assert fit.target_from_source is not None
     gps_roll = roll_deg(scene.cameras, fit.target_from_source.rotation[2])
     if fit.status != "collinear" and gps_roll <= MAX_GPS_ROLL_DEG:
@@ -134,14 +130,14 @@ def _up_uncertainty_rad(up: UpEstimate) -> float:
 
 
 def _sigma_m(fit: Sim3, centers: FloatArray, positions_m: FloatArray, inliers: NDArray[np.bool_]) -> float:
-    """Standard deviation of one axis of GPS from the median residual of the inliers, corrected for the seven fitted numbers."""
+    """Standard deviation per axis of GPS by the inliers' median residual; seven fitted numbers."""
     residuals = np.linalg.norm(fit.apply(centers[inliers]) - positions_m[inliers], axis=1)
     freedom = 3 * len(residuals)
     return max(NOISE_FLOOR_M, SIGMA_FROM_MEDIAN_3D * float(np.median(residuals)) * np.sqrt(freedom / (freedom - 7)))
 
 
 def _uncertainty(centers_m: FloatArray, sigma_m: float, up_rad: float | None) -> FrameUncertainty:
-    """Of a frame fitted at camera centres (n,3) m with errors σ per axis; `up_rad` replaces what GPS says of the tilt."""
+    """Of a frame fitted at centres (n,3) m with errors σ per axis; `up_rad` replaces GPS's tilt."""
     spread = centers_m - centers_m.mean(axis=0)
     Q = spread.T @ spread
     least = 1e-12 * max(float(np.trace(Q)), 1e-12)
@@ -179,8 +175,7 @@ def _median_residual_m(fit: Sim3, centers: FloatArray, positions_m: FloatArray) 
     return float(np.median(np.linalg.norm(fit.apply(centers) - positions_m, axis=1)))
 
 
-def _moved(scene: SfmScene, similarity: Sim3, frame: Frame) -> SfmScene:
-    """The scene after a similarity, in another frame."""
+def _move(scene: SfmScene, similarity: Sim3, frame: Frame) -> SfmScene:
     cameras = scene.cameras
     return SfmScene(
         cameras=Cameras(

@@ -1,4 +1,4 @@
-"""The world frame that follows from where up is (`up.py`): metric by positions that keep it, or unscaled. Once per scene."""
+"""The world frame that follows from up: metric by positions, or unscaled. Once per scene."""
 
 from __future__ import annotations
 
@@ -16,12 +16,8 @@ NUM_REFITS = 30
 
 
 def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDArray[np.int64], up: FloatArray) -> Sim3:
-    """Similarity to z up, the median point at the origin and a median camera–point distance of 10
-    units.
-
-    Points (P,3), observations (T,2): point and camera index. BadInput when nothing is observed at a
-    distance.
-    """
+    """Similarity to z up, the median point at the origin, a median camera–point distance of 10
+    units. Points (P,3), observations (T,2): point, camera index. BadInput without a distance."""
     distances = np.linalg.norm(points[observations[:, 0]] - cameras.centers[observations[:, 1]], axis=1)
     typical = float(np.median(distances)) if len(distances) else 0.0
     if not typical > 0:
@@ -32,12 +28,9 @@ def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDAr
 
 
 def level_fit(source: FloatArray, target: FloatArray, up: FloatArray) -> Sim3 | None:
-    """Similarity source (N,3) → target (N,3) [m] that turns `up` to z: heading, scale and shift
-    from the pairs only.
-
-    Least sum of horizontal distances; the height by the middle of the densest half of the heights,
-    which altitudes that drift cannot pull away. None when the positions do not differ horizontally.
-    """
+    """Similarity source (N,3) → target (N,3) [m] that turns `up` to z: least sum of horizontal
+    distances; the height by the middle of the densest half of the heights, which drifting altitudes
+    cannot move. None when the positions do not differ horizontally."""
     rotation = level_rotation(up)
     level = source @ rotation.T
     flat_source, flat_target = level[:, 0] + 1j * level[:, 1], target[:, 0] + 1j * target[:, 1]
@@ -60,7 +53,7 @@ def level_fit(source: FloatArray, target: FloatArray, up: FloatArray) -> Sim3 | 
 
 
 def _middle_of_densest_half(values: FloatArray) -> float:
-    """Middle of the shortest interval that holds half of the values (N,): the least median of squares in one dimension."""
+    """Middle of the shortest interval with half of the values (N,): least median of squares."""
     ordered = np.sort(values)
     half = len(ordered) // 2 + 1
     widths = ordered[half - 1 :] - ordered[: len(ordered) - half + 1]

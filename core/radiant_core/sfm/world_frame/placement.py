@@ -1,8 +1,7 @@
-"""What a user says of the world frame: which way is up, and one length that is known. Once per
-scene.
+"""What a user says of the world frame: which way is up, and one known length. Once per scene.
 
-up:   auto | ground | level | down | the name of a photograph whose top edge is up | x,y,z in the frame of a COLMAP model
-size: the distance of two photographs, or the height of the cameras over the ground that they see (median), in metres
+up:   auto | ground | level | down | name of a photograph whose top edge is up | x,y,z of a model
+size: the distance of two photographs, or the cameras' median height over the ground, in metres
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ MAX_LENGTH_M = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Placement:
-    """What is known of the world beside the photographs; raises BadInput for a value that makes no sense by itself."""
+    """What is known of the world beside photographs; BadInput for values that make no sense."""
 
     up: str = AUTO
     """auto: GPS, or else whatever the scene shows; ground: the plane through most points is level;
@@ -65,7 +64,7 @@ class Placement:
         return self.distance is not None or self.height_m is not None
 
     def check_names(self, names: Iterable[str], *, of_model: bool) -> None:
-        """BadInput where a photograph is named that is not among `names`, or a direction for photographs that have no frame yet."""
+        """BadInput for a photograph not among `names`, or a direction where there is no frame."""
         known = set(names)
         if self.distance is not None:
             self._pair(known)
@@ -79,7 +78,7 @@ class Placement:
             raise BadInput(f"--up {self.up!r} is unknown: expected {UP_EXPECTED}.")
 
     def check_copies(self, copies: Mapping[str, str]) -> None:
-        """BadInput where a photograph is named that is left out as a copy of another one: `copies`, copy → the one that stays."""
+        """BadInput where a named photograph is left out as a copy; `copies`: copy → what stays."""
         if self.up not in UP_CHOICES and self.up in copies:
             raise BadInput(f"--up {self.up!r} is a copy of {copies[self.up]}: name that one.")
         if self.distance is not None:
@@ -107,7 +106,7 @@ class Placement:
         return UpEstimate(up=up, source=source, roll_deg=roll_deg(cameras, up), uncertainty_deg=0.0)
 
     def scale(self, cameras: Cameras, points: FloatArray, observations: NDArray[np.int64]) -> float | None:
-        """Metres per unit of C cameras and P points (P,3) whose z is up, T observations (T,2); None without a known length."""
+        """Metres per unit of C cameras, P points (P,3) with z up, observations (T,2), if known."""
         if self.distance is not None:
             first, second, metres = self._pair(set(cameras.names))
             length = float(np.linalg.norm(np.subtract(*cameras.named([first, second]).centers)))

@@ -1,22 +1,22 @@
-"""Which way is up in a scene, from what its cameras and points say of it: cues, weighed against
-each other. Once per scene.
+"""Which way is up in a scene, by cues of its cameras and points, weighed against each other.
 
-A cue k costs a unit vector u the squared sine of its lean over the cue's standard deviation, uᵀ A_k u; where positions with the
-scatter Σᵢ λᵢ eᵢ eᵢᵀ (λ₁ ≥ λ₂ ≥ λ₃) lie level,  A = Σᵢ₌₁,₂ (1 − λ₃/λᵢ) eᵢ eᵢᵀ / σᵢ²,  σᵢ² = σ² + (λ₃/4 + (0.02)² λ₁) / λᵢ,  so that a line
-says nothing of its roll: no site and no flight is level to better than 2 % of its length.
+A cue k costs a unit vector u the squared sine of its lean over the cue's standard deviation, uᵀ A_k
+u; where positions with the scatter Σᵢ λᵢ eᵢ eᵢᵀ (λ₁ ≥ λ₂ ≥ λ₃) lie level,
+    A = Σᵢ₌₁,₂ (1 − λ₃/λᵢ) eᵢ eᵢᵀ / σᵢ²,  σᵢ² = σ² + (λ₃/4 + (0.02)² λ₁) / λᵢ,
+so that a line says nothing of its roll: nothing is level to better than 2 % of its length.
 
-| cue                 | what is said                                                    | σ²                        | missing             |
-|---------------------|-----------------------------------------------------------------|---------------------------|---------------------|
-| ground plane        | the plane near most points is level                             | (3°)² / share of points   | under 20 points     |
-| level flight path   | cameras move on one level                                       | (3°)²                     | under four cameras  |
-| level cameras       | A = Σ w x xᵀ / σ²: x axes are level (y in pictures that stand)  | (2°)² + roll² / 4         | –                   |
-| views straight down | the mean viewing direction is down                              | (2°)² + spread² / 4       | spread over 20°     |
-| upright photographs | the mean of the −y axes is up                                   | (10°)² + spread² / 4      | spread over 35°     |
+cue                   what is said                     σ²                          missing
+ground plane          the plane near most points is    (3°)² / share of points     < 20 points
+                        level
+level flight path     cameras move on one level        (3°)²                       < 4 cameras
+level cameras         A = Σ w x xᵀ / σ²: level x axes  (2°)² + roll² / 4           –
+                        (y in pictures that stand)
+views straight down   the mean view is down            (2°)² + spread² / 4         spread > 20°
+upright photographs   the mean of the −y axes is up    (10°)² + spread² / 4        spread > 35°
 
 Up is the direction that the fewest cues contradict (each cue costs at most 3² = 9), then the least
-squares of those that agree. The sign is that of the cameras: photographs are upright, or look down.
-Photographs of one flight err together (mount, wind), so that more than four make their attitudes no
-surer.
+squares of those that agree. The sign is the cameras': photographs are upright, or look down. Those
+of one flight err together (mount, wind): more than four make attitudes no surer. Once per scene.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ MAX_PLANE_POINTS = 5000
 NUM_ROUNDS = 5
 RIVAL_RAD = np.radians(8.0)
 RIVAL_COST = 6.0
-"""A direction elsewhere that costs so little more could be up as well: a likelihood ratio of twenty."""
+"""A direction elsewhere that costs so little more could be up: a likelihood ratio of twenty."""
 WALL_RAD = np.radians(75.0)
 MAX_UNCERTAINTY_DEG = 8.0
 MIN_UPWARD = 0.1
@@ -60,20 +60,20 @@ NOTHING = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cue:
-    """What one observation says of up: its cost is uᵀ A u; `direction` (3,) is where it alone would put up, or down."""
+    """One observation of up: its cost is uᵀ A u; `direction` (3,): its own up, or down."""
 
     name: str
     information: FloatArray
     direction: FloatArray
 
     def cost(self, up: FloatArray) -> float:
-        """Squared standard deviations by which `up` leans from what this says, 9 at most."""
+        """Squared standard deviations by which `up` leans from the cue, 9 at most."""
         return min(MAX_COST, float(up @ self.information @ up))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UpEstimate:
-    """Unit vector up (3,), the cues it was taken from and how sure it is; roll_deg is the RMS angle of the cameras' x axes to the level."""
+    """Unit vector up (3,), its cues, how sure it is; roll_deg: RMS angle of x axes to the level."""
 
     up: FloatArray
     source: str
@@ -88,21 +88,18 @@ class UpEstimate:
 
 
 def roll_deg(cameras: Cameras, up: FloatArray) -> float:
-    """RMS angle of the x axes of C cameras to the plane across `up`: how far they would be rolled if that were up."""
+    """RMS angle of the x axes of C cameras to the plane across `up`: their roll, if it is up."""
     return float(np.degrees(np.arcsin(min(1.0, np.sqrt(np.mean((cameras.cam_from_world[:, 0, :3] @ up) ** 2))))))
 
 
 def estimate_up(cameras: Cameras, points: FloatArray, seed: int = 0, only: Sequence[str] | None = None) -> UpEstimate:
-    """Up in the frame of C cameras and P points (P,3), from all cues or from those whose names are
-    in `only`.
-
-    Raises BadInput where the scene has none of these.
-    """
+    """Up in the frame of C cameras and P points (P,3), from all cues or from those named in `only`;
+    BadInput where the scene has none of these."""
     shared = _shared_cues(cameras, points, seed)
     readings = [[cue for cue in (*shared, level) if only is None or cue.name in only] for level in _level_cameras_cues(cameras)]
     if not readings[0]:
         size = f"{len(points)} points and {len(cameras)} photographs"
-        raise BadInput(f"up cannot be taken from the {_listed(only or ())}: the scene of {size} does not show it, give --up another way.")
+        raise BadInput(f"up cannot be taken from the {_join(only or ())}: the scene of {size} does not show it, give --up another way.")
     # Pictures that stand upright are trusted only where that contradicts less.
     found = [_solutions(cues) for cues in readings]
     best = min(range(len(found)), key=lambda index: (found[index][0][1], index))
@@ -114,7 +111,7 @@ def estimate_up(cameras: Cameras, points: FloatArray, seed: int = 0, only: Seque
     uncertainty_deg = _uncertainty_deg(agreeing, up)
     return UpEstimate(
         up=up,
-        source=_listed([cue.name for cue in agreeing]),
+        source=_join([cue.name for cue in agreeing]),
         roll_deg=roll_deg(cameras, up),
         uncertainty_deg=uncertainty_deg,
         left_out=tuple((cue.name, float(np.degrees(_angle_rad(up, cue.direction)))) for cue in cues if cue not in agreeing),
@@ -124,15 +121,15 @@ def estimate_up(cameras: Cameras, points: FloatArray, seed: int = 0, only: Seque
 
 def _solutions(cues: Sequence[Cue]) -> list[tuple[FloatArray, float]]:
     """Where each cue leads to, with its cost, the cheapest first."""
-    return sorted((_settled(cues, cue.direction) for cue in cues), key=lambda solution: solution[1])
+    return sorted((_settle(cues, cue.direction) for cue in cues), key=lambda solution: solution[1])
 
 
-def _listed(names: Sequence[str]) -> str:
+def _join(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def _wall_doubt(cues: Sequence[Cue], up: FloatArray) -> str | None:
-    """Ground from above and a wall from the front look the same where all pictures have one top edge and the path allows both."""
+    """Ground from above and a wall from the front look the same, if the path allows both."""
     upright = next((cue for cue in cues if cue.name == UPRIGHT), None)
     if upright is None or _angle_rad(up, upright.direction) < WALL_RAD:
         return None
@@ -151,8 +148,8 @@ def _doubt(up: FloatArray, rival: FloatArray | None, uncertainty_deg: float, upw
     return None
 
 
-def _settled(cues: Sequence[Cue], start: FloatArray) -> tuple[FloatArray, float]:
-    """The direction near `start` that is the least squares of the cues that agree with it, and what it costs all of them."""
+def _settle(cues: Sequence[Cue], start: FloatArray) -> tuple[FloatArray, float]:
+    """The least squares near `start` of the cues that agree with it, and its cost to all."""
     up = _unit(start)
     best = (up, sum(cue.cost(up) for cue in cues))
     for _ in range(NUM_ROUNDS):
@@ -169,7 +166,7 @@ def _settled(cues: Sequence[Cue], start: FloatArray) -> tuple[FloatArray, float]
 
 
 def _uncertainty_deg(agreeing: Sequence[Cue], up: FloatArray) -> float:
-    """Standard deviation across the direction that is known worst, larger where the cues agree less than they should."""
+    """Standard deviation in the direction known worst, larger where the cues agree too little."""
     if not agreeing:
         return 90.0
     total = sum((cue.information for cue in agreeing), np.zeros((3, 3)))
@@ -192,7 +189,7 @@ def _shared_cues(cameras: Cameras, points: FloatArray, seed: int) -> list[Cue]:
 
 
 def _mean_cue(name: str, directions: FloatArray, max_spread_rad: float, sigma_rad: float) -> Cue | None:
-    """Up is the mean of these unit vectors (C,3); None where they differ by more than `max_spread_rad` (RMS)."""
+    """Up is the mean of unit vectors (C,3); None if their RMS angle is over the spread."""
     mean = _unit(directions.sum(axis=0))
     spread_rad = float(np.sqrt(np.mean(np.arccos(np.clip(directions @ mean, -1, 1)) ** 2)))
     if spread_rad > max_spread_rad:
@@ -202,7 +199,7 @@ def _mean_cue(name: str, directions: FloatArray, max_spread_rad: float, sigma_ra
 
 
 def _level_cameras_cues(cameras: Cameras) -> list[Cue]:
-    """The x axes lie level; or else the y axes, where the x axes all point one way while the y axes turn about it by more than 30°."""
+    """The x axes lie level; or the y axes, where x axes agree and y axes turn by more than 30°."""
     x_axes, y_axes = cameras.cam_from_world[:, 0, :3], cameras.cam_from_world[:, 1, :3]
     across, down = (np.linalg.eigvalsh(axes.T @ axes / len(axes)) for axes in (x_axes, y_axes))
     upright_pictures = across[1] < 0.05 and down[1] > 0.25
@@ -210,7 +207,7 @@ def _level_cameras_cues(cameras: Cameras) -> list[Cue]:
 
 
 def _level_axes_cue(axes: FloatArray) -> Cue:
-    """These unit vectors (C,3) lie level; least sum of angles, so that a picture on its side does not count for more than others."""
+    """Unit vectors (C,3) lie level; least sum of angles: a picture on its side counts no more."""
     weights = np.ones(len(axes))
     level = np.zeros(3)
     for _ in range(NUM_REFITS):
@@ -222,7 +219,7 @@ def _level_axes_cue(axes: FloatArray) -> Cue:
 
 
 def _upward(cameras: Cameras, *, on_their_side: bool) -> FloatArray:
-    """A vector whose sign along up is that of up: pictures are upright (−y up) or look down (−z up), on their side only the latter."""
+    """A vector on up's side: mean of −y and −z axes, or of −z where pictures lie on their side."""
     rotations = cameras.cam_from_world[:, :3, :3]
     return -(rotations[:, 2] + (0 if on_their_side else 1) * rotations[:, 1]).mean(axis=0)
 
@@ -240,7 +237,7 @@ def _ground_cue(points: FloatArray, seed: int) -> Cue | None:
 
 
 def _points_of_dominant_plane(sample: FloatArray, rng: np.random.Generator) -> NDArray[np.bool_] | None:
-    """Which points (P,) lie within 5 % of the median radius of the plane that most lie near (RANSAC)."""
+    """Points (P,) within 5 % of the median radius of the plane that most lie near (RANSAC)."""
     middle = np.median(sample, axis=0)
     near = 0.05 * float(np.median(np.linalg.norm(sample - middle, axis=1)))
     best, best_count = None, 2

@@ -1,11 +1,9 @@
-"""A pinhole model in the project's world: metric and z up by GPS where GPS can carry it, unscaled
-with z up otherwise.
+"""A pinhole model in the project's world: metric and z up by GPS where it can, else unscaled.
 
 Once per scene. A robust similarity to GPS fixes the frame, unless GPS cannot say where up is: the
-positions lie on a line, or the photographs would all be rolled if it were right (altitudes drift by
-a hundred metres in some cameras), or the scene fixes it better and says otherwise. Then up comes
-from the scene (`up.py`) and GPS gives only heading, scale and shift. What a user says of up and of
-a length (`placement.py`) goes before both.
+positions lie on a line, or the photographs would all be rolled (altitudes drift by a hundred metres
+in some cameras), or the scene fixes it better and says otherwise. Then up comes from the scene
+(`up.py`), only heading, scale and shift from GPS. A user's `placement.py` goes before both.
 """
 
 from __future__ import annotations
@@ -60,7 +58,7 @@ def cameras_of(model: ColmapModel) -> Cameras:
 
 
 def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed: int, placement: Placement = UNPLACED) -> PlacedScene:
-    """The scene of a pinhole model in the world frame, with what was decided and what the user should know."""
+    """The scene of a pinhole model in the world frame, with decisions and warnings."""
     cameras = cameras_of(model)
     by_name = {photo.name: photo for photo in photographs}
     positions_m, origin = gps_positions(tuple(by_name[name] for name in cameras.names))
@@ -71,18 +69,15 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     positions_m = heights.positions_m
     known = np.isfinite(positions_m[:, 0])
     fit = robust_sim3(cameras.centers[known], positions_m[known], seed)
-    gps = _judged(fit, cameras, up, forced=forced)
+    gps = _judge(fit, cameras, up, forced=forced)
     metric, warnings = _metric_from_model(cameras.centers[known], positions_m[known], gps, up, scaled=placement.gives_scale)
     world_from_model = metric or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
-    world_from_model, scaled = _scaled(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
+    world_from_model, scaled = _rescale(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
     frame = Frame(kind="scaled", origin_lat_lon_alt=np.zeros(3)) if scaled else UNSCALED
     if metric is not None:
         residuals = np.linalg.norm(world_from_model.apply(cameras.centers[known]) - positions_m[known], axis=1)
         frame = Frame(
-            kind="metric",
-            origin_lat_lon_alt=heights.origin,
-            residual_m=float(np.median(residuals)),
-            altitude_known=heights.altitude_known,
+            kind="metric", origin_lat_lon_alt=heights.origin, residual_m=float(np.median(residuals)), altitude_known=heights.altitude_known
         )
     by_gps = metric is not None and gps.verdict == "ok"
     return PlacedScene(
@@ -97,8 +92,8 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     )
 
 
-def _scaled(world_from_model: Sim3, scene: SfmScene, placement: Placement) -> tuple[Sim3, tuple[Decision, ...]]:
-    """The similarity with the scale that a known length gives, about the cameras' middle, and the decision; as it is without one."""
+def _rescale(world_from_model: Sim3, scene: SfmScene, placement: Placement) -> tuple[Sim3, tuple[Decision, ...]]:
+    """The similarity with the scale of a known length, about the cameras' middle, if given."""
     factor = placement.scale(scene.cameras, scene.points, scene.observations)
     if factor is None:
         return world_from_model, ()
@@ -140,8 +135,8 @@ def move_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, fra
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _JudgedGps:
-    """What GPS is good for; roll_deg is the RMS roll of the photographs if its up were right,
-    lean_deg how far that is from the scene's, up_deg how well GPS fixes it."""
+    """What GPS is good for; roll_deg: RMS roll of the photographs if its up were right, lean_deg:
+    from the scene's up, up_deg: how well GPS fixes it."""
 
     fit: Alignment
     verdict: AlignStatus | Literal["tilted", "overruled"]
@@ -150,7 +145,7 @@ class _JudgedGps:
     up_deg: float = 90.0
 
 
-def _judged(fit: Alignment, cameras: Cameras, up: UpEstimate, *, forced: bool) -> _JudgedGps:
+def _judge(fit: Alignment, cameras: Cameras, up: UpEstimate, *, forced: bool) -> _JudgedGps:
     if fit.target_from_source is None:
         return _JudgedGps(fit=fit, verdict=fit.status)
     gps_up = fit.target_from_source.rotation[2]
@@ -221,11 +216,7 @@ def _frame_decision(frame: Frame, gps: _JudgedGps, up: UpEstimate, num_gps: int,
         choice, figure, unit = f"{kind}, up {up_of}", float(num_gps), "photographs with GPS"
         reason = f"the fit to GPS is {gps.verdict}"
     elif gps.verdict == "collinear":
-        choice, figure, unit = (
-            f"metric, up {up_of}",
-            float(np.degrees(gps.fit.tilt_error_rad)),
-            "deg roll uncertainty",
-        )
+        choice, figure, unit = (f"metric, up {up_of}", float(np.degrees(gps.fit.tilt_error_rad)), "deg roll uncertainty")
         reason = "the GPS positions lie on a line"
     elif gps.verdict == "overruled":
         choice, figure, unit = f"metric, up {up_of}", gps.lean_deg, "deg between that and up by GPS"

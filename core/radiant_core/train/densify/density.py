@@ -1,14 +1,14 @@
-"""Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians with large image gradients are
-cloned or split, transparent ones pruned.
+"""Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians are cloned, split and pruned.
 
-    g_i = mean over the steps that saw i of ‖(W/2, H/2) ⊙ ∂loss/∂m_i‖        m_i: projected centre in px; gsplat's normalisation
+    g_i = mean over the steps that saw i of ‖(W/2, H/2) ⊙ ∂loss/∂m_i‖,  m_i: projected centre in px
           or of ‖(W/2, H/2) ⊙ Σ_p |∂loss_p/∂m_i|‖ over pixels p, by absolute value (AbsGS, Ye 2024)
-    g_i ≥ t:  longest axis ≤ 1 % of the cameras' extent: cloned;  longer: two drawn from N(μ_i, Σ_i) with scales / 1.6 in its place
-    pruned:   opacity < 0.005;  after the first reset also axes > 10 % of the extent, and what is wider than a limit on screen
+    g_i ≥ t:  longest axis ≤ 1 % of the cameras' extent: cloned;
+              longer: two drawn from N(μ_i, Σ_i) with scales / 1.6 in its place
+    pruned:   opacity < 0.005;  after the first reset also axes > 10 % of the extent, and what is
+              wider than a limit on screen
     reset:    opacity ← min(opacity, 0.01), its moments ← 0
 
-Statistics once per step, an edit every `Adc.every` steps, O(N log N). `AdaptiveDensity` decides
-when; the edits are plain functions of arrays.
+Statistics once per step, an edit every `Adc.every` steps, O(N log N).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class DensityRules:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DensityEdit:
-    """A model of M Gaussians after an edit: rows (M,) of the old one, fresh (M,) where a Gaussian is new; means and log_scales (M,3)."""
+    """M Gaussians after an edit: old rows (M,), fresh (M,) if new; means, log_scales (M,3)."""
 
     rows: NDArray[np.int64]
     fresh: NDArray[np.bool_]
@@ -75,11 +75,7 @@ def density_edit(
     rng: np.random.Generator,
 ) -> DensityEdit:
     """Clone, split and prune the model (means, quats, log_scales, logit_opacities of N rows) by
-    mean gradients and radii (N,).
-
-    The result is in Morton order and holds at least one Gaussian, the most opaque, if the model
-    held any.
-    """
+    mean gradients and radii (N,). The result is in Morton order, never emptied altogether."""
     clone, split, num_refused = select_growing(gradients, model["log_scales"].max(axis=1, initial=-np.inf), rules)
     parents = np.flatnonzero(split)
     offsets = split_offsets(model["quats"][parents], model["log_scales"][parents], rng)
@@ -114,11 +110,8 @@ def select_growing(
     gradients: NDArray[np.floating], largest_log: NDArray[np.floating], rules: DensityRules
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
     """Masks (N,) of what is cloned and what is split, by mean gradient and logarithm of the longest
-    axis (N,), and how many are refused.
-
-    Each adds one Gaussian; where the limit of Gaussians leaves room for fewer, the strongest
-    gradients get it. NaN never grows.
-    """
+    axis (N,), and how many are refused: where the limit leaves room for fewer, the strongest
+    gradients get it. NaN never grows."""
     wanted = np.flatnonzero(gradients >= rules.min_gradient)
     room = max(0, rules.max_num_splats - len(gradients))
     strongest = wanted[np.argsort(-gradients[wanted], kind="stable")[:room]]
@@ -129,7 +122,7 @@ def select_growing(
 
 
 def split_offsets(quats: NDArray[np.float32], log_scales: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Where the children of K Gaussians lie relative to them (CHILDREN · K,3), drawn from their own N(0, Σ); 0 beyond float32."""
+    """Offsets of the children of K Gaussians (CHILDREN · K,3), from N(0, Σ); 0 beyond float32."""
     limit = float(np.finfo(np.float32).max) / 4
     scales = np.exp(np.minimum(np.repeat(log_scales, CHILDREN, axis=0).astype(np.float64), math.log(limit)))
     offsets = rotate(np.repeat(quats, CHILDREN, axis=0).astype(np.float64), scales * rng.standard_normal(scales.shape))
@@ -159,12 +152,12 @@ def select_prunable(
 
 
 class AdaptiveDensity(Part):
-    """Gathers the gradients of one training and edits its model on schedule; `counts` holds what was done so far."""
+    """Gathers gradients of one training and edits its model on schedule; `counts` what was done."""
 
     name = "density"
 
     def __init__(self, policy: Adc, config: TrainConfig, extent: float, splats: SplatTensors) -> None:
-        """`extent` of the cameras in the world's unit; `splats` is the model before the first step."""
+        """`extent` of the cameras in world units; `splats`: the model before the first step."""
         self._policy, self._config, self._extent = policy, config, extent
         self._num_first = len(splats)
         self._last_reset = 0
@@ -177,7 +170,7 @@ class AdaptiveDensity(Part):
         return self._absolute and moment.schedule_step < self._policy.until_step
 
     def before_backward(self, moment: Moment, output: RenderOutput) -> None:
-        """Add the gradients of a rendering (one camera) to the statistics when its backward pass comes."""
+        """Add the gradients of a rendering of one camera to the statistics in its backward pass."""
         if moment.schedule_step >= self._policy.until_step or not output.means2d.requires_grad:
             return
         height, width = output.images.shape[1:3]
@@ -189,7 +182,7 @@ class AdaptiveDensity(Part):
         output.means2d.register_hook(partial(self._add, visible, (width, height), output.absgrad if self._absolute else None))
 
     def after_update(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
-        """The model, cloned, split and pruned where an edit is due, with its opacities reset where that is."""
+        """The model, cloned, split and pruned where due, with opacities reset where that is."""
         policy, schedule_step = self._policy, moment.schedule_step
         if schedule_step >= policy.until_step:
             return splats
@@ -227,20 +220,18 @@ class AdaptiveDensity(Part):
             own[:] = arrays[name] if isinstance(own, np.ndarray) else torch.from_numpy(arrays[name]).to(own.device)
 
     def _add(self, visible: Any, size_wh: tuple[int, int], absgrad: Tensor | None, gradient: Tensor) -> None:
-        # numpy on the CPU, torch on a GPU: the operators are the same, and torch's threads would
-        # spin on after each of them (libgomp).
+        # numpy on the CPU, torch on a GPU: torch's threads would spin after each (libgomp).
         taken = _as_plain(gradient if absgrad is None else absgrad)
         across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
         with np.errstate(over="ignore", invalid="ignore"):
             length = (across * across + down * down) ** 0.5
-            # A step whose gradient is not finite is not taken, and must not enter the statistics
-            # either.
+            # A step whose gradient is not finite is not taken nor counted in the statistics.
             length[~(length < math.inf)] = 0
             self._sums += length
         self._seen += visible
 
     def _limit(self, schedule_step: float) -> int:
-        """How many Gaussians there may be now: all from the start, or planned growth on a straight line."""
+        """How many Gaussians there may be: all from the start, or planned growth on a line."""
         policy, most = self._policy, self._config.max_num_splats
         if policy.kind == "adc":
             return most
@@ -285,7 +276,7 @@ def finish_density(result: TrainResult, counts: DensityCounts) -> TrainResult:
 
 @torch.no_grad()
 def reset_opacities(splats: SplatTensors, optimizer: SelectiveAdam) -> None:
-    """Lower all opacities to at most `RESET_OPACITY`, in place, and zero their moments where they are optimised."""
+    """Lower all opacities to at most `RESET_OPACITY`, in place, and zero their moments."""
     splats.logit_opacities.clamp_(max=_logit(RESET_OPACITY))
     optimizer.zero_moments("logit_opacities")
 

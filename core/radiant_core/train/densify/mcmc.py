@@ -1,14 +1,13 @@
-"""Densification as sampling (Kheradmand et al., 3D Gaussian Splatting as Markov Chain Monte Carlo,
-NeurIPS 2024).
+"""Densification as sampling (Kheradmand et al., 3D Gaussian Splatting as MCMC, NeurIPS 2024).
 
 Dead Gaussians (opacity ≤ 0.005) are moved onto live ones drawn by opacity, and the model grows by 5
-% per 100 steps of the schedule up to a hard limit: a run of a twentieth of the schedule's steps,
-which has a twentieth of its rounds, grows by 1.05²⁰ in each. Where n Gaussians share one place,
-each gets (their Eqn. 9)
-    o' = 1 − (1 − o)^(1/n),    σ' = σ · o / Σ_{i=1..n} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
-so that the picture stays nearly the same. Opacity and size cost a little, and centres of Gaussians
-that are nearly transparent wander by their own covariance. Edits once every `Mcmc.every` steps, the
-wandering every `WANDER_EVERY`, its variance as if it were every step.
+% per 100 steps of the schedule up to a hard limit: a run of a twentieth of its steps grows by
+1.05²⁰ in each of its fewer rounds. Where n Gaussians share one place, each gets (Eqn. 9)
+    o' = 1 − (1 − o)^(1/n)
+    σ' = σ · o / Σ_{i=1..n} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
+so that the picture stays nearly the same. Opacity and size cost a little, and centres of nearly
+transparent Gaussians wander by their covariance. Edits once every `Mcmc.every` steps, wandering
+every `WANDER_EVERY`, its variance as if it were every step.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ GATE_STEEPNESS = 100.0
 def share_place(
     logit_opacities: NDArray[np.floating], log_scales: NDArray[np.floating], num_copies: NDArray[np.integer]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Logit opacities (K,) and log scales (K,3) that each of n ≥ 1 Gaussians (K,) gets which share the place of one."""
+    """Logit opacities (K,), log scales (K,3) of each of n ≥ 1 Gaussians (K,) in one's place."""
     n = np.clip(num_copies, 1, MAX_COPIES)
     # Not opaque to the last bit, where neither logarithm nor the logit would exist.
     o = np.clip(1 / (1 + np.exp(-np.clip(logit_opacities.astype(np.float64), -60, 60))), 1e-12, 1 - 1e-7)
@@ -63,7 +62,7 @@ def share_place(
 
 
 class RelocatedDensity(Part):
-    """Relocates, adds and perturbs the Gaussians of one training; `counts.num_cloned` are those added, `num_relocated` those moved."""
+    """Relocates, adds and perturbs Gaussians; `counts.num_cloned` added, `num_relocated` moved."""
 
     name = "density"
 
@@ -131,15 +130,14 @@ class RelocatedDensity(Part):
             splats,
             **{name: torch.from_numpy(changed[name]).to(device) if name in changed else tensor[index] for name, tensor in tensors.items()},
         )
-        # Those that now share a place are fresh as well: their moments belong to another opacity
-        # and size.
+        # Those that now share a place are fresh too: their moments belong to another opacity.
         optimizer.select_rows(edited.tensors(), index, torch.from_numpy(fresh | (copies[rows] > 1)).to(device))
         return edited
 
 
 @torch.no_grad()
 def wander(splats: SplatTensors, rate: float, rng: np.random.Generator) -> None:
-    """Move the centres, in place, by Σ η gate(o) · rate with η ~ N(0, I) drawn anew for each Gaussian that may move at all."""
+    """Move centres, in place, by Σ η gate(o) · rate, η ~ N(0, I) drawn for each that may move."""
     logits = splats.logit_opacities.detach().cpu().numpy().astype(np.float64)
     opacities = 1 / (1 + np.exp(-np.clip(logits, -60, 60)))
     gates = 1 / (1 + np.exp(np.clip(GATE_STEEPNESS * (opacities - MIN_OPACITY), -60, 60)))

@@ -1,8 +1,6 @@
-"""The policies of densification, each with its own knobs, and the counts of what a policy did.
-`TrainConfig.density` is one of them.
+"""The policies of densification with their knobs (`TrainConfig.density`), and the counts of edits.
 
-Steps are those of a run of `TrainConfig.schedule_steps`; a run of another length scales them,
-except for `every`.
+Steps are those of `TrainConfig.schedule_steps`; another length scales them, except for `every`.
 """
 
 from __future__ import annotations
@@ -28,32 +26,30 @@ class NoDensification:
 
 @dataclass(frozen=True, kw_only=True)
 class Adc:
-    """The adaptive density control of 3DGS clones, splits and prunes Gaussians (Kerbl 2023, Sec. 5; `density.py`)."""
+    """The adaptive density control of 3DGS clones, splits and prunes (Kerbl 2023, Sec. 5)."""
 
     kind: Literal["adc", "planned"] = "adc"
-    """adc: up to `TrainConfig.max_num_splats` Gaussians at once; planned: under a limit that grows evenly to that number."""
+    """adc: up to `TrainConfig.max_num_splats` at once; planned: the limit grows evenly to that."""
     from_step: int = 500
     """Density control begins after this step."""
     until_step: int = 15_000
     """Density control, with its resets of opacity, ends before this step."""
     every: int = 100
-    """Steps between two rounds of density control; not scaled, since a mean over fewer steps is noise."""
+    """Steps between two rounds; not scaled, since a mean over fewer steps is noise."""
     min_gradient: float = 2e-4
-    """A Gaussian is cloned or split when its projected centre's mean gradient, in half image sides, is at least this."""
+    """A Gaussian grows from this mean gradient of its projected centre on, in half image sides."""
     gradient: Literal["mean", "absolute"] = "mean"
-    """mean: gradients of a centre are summed over pixels with their signs, as 3DGS does; absolute:
-    without, so that pixels which pull a large Gaussian to opposite sides do not cancel (AbsGS, Ye
-    2024), and `min_absolute` is the threshold."""
+    """mean: gradients of a centre are summed over pixels with their signs, as in 3DGS; absolute:
+    without, so that opposite pulls on a large one do not cancel (AbsGS), above `min_absolute`."""
     min_absolute: float = 8e-4
     """The threshold in place of `min_gradient` where `gradient` is absolute; gsplat's for it."""
     reset_opacity_every: int = 3_000
     """Steps between two resets of all opacities to at most 0.01."""
     prune_radius_px: float | None = None
-    """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code
-    of 3DGS passes 20 but clears the radii before it looks at them, so that nothing is pruned by
-    this rule; None is what it does."""
+    """A Gaussian wider than this on screen is pruned after the first reset of opacities. 3DGS
+    passes 20, but clears the radii before it looks at them, and prunes none, as None does."""
     pixels_per_splat: int | None = 80
-    """Training pixels for each Gaussian that planned growth may reach (docs/experiments/training.md); None: any number."""
+    """Training pixels per Gaussian of planned growth (docs/experiments/training.md); None: any."""
 
     def __post_init__(self) -> None:
         require_one_of(self, "kind", ("adc", "planned"))
@@ -66,7 +62,7 @@ class Adc:
 
 @dataclass(frozen=True, kw_only=True)
 class Mcmc:
-    """Densification as sampling relocates and adds Gaussians, up to `TrainConfig.max_num_splats` (Kheradmand 2024; `mcmc.py`)."""
+    """Densification as sampling relocates and adds Gaussians (Kheradmand 2024; `mcmc.py`)."""
 
     kind: Literal["mcmc"] = "mcmc"
     """Names the policy."""
@@ -90,7 +86,7 @@ POLICIES: dict[str, type[NoDensification | Adc | Mcmc]] = {"none": NoDensificati
 
 
 def densification_of(kind: DensityKind, like: NoDensification | Adc | Mcmc) -> NoDensification | Adc | Mcmc:
-    """The policy of a kind, with the fields that it shares with `like` and its defaults for the others."""
+    """The policy of a kind, with the fields that it shares with `like`, else its defaults."""
     shared = {field.name: getattr(like, field.name) for field in fields(POLICIES[kind]) if hasattr(like, field.name)}
     return POLICIES[kind](**{**shared, "kind": kind})
 

@@ -1,0 +1,111 @@
+"""Scoring: figures do not depend on how many machines hold the photographs, nor on their frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiant_app.run.scoring import combine_scores
+from radiant_app.workers.evaluation import SCORES_NAME, png_bytes, run_score
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, Move, ScoreTask
+from radiant_core.cameras import Cameras
+from radiant_core.errors import StageFailed
+from radiant_core.frames import Frame, Sim3
+from radiant_core.geometry.similarity import move_splats
+from radiant_core.hierarchy.joining import moved_cameras
+from radiant_core.io.ply import save_ply
+from radiant_core.io.records import save_cameras, save_plan, save_scene, save_splats
+from radiant_core.io.run_store import read_json, write_json
+from radiant_core.render.rendered_view import render_views
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from tests.core.evaluate.test_seam_error import plan_of
+from tests.core.scenes import cameras_above, ground_splats
+
+CAMERAS = cameras_above([(x, y) for x in (-1.5, -0.5, 0.5, 1.5) for y in (-1.0, 0.0, 1.0)], size_wh=(192, 144))
+TRUTH = ground_splats(400)
+SCENE = replace(TRUTH, sh0=TRUTH.sh0 + np.random.default_rng(1).normal(0, 0.2, TRUTH.sh0.shape).astype(np.float32))
+INITIAL = replace(TRUTH, sh0=np.zeros_like(TRUTH.sh0))
+PLAN = plan_of(np.array([[-4.0, 0.0], [4.0, 0.0]]), np.zeros(2))
+STAY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
+AWAY = Sim3(scale=2.0, rotation=np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), translation=np.array([4.0, -8.0, 0.5]))
+
+
+def scored(run: Path, stage: str, cameras: Cameras, move: Sim3 | None = None) -> Path:
+    """The scores of the owner's machine or, with the move of its frame, of a device, with the
+    photographs of these cameras."""
+    folder = run / stage
+    own = folder if move is None else folder.parent
+    (folder / "inbox").mkdir(parents=True)
+    (own / "photos").mkdir()
+    for view in render_views(TRUTH, cameras):
+        (own / "photos" / view.name).write_bytes(png_bytes(view.image_bytes))
+    back = STAY if move is None else move.inverse()
+    save_cameras(own / HELD_OUT_NAME, moved_cameras(cameras, back))
+    save_splats(own / INITIAL_NAME, move_splats(INITIAL, back))
+    write_json(own / OWN_NAME, {"images": str(own / "photos")})
+    if move is not None:
+        save_model(own, moved_cameras(cameras, back), move_splats(SCENE, back))
+    save_ply(folder / "inbox" / "scene.ply", SCENE)
+    save_plan(folder / "inbox" / "plan.json", PLAN, ())
+    moves = () if move is None else (Move.of(move),)
+    task = ScoreTask(corrections=moves, long_side_px=192, backend="native", lpips=None, owned=move is not None)
+    run_score(folder, task, EventReporter(stage=stage, emit=lambda event: None))
+    return folder / SCORES_NAME
+
+
+def save_model(own: Path, cameras: Cameras, splats: Splats) -> None:
+    """What else a device keeps: its training photographs are those that it is scored on."""
+    save_scene(
+        own / "scene.safetensors",
+        SfmScene(
+            cameras=cameras,
+            points=np.zeros((0, 3)),
+            colors=np.zeros((0, 3), np.uint8),
+            observations=np.zeros((0, 2), np.int64),
+            frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
+        ),
+    )
+    save_splats(own / "model.safetensors", splats)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    (tmp_path / "cloud").mkdir()
+    write_json(tmp_path / "cloud" / "summary.json", {"num_splats": len(SCENE)})
+    save_plan(tmp_path / "plan.json", PLAN, ())
+    return tmp_path
+
+
+def without_names(figures: dict[str, Any]) -> dict[str, Any]:
+    rows = [{key: value for key, value in row.items() if key != "name"} for row in figures["images"]]
+    return {key: value for key, value in figures.items() if key not in ("images", "leakage", "median")} | {"rows": rows}
+
+
+def test_one_machine_with_all_photographs_and_two_devices_in_frames_of_their_own_give_the_same_figures(run: Path) -> None:
+    whole = combine_scores(run, {"evaluation": scored(run, "evaluation", CAMERAS)}, None)
+    shares = {"a": (range(5), AWAY), "b": (range(5, 12), STAY)}
+    files = {name: scored(run, f"devices/{name}/score", CAMERAS.select(list(rows)), move) for name, (rows, move) in shares.items()}
+    divided = combine_scores(run, files, None)
+    assert whole["seam_psnr_db"] is not None and whole["num_gaussians"] == 400 and "leakage" not in whole
+    assert [row["name"] for row in whole["images"]] == list(CAMERAS.names)
+    assert [row["name"] for row in divided["images"]][4:6] == ["a/held-out-0004", "b/held-out-0000"]
+    assert divided["leakage"].keys() == {"a", "b"}
+    one, other = without_names(whole), without_names(divided)
+    # 1e-3 dB: the moved Gaussians are rounded to float32 in another frame.
+    for key in one.keys() - {"rows"}:
+        assert one[key] == (pytest.approx(other[key], abs=1e-3) if isinstance(one[key], float) else other[key]), key
+    for row, twin in zip(one["rows"], other["rows"], strict=True):
+        assert row == pytest.approx(twin, abs=1e-3)
+
+
+def test_a_machine_without_photographs_adds_nothing_and_alone_has_no_figures(run: Path) -> None:
+    file = scored(run, "evaluation", CAMERAS.select([]))
+    assert read_json(file)["images"] == [] and not (file.parent / "renders").exists()
+    with pytest.raises(StageFailed, match="no device could score"):
+        combine_scores(run, {"evaluation": file}, None)
