@@ -68,7 +68,7 @@ def test_resuming_notices_a_changed_mask_and_skips_all_where_none_changed(
     events: list[Event] = []
     assert run(config, events.append, resume=True).metrics["images"] == result.metrics["images"]
     assert StageSkipped(stage="sfm") in events
-    with pytest.raises(BadInput, match="another masks"):
+    with pytest.raises(BadInput, match="another --masks"):
         run(replace(config, sfm=SfmOptions()), resume=True)
     shutil.copytree(project / "masks", tmp_path / "masks")
     request = TrainRequest(source=project, out=tmp_path / "trained", masks=tmp_path / "masks", overrides=TINY.overrides)
