@@ -116,7 +116,7 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
 
 def _receive_models(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
     """The devices' models as their edges receive them."""
-    arrived = [passed_on(model, recipe.upload, recipe.train.long_side_px) for model in cell.devices.values()]
+    arrived = [passed_on(model, recipe.upload) for model in cell.devices.values()]
     return [model for model in arrived if isinstance(model, DeviceModel)]
 
 

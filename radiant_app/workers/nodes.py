@@ -162,7 +162,7 @@ def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequenc
     from radiant_core.io.messages import NOTHING
     from radiant_core.io.ply import save_ply
 
-    models = receive_edge_models(folder, task.edges, task.train.long_side_px)
+    models = receive_edge_models(folder, task.edges)
     (folder / CUT_NAME).unlink(missing_ok=True)
     scene = join_cloud(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
     names = ["summary.json", *save_joining(folder, scene.corrections, scene.refused, scene.uncertainty)]

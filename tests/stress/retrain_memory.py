@@ -17,7 +17,7 @@ from radiant_app.bench.drone_scene import SceneSize, drone_scene
 from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.aggregate.cloud_choice import kept_statistics_bytes
 from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.retrain import join_models
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -47,7 +47,7 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, mem
         options = FitOptions(statistics_bytes=left)
     before = reset_peak_bytes()
     teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
-    retrain_on_synthetic_views(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, options)
+    join_models(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, options)
     # The models were in memory before the count began.
     print(peak_bytes() if memory_bytes is not None else peak_bytes() - before + model_bytes)
 

@@ -80,7 +80,7 @@ def store_views(views: Iterable[tuple[NDArray[np.uint8], NDArray[np.uint8]]], fo
         return tuple(image for image, _ in kept), tuple(weight for _, weight in kept)
     places: tuple[list[Place], list[Place]] = ([], [])
     try:
-        file = tempfile.TemporaryFile(dir=folder)
+        file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
         for view in views:
             for part, pixels in zip(places, view, strict=True):
                 height, width = pixels.shape[:2]

@@ -11,7 +11,7 @@ import pytest
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs, retrain_memory_bytes
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.retrain import retrain_on_synthetic_views, retraining_config
+from radiant_core.aggregate.retrain import join_models, retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import MAX_MOVE, MAX_TURN_DEG, virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
@@ -158,14 +158,14 @@ class TestPaperAggregation:
         train = replace(train_preset("paper"), long_side_px=48, density=Adc(from_step=0, every=1))
         paper = replace(aggregate_preset("paper"), num_epochs=1)
         west, east = MODEL.select(MODEL.means[:, 0] < 1), MODEL.select(MODEL.means[:, 0] > -1)
-        both = retrain_on_synthetic_views(
+        both = join_models(
             [Teacher(splats=west, cameras=CAMERAS.select([0, 1])), Teacher(splats=east, cameras=CAMERAS.select([13]))],
             train,
             paper,
             FitOptions(),
         ).trained
         assert both.num_steps == 3 and len(both.splats) == len(west) + len(east)
-        lone = retrain_on_synthetic_views([Teacher(splats=west, cameras=CAMERAS.select([0, 1]))], train, paper, FitOptions()).trained
+        lone = join_models([Teacher(splats=west, cameras=CAMERAS.select([0, 1]))], train, paper, FitOptions()).trained
         assert lone.num_steps == 2 and (lone.splats.means != west.means).any()
 
     def test_transparent_pixels_teach_black_without_weights(self) -> None:
@@ -174,9 +174,7 @@ class TestPaperAggregation:
         losses = []
         for weigh in (True, False):
             config = replace(aggregate_preset("paper"), num_epochs=1, weight_by_alpha=weigh)
-            losses.append(
-                retrain_on_synthetic_views([Teacher(splats=thin, cameras=CAMERAS)], train, config, FitOptions()).trained.first_loss
-            )
+            losses.append(join_models([Teacher(splats=thin, cameras=CAMERAS)], train, config, FitOptions()).trained.first_loss)
         assert losses[0] != losses[1]
 
     def test_a_plain_cut_keeps_nothing_outside_its_region(self) -> None:

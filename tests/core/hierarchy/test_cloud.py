@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from radiant_core.aggregate.pooling import render_pictures
 
 from radiant_core.aggregate.cloud_choice import cloud_needs
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.extend import NewRegion, extend_scene
-from radiant_core.aggregate.pooling import render_pictures
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.cloud import MACHINE_SHARE, join_cloud
