@@ -11,6 +11,8 @@ AggregatePreset = Literal["default", "paper"]
 """default: ours; paper: concatenate and retrain everything at full rate, at the edges and then at
 the cloud, nothing skipped (paper Sec. III-D)."""
 
+MAX_TILES = 256
+
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateConfig:
@@ -54,6 +56,11 @@ class AggregateConfig:
             raise BadInput(f"faint_opacity is {self.faint_opacity}, expected at least 0 and less than 1.")
         if min(self.num_epochs, self.edge_epochs) < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
             raise BadInput("num_epochs, edge_epochs and max_num_steps of the aggregation must be at least 1.")
+
+    @property
+    def most_tiles(self) -> int:
+        """Into how many tiles a join may be divided where memory is short; the paper knows none."""
+        return 1 if self.preset == "paper" else MAX_TILES
 
     @property
     def at_edge(self) -> AggregateConfig:

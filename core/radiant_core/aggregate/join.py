@@ -26,7 +26,7 @@ from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tiles import retrain_by_tiles
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.evaluate.image_error import psnr_db, psnr_db_of_mse
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
@@ -47,7 +47,9 @@ NUM_ASKED = 10_000
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """How well the joined and the cut model show the models' pictures that joining was not shown."""
+    """PSNR, over all pixels, of the joined and of the cut model in pictures of the models that
+    joining was not shown. A mean of each view's would favour the cut: well inside a region it is
+    its teacher's own picture, to the bit."""
 
     num_views: int
     joined_db: float
@@ -97,7 +99,7 @@ def join_models(
     place lies in.
 
     A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single`.
-    `num_tiles` are fitted one after another. Raises BadInput without any model.
+    `num_tiles` are fitted one after another, except by `paper`. Raises BadInput without any model.
     """
     if not teachers:
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
@@ -151,10 +153,7 @@ def _join(
     teachers = balance_teachers(teachers, balance)
     owned = _find_owners(teachers, claims)
     cut = replace(_cut(teachers, owned), balance=balance)
-    models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
-    owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
-    contested = np.concatenate([places.contested for places in owned])
-    merged = faded(models, owned, aggregate.foreign_opacity)
+    merged, owns, contested = _start(teachers, owned, aggregate)
     shown = [touched_cameras(teacher.cameras, merged.means, contested) for teacher in teachers]
     cut = replace(cut, num_shown=int(sum(rows.sum() for rows in shown)), contested_share=float(contested.mean()) if len(contested) else 0.0)
     if not cut.num_shown:
@@ -166,17 +165,26 @@ def _join(
     cut = replace(cut, agreement_db=min(_psnr_db(cut.splats, _sample(views, NUM_COMPARED), options.backend)))
     if aggregate.agreement_db is not None and (cut.agreement_db or 0.0) >= aggregate.agreement_db:
         return cut
-    held_back = _rows(len(views), min(NUM_COMPARED, len(views) // VIEWS_PER_CHECKED))
+    held_back = _middles(len(views), min(NUM_COMPARED, len(views) // VIEWS_PER_CHECKED))
     made = retrain_by_tiles(merged, views.select(np.setdiff1d(np.arange(len(views)), held_back)), train, aggregate, options, num_tiles)
     whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
     joined = replace(cut, trained=replace(made.trained, splats=whole))
     if not len(held_back):
         return joined
     unseen = views.select(held_back)
-    joined_db, cut_db = (float(np.mean(_psnr_db(model, unseen, options.backend))) for model in (whole, cut.splats))
+    joined_db, cut_db = (_pooled_db(_psnr_db(model, unseen, options.backend)) for model in (whole, cut.splats))
     check = Check(num_views=len(unseen), joined_db=joined_db, cut_db=cut_db)
     kept = joined if check.keeps_joined else replace(joined, trained=replace(made.trained, splats=cut.splats))
     return replace(kept, check=check)
+
+
+def _start(
+    teachers: Sequence[Teacher], owned: Sequence[Ownership], aggregate: AggregateConfig
+) -> tuple[Splats, NDArray[np.bool_], NDArray[np.bool_]]:
+    """All models together (N), faded; which (N,) their owner speaks of, which (N,) are contested."""
+    models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
+    owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
+    return faded(models, owned, aggregate.foreign_opacity), owns, np.concatenate([places.contested for places in owned])
 
 
 def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig) -> tuple[list[Splats], list[Ownership]]:
@@ -226,6 +234,16 @@ def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: ND
 def _rows(count: int, num_chosen: int) -> NDArray[np.int64]:
     """So many rows of `count`, evenly spread."""
     return np.unique(np.linspace(0, count - 1, num_chosen).astype(np.int64))
+
+
+def _middles(count: int, num_parts: int) -> NDArray[np.int64]:
+    """The middle row of each of so many equal parts of `count`."""
+    return ((np.arange(num_parts) + 0.5) * count / max(1, num_parts)).astype(np.int64)
+
+
+def _pooled_db(psnrs_db: Sequence[float]) -> float:
+    """PSNR of the mean squared error of views with these."""
+    return psnr_db_of_mse(float(np.mean(10.0 ** (-np.array(psnrs_db) / 10))))
 
 
 def _sample(views: TrainingViews, num_chosen: int) -> TrainingViews:

@@ -20,7 +20,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from radiant_core.aggregate.tiles import MAX_TILES, most_fitted, tiles_of
+from radiant_core.aggregate.config import MAX_TILES
+from radiant_core.aggregate.tiles import most_fitted, tiles_of
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
@@ -50,15 +51,17 @@ def join_bytes(num_splats: int, num_fitted: int, bytes_per_splat: float, pixels_
     return PROCESS_BYTES + models + fitted + step
 
 
-def plan_join_memory(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, memory_bytes: float) -> JoinMemory:
+def plan_join_memory(
+    models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, memory_bytes: float, most_tiles: int = MAX_TILES
+) -> JoinMemory:
     """The fewest tiles that join models (M), asked at `cameras` (M), within `memory_bytes`."""
     pixels = pixels_of(cameras, long_side_px)
     total = sum(map(len, models))
     each = max((model.num_bytes / len(model) for model in models if len(model)), default=0.0)
     needed, num_tiles = join_bytes(total, total, each, pixels), 1
-    if needed > memory_bytes and total:
+    if needed > memory_bytes and total and most_tiles > 1:
         merged, views = concatenate_splats(models), concatenate_cameras(cameras).scaled(long_side_px)
-        while needed > memory_bytes and num_tiles < MAX_TILES:
+        while needed > memory_bytes and num_tiles < most_tiles:
             num_tiles *= 2
             fitted = most_fitted(merged, views, tiles_of(merged.means, views, num_tiles))
             needed = min(needed, join_bytes(total, fitted, each, pixels))

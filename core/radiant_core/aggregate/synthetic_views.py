@@ -30,8 +30,6 @@ class Teacher:
     splats: Splats
     cameras: Cameras
     rendered: Rendered = field(default_factory=dict)
-    pooled: bool = False
-    """Whether the model is several not yet joined (`pooling`): then all of it is contested."""
 
 
 _NONE_RENDERED: Rendered = {}

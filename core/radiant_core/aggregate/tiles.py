@@ -31,7 +31,6 @@ MARGIN_PX = 16
 """SSIM compares windows of 11 px: an error at the rim of a crop reaches no Gaussian of the tile."""
 MIN_SIDE_PX = 32
 """A view that shows less of a tile does not teach it."""
-MAX_TILES = 256
 NUM_ASKED = 20_000
 """Gaussians of a tile that say where a view shows it."""
 
@@ -89,7 +88,8 @@ def most_fitted(splats: Splats, cameras: Cameras, tiles: Sequence[Tile]) -> int:
 def retrain_by_tiles(
     moving: Splats, views: TrainingViews, train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, num_tiles: int
 ) -> Retrained:
-    """As `retrain`, tile after tile; an interrupted one begins anew."""
+    """As `retrain`, tile after tile; an interrupted one begins anew. Nothing is reached where no
+    view shows `MIN_SIDE_PX` of any tile."""
     if num_tiles == 1:
         return retrain(moving, views, train, aggregate, options)
     tiles = tiles_of(moving.means, views.cameras, num_tiles)
@@ -101,7 +101,8 @@ def retrain_by_tiles(
         shown = tile.views(views)
         # The rates of centres are those of a training on all views.
         rate = train.means_lr * camera_extent(views.cameras) / camera_extent(shown.cameras)
-        around = concatenate_splats([part for other, part in enumerate(parts) if other != index])
+        beside = [part for other, part in enumerate(parts) if other != index]
+        around = concatenate_splats([part.select(reached_by(part, shown.cameras)) for part in beside])
         settings = replace(train, means_lr=rate, seed=train.seed + index)
         report = _report_after(len(results), len(tiles), options.report)
         own = replace(options, checkpoints=NoCheckpoints(), report=report)
@@ -109,6 +110,9 @@ def retrain_by_tiles(
         reached[np.flatnonzero(tile.fitted)[made.reached]] = True
         parts[index] = concatenate_splats([made.splats, parts[index].select(~made.reached)])
         results.append(made.trained)
+    if not results:
+        nothing = moving.select(np.arange(0))
+        return Retrained(trained=TrainResult(splats=nothing, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0), reached=reached)
     return Retrained(trained=_sum_of(results), reached=reached)
 
 

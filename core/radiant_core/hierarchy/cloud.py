@@ -21,7 +21,6 @@ from radiant_core.aggregate.join import Joined, cut_at_borders, join_models
 from radiant_core.aggregate.join_memory import JoinMemory, plan_join_memory
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.decisions import Decision
 from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN, blind_spots_decision, join_decisions, report_join_memory
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.joining import Arrivals, admit, join_key
@@ -32,6 +31,7 @@ from radiant_core.train.trainer import FitOptions
 
 MACHINE_SHARE = 0.8
 """Of the free memory of its machine, what joining may take where the system file has no limit."""
+RAISE_LIMIT = "raise that limit under [cloud] in the system file of the next run"
 
 
 def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter: Reporter, machine: Machine = Machine()) -> SceneModel:
@@ -108,24 +108,26 @@ def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: 
         limits = replace(given, memory_bytes=MACHINE_SHARE * free_bytes)
         memory_of = f"{MACHINE_SHARE:.0%} of what this machine has free, a limit"
     most_bytes = float("inf") if limits.memory_bytes is None else limits.memory_bytes
-    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, most_bytes)
+    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, most_bytes, task.aggregate.most_tiles)
     needs = cloud_needs(arrivals.models, arrivals.cameras, memory, times_s)
     retrains, decision = choose_at_cloud(needs, limits, reporter.stage, memory_of=memory_of)
     reporter.decide(decision)
+    can_join_again = arrivals.uncertainty is None
     if retrains:
-        report_join_memory(memory, memory_of, most_bytes, reporter)
+        if len(arrivals.models) > 1:
+            # A join in tiles is finished: no --resume does it anew.
+            free = "free memory there before the next run"
+            lift = _ways_to_lift(free if limits is not given else RAISE_LIMIT, can_join_again=can_join_again)
+            report_join_memory(memory, most_bytes, lift, reporter)
         return _Choice(retrains=True, memory=memory, cut_for_memory=False)
     by_machine = choose_at_cloud(needs, given, reporter.stage)[0]
-    reporter.warn(_cut_warning(decision, by_machine=by_machine, can_join_again=arrivals.uncertainty is None))
+    lift = _ways_to_lift("free memory there and go on with --resume" if by_machine else RAISE_LIMIT, can_join_again=can_join_again)
+    reporter.warn(f"{decision.choice}: {decision.reason}. {CUT_COSTS} To join them {lift}.")
     return _Choice(retrains=False, memory=memory, cut_for_memory=by_machine)
 
 
-def _cut_warning(decision: Decision, *, by_machine: bool, can_join_again: bool) -> str:
-    lift = (
-        "free memory there and go on with --resume" if by_machine else "raise that limit under [cloud] in the system file of the next run"
-    )
-    again = f"; or {JOIN_AGAIN}" if can_join_again else ""
-    return f"{decision.choice}: {decision.reason}. {CUT_COSTS} To join them {lift}{again}."
+def _ways_to_lift(lift: str, *, can_join_again: bool) -> str:
+    return f"{lift}; or {JOIN_AGAIN}" if can_join_again else lift
 
 
 def _join(

@@ -115,8 +115,9 @@ def blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
     )
 
 
-def report_join_memory(memory: JoinMemory, limit_of: str, limit_bytes: float, reporter: Reporter) -> None:
-    """Decide and warn where a limit of memory divides a join into tiles, or makes it a cut."""
+def report_join_memory(memory: JoinMemory, limit_bytes: float, lift: str, reporter: Reporter) -> None:
+    """Decide and warn where a limit of memory divides a join into tiles, or makes it a cut; `lift`
+    says in words how to have more."""
     if memory.fits and memory.num_tiles == 1:
         return
     if memory.fits:
@@ -133,9 +134,8 @@ def report_join_memory(memory: JoinMemory, limit_of: str, limit_bytes: float, re
         forced=True,
     )
     reporter.decide(decision)
-    costs = TILES_COST if memory.fits else CUT_COSTS
-    lift = f"To join them at once raise {limit_of}, which is {limit_bytes / 1e6:,.0f} MB, for the next run; or {JOIN_AGAIN}"
-    reporter.warn(f"{choice}: {decision.reason}. {costs} {lift}.")
+    costs, wanted = (TILES_COST, "To join them at once") if memory.fits else (CUT_COSTS, "To join them")
+    reporter.warn(f"{choice}: {decision.reason}, where {limit_bytes / 1e6:,.0f} MB are allowed. {costs} {wanted} {lift}.")
 
 
 def check_decision(stage: str, check: Check) -> Decision:
@@ -170,6 +170,9 @@ def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, join
     if not joined.num_shown:
         reason = "no view shows enough that a second model knows: models are cut at their borders"
         return [*exposures, decided("skipped", 0.0, "% contested", reason)]
+    if not steps and (joined.agreement_db or 0.0) < (aggregate.agreement_db or float("inf")):
+        reason = "no view shows enough of any tile: models are cut at their borders"
+        return [*exposures, decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
     if not steps:
         reason = f"models that agree to {aggregate.agreement_db:g} dB have no seam that could be seen: they are cut at their borders"
         return [*exposures, decided("skipped", joined.agreement_db or 0.0, "dB", reason)]

@@ -21,7 +21,7 @@ from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
-from radiant_core.hierarchy.decisions import join_decisions, report_join_memory, teachers_decision
+from radiant_core.hierarchy.decisions import JOIN_AGAIN, join_decisions, report_join_memory, teachers_decision
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.joining import admit, join_key, received_files
 from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel, EdgeTask
@@ -39,7 +39,7 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
         models: by device, in the order of the task; text where the transport refuses one, with the
             reason.
         reporter: hears decisions, warnings and progress.
-        machine: checkpoints of the retraining.
+        machine: checkpoints of the retraining, and a folder for its pictures.
 
     Returns:
         The model, or one without Gaussians where every device was refused.
@@ -82,10 +82,9 @@ def _join(task: EdgeTask, teachers: list[Teacher], strips: Sequence[Any], option
     if task.memory_bytes is None or len(teachers) < 2:
         num_tiles = 1
     else:
-        memory = plan_join_memory(
-            [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers], task.train.long_side_px, task.memory_bytes
-        )
-        report_join_memory(memory, "memory_gb of this edge", task.memory_bytes, reporter)
+        models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
+        memory = plan_join_memory(models, cameras, task.train.long_side_px, task.memory_bytes, task.aggregate.most_tiles)
+        report_join_memory(memory, task.memory_bytes, f"raise memory_gb of this edge for the next run; or {JOIN_AGAIN}", reporter)
         if not memory.fits:
             return cut_at_borders(teachers, claims)
         num_tiles, options = memory.num_tiles, replace(options, statistics_bytes=memory.statistics_bytes)

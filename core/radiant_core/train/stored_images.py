@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import weakref
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,11 +25,19 @@ Window = tuple[int, int, int, int]
 """Rows from, to, columns from, to of an image."""
 
 
+class UnnamedFile:
+    """A file without a name in a folder, closed with its last user."""
+
+    def __init__(self, folder: Path) -> None:
+        self.bytes: IO[bytes] = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+        weakref.finalize(self, self.bytes.close)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Place:
     """Where one image (H,W,3) or (H,W) uint8 lies: in a file, from a byte on; `window` of it counts."""
 
-    file: IO[bytes]
+    file: UnnamedFile
     offset: int
     shape: tuple[int, ...]
     window: Window
@@ -43,8 +52,8 @@ class Place:
         """The window's pixels."""
         top, bottom, left, right = self.window
         rows = np.empty((bottom - top, *self.shape[1:]), np.uint8)
-        self.file.seek(self.offset + top * int(np.prod(self.shape[1:])))
-        num_read = self.file.readinto(rows.data)  # type: ignore[attr-defined]
+        self.file.bytes.seek(self.offset + top * int(np.prod(self.shape[1:])))
+        num_read = self.file.bytes.readinto(rows.data)  # type: ignore[attr-defined]
         assert num_read == rows.size
         return np.ascontiguousarray(rows[:, left:right])
 
@@ -80,13 +89,13 @@ def store_views(views: Iterable[tuple[NDArray[np.uint8], NDArray[np.uint8]]], fo
         return tuple(image for image, _ in kept), tuple(weight for _, weight in kept)
     places: tuple[list[Place], list[Place]] = ([], [])
     try:
-        file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+        file = UnnamedFile(folder)
         for view in views:
             for part, pixels in zip(places, view, strict=True):
                 height, width = pixels.shape[:2]
-                part.append(Place(file=file, offset=file.tell(), shape=pixels.shape, window=(0, height, 0, width)))
-                file.write(np.ascontiguousarray(pixels).data)
-        file.flush()
+                part.append(Place(file=file, offset=file.bytes.tell(), shape=pixels.shape, window=(0, height, 0, width)))
+                file.bytes.write(np.ascontiguousarray(pixels).data)
+        file.bytes.flush()
     except OSError as error:
         reason = os.strerror(error.errno or 0)
         raise CannotWrite(f"{folder} cannot hold the pictures that models are joined by ({reason}): free space there.") from error

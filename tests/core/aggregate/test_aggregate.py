@@ -10,8 +10,9 @@ import pytest
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
+from radiant_core.aggregate.join import Joined, join_models, teacher_views
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
-from radiant_core.aggregate.retrain import Joined, join_models, reached_by, retraining_config, teacher_views
+from radiant_core.aggregate.retrain import reached_by, retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.cameras import Cameras, concatenate_cameras
