@@ -29,7 +29,7 @@ class TrainingViews:
             raise BadInput(f"{len(self.images)} images for {len(self.cameras)} cameras: give one image per camera, at least one.")
         shapes = shapes_of(self.images)
         for index, (name, (width, height)) in enumerate(zip(self.cameras.names, self.cameras.sizes_wh, strict=True)):
-            kind = self.images[index].dtype if isinstance(self.images, tuple) else np.uint8
+            kind = self.images[index].dtype if isinstance(self.images, tuple) else np.dtype(np.uint8)
             if shapes[index] != (height, width, 3) or kind != np.uint8:
                 raise BadInput(f"image {name!r} is {shapes[index]} {kind}, expected ({height}, {width}, 3) uint8.")
         if self.weights is not None and list(shapes_of(self.weights)) != [shape[:2] for shape in shapes]:
