@@ -4,9 +4,7 @@
     G, F_n, H (c)   a device node per count                          → start-up, steps, bytes
     F_m (c)         an edge node per count with two devices' models  → a + b · views; and with one's
 
-An edge does what it would in a run of this scene by several edges: it leaves joining to the cloud
-where that is expected to retrain (it then pools models and makes pictures of them), else it
-retrains itself. Which one is settled once, by the pilot's model.
+An edge does what it does in a run: it joins its devices' models.
 
 Where the time does not allow all the steps that a run takes, all trainings get the same smaller
 number and their seconds are multiplied: every schedule of a preset follows the share of its steps,
@@ -81,7 +79,7 @@ class Measured:
     edges: tuple[EdgeSample, ...]
     num_steps: int
     num_epochs: int
-    """Of an edge's retraining; 0 where edges leave joining to the cloud, or if unknown."""
+    """Of an edge's retraining; 0 if unknown."""
     held_out: int | None
     """Count of photographs that a check leaves out of the fit."""
 

@@ -27,7 +27,6 @@ from radiant_core.io.records import load_cameras
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, Canaries, Search, add_broken, canaries_of, files_with, watermark
 from tests.app.test_field import assert_models_and_little_else_were_sent
 from tests.contract.ray_machines import ray_cluster
-from tests.stress.sent_pictures import sent_pictures
 
 pytestmark = pytest.mark.stress
 

@@ -6,7 +6,7 @@
 
 kind          files (those in brackets may be absent)                               way
 device_model  model.safetensors, cameras.safetensors, (frame.json)                  device → edge
-edge_model    model.safetensors, (virtual_{cameras,views}.safetensors, frame.json)  edge → cloud
+edge_model    model.safetensors, (virtual_cameras.safetensors, frame.json)  edge → cloud
 edge_task     task.json                                                             cloud → edge
 device_task   task.json, scene.safetensors, photos/, (masks/)                       edge → device
 field_task    task.json, (poses.safetensors), (poses/)                              edge → device
