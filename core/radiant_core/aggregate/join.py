@@ -165,16 +165,19 @@ def _join(
     cut = replace(cut, agreement_db=min(_psnr_db(cut.splats, _sample(views, NUM_COMPARED), options.backend)))
     if aggregate.agreement_db is not None and (cut.agreement_db or 0.0) >= aggregate.agreement_db:
         return cut
+    # What the cut is made of is there: a copy would wait for the end of the training.
+    told = replace(cut, trained=untrained(merged.select(np.arange(0))))
+    del cut
     held_back = _middles(len(views), min(NUM_COMPARED, len(views) // VIEWS_PER_CHECKED))
     made = retrain_by_tiles(merged, views.select(np.setdiff1d(np.arange(len(views)), held_back)), train, aggregate, options, num_tiles)
     whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
-    joined = replace(cut, trained=replace(made.trained, splats=whole))
+    joined = replace(told, trained=replace(made.trained, splats=whole))
     if not len(held_back):
         return joined
-    unseen = views.select(held_back)
-    joined_db, cut_db = (_pooled_db(_psnr_db(model, unseen, options.backend)) for model in (whole, cut.splats))
+    unseen, cut_again = views.select(held_back), _cut(teachers, owned).splats
+    joined_db, cut_db = (_pooled_db(_psnr_db(model, unseen, options.backend)) for model in (whole, cut_again))
     check = Check(num_views=len(unseen), joined_db=joined_db, cut_db=cut_db)
-    kept = joined if check.keeps_joined else replace(joined, trained=replace(made.trained, splats=cut.splats))
+    kept = joined if check.keeps_joined else replace(joined, trained=replace(made.trained, splats=cut_again))
     return replace(kept, check=check)
 
 

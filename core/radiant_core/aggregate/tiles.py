@@ -94,6 +94,7 @@ def retrain_by_tiles(
         return retrain(moving, views, train, aggregate, options)
     tiles = tiles_of(moving.means, views.cameras, num_tiles)
     parts, reached = [moving.select(tile.fitted) for tile in tiles], np.zeros(len(moving), bool)
+    nothing, num_fitted = moving.select(np.arange(0)), [0] * num_tiles
     results: list[TrainResult] = []
     for index, tile in enumerate(tiles):
         if not tile.rows:
@@ -109,11 +110,12 @@ def retrain_by_tiles(
         made = retrain(parts[index], shown, settings, aggregate, own, held=around)
         reached[np.flatnonzero(tile.fitted)[made.reached]] = True
         parts[index] = concatenate_splats([made.splats, parts[index].select(~made.reached)])
-        results.append(made.trained)
+        num_fitted[index] = len(made.splats)
+        results.append(replace(made.trained, splats=nothing))
     if not results:
-        nothing = moving.select(np.arange(0))
         return Retrained(trained=TrainResult(splats=nothing, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0), reached=reached)
-    return Retrained(trained=_sum_of(results), reached=reached)
+    fitted = [part.select(np.arange(count)) for part, count in zip(parts, num_fitted, strict=True)]
+    return Retrained(trained=replace(_sum_of(results), splats=concatenate_splats(fitted)), reached=reached)
 
 
 def _report_after(num_done: int, num_tiles: int, report: Callable[[TrainProgress], None]) -> Callable[[TrainProgress], None]:
@@ -123,7 +125,7 @@ def _report_after(num_done: int, num_tiles: int, report: Callable[[TrainProgress
 
 def _sum_of(results: Sequence[TrainResult]) -> TrainResult:
     return TrainResult(
-        splats=concatenate_splats([result.splats for result in results]),
+        splats=results[0].splats,
         num_steps=sum(result.num_steps for result in results),
         first_loss=float(np.mean([result.first_loss for result in results])),
         last_loss=float(np.mean([result.last_loss for result in results])),

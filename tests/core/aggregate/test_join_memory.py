@@ -52,7 +52,7 @@ def test_below_the_need_of_all_at_once_there_are_the_fewest_tiles_that_fit() -> 
     merged, views = concatenate_splats(models), concatenate_cameras(cameras).scaled(SIDE_PX)
     fitted = {num: most_fitted(merged, views, tiles_of(merged.means, views, num)) for num in (2, 4, 8, 16)}
     each, pixels = models[0].num_bytes / len(models[0]), pixels_of(cameras, SIDE_PX)
-    needs = {1: at_once_bytes(), **{num: join_bytes(COUNT, count, each, pixels) for num, count in fitted.items()}}
+    needs = {1: at_once_bytes(), **{num: join_bytes(COUNT, count, each, pixels, by_tiles=True) for num, count in fitted.items()}}
     assert needs[1] > needs[2] > needs[4] > needs[8] > needs[16], "memory falls with the number of tiles"
     for fewer, num in ((1, 2), (2, 4), (4, 8), (8, 16)):
         plan = planned(needs[num])
