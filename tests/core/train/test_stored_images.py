@@ -89,7 +89,7 @@ def test_a_disk_without_room_cannot_hold_them(tmp_path: Path, monkeypatch: pytes
         """A file that takes 1,000 bytes."""
 
         def __init__(self, **where: Path) -> None:
-            self._file = make(**where)
+            self._file = make(dir=where["dir"])
             self.tell, self.close = self._file.tell, self._file.close
 
         def write(self, data: memoryview) -> int:
