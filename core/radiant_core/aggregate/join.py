@@ -184,7 +184,7 @@ def _join(
 def _start(
     teachers: Sequence[Teacher], owned: Sequence[Ownership], aggregate: AggregateConfig
 ) -> tuple[Splats, NDArray[np.bool_], NDArray[np.bool_]]:
-    """All models together (N), faded; which (N,) their owner speaks of, which (N,) are contested."""
+    """All models together (N), faded; which (N,) are in their own place, which are contested."""
     models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
     return faded(models, owned, aggregate.foreign_opacity), owns, np.concatenate([places.contested for places in owned])

@@ -8,9 +8,9 @@ N Gaussians of b bytes each, N_t that tile t and its surroundings take, p_v pixe
 GB is a worker with its libraries and its inbox (three clouds of real sets held 356 to 383 MB beside
 the rest); three copies are the models, their sum and the result, four more the tensors that move
 with gradient and two moments; tiles hold their parts, what became of them and what the allocator
-keeps between two of them besides; 500 bytes are the rasterizer's; the step on a view takes 100 bytes a
-pixel and its loss 36, which it may keep of every view (`StatisticsCache`) in what memory is left.
-Views lie in a file. `python -m tests.stress.retrain_memory` measures it.
+keeps between two of them besides; 500 bytes are the rasterizer's; the step on a view takes 100
+bytes a pixel and its loss 36, which it may keep of every view (`StatisticsCache`) in what memory is
+left. Views lie in a file. `python -m tests.stress.retrain_memory` measures it.
 
 Views are never made smaller to fit: pictures of half the size teach about as much as a cut leaves,
 smaller ones less (docs/experiments/aggregation.md).

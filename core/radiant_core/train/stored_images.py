@@ -1,7 +1,8 @@
 """Images that lie in a file and are read each time one is shown, so that the memory of a training
 does not grow with its views. Once per view to write, once per step to read.
 
-    file: H W or H W 3 bytes per image, one after the other; it has no name and goes with its last user
+    file: H W or H W 3 bytes per image, one after the other; it has no name, and goes when
+          nobody uses it
 
 As they are: compressed without loss they take 0.6 of the bytes and twenty times as long to read.
 """
@@ -35,7 +36,7 @@ class UnnamedFile:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where one image (H,W,3) or (H,W) uint8 lies: in a file, from a byte on; `window` of it counts."""
+    """Where an image (H,W,3) or (H,W) uint8 lies: in a file, from a byte on; `window` of it counts."""
 
     file: UnnamedFile
     offset: int
