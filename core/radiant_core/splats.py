@@ -87,8 +87,14 @@ def concatenate_splats(parts: Sequence[Splats]) -> Splats:
     if len({part.antialiased for part in parts}) > 1:
         raise BadInput("some of the models are antialiased and some are not, which no picture can show: train all the same way.")
     bases = max(part.shN.shape[1] for part in parts)
-    padded = [{**part.arrays(), "shN": np.pad(part.shN, ((0, 0), (0, bases - part.shN.shape[1]), (0, 0)))} for part in parts]
+    padded = [{**part.arrays(), "shN": _padded(part.shN, bases)} for part in parts]
     return replace(parts[0], **{name: np.concatenate([arrays[name] for arrays in padded]) for name in padded[0]})
+
+
+def _padded(shN: NDArray[np.float32], bases: int) -> NDArray[np.float32]:
+    # np.pad copies also where it adds nothing, and these are most of a model's bytes.
+    missing = bases - shN.shape[1]
+    return np.pad(shN, ((0, 0), (0, missing), (0, 0))) if missing else shN
 
 
 def morton_order(means: ArrayLike) -> NDArray[np.int64]:

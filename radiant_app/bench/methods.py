@@ -5,7 +5,9 @@ placement, seed).
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each
     ours            the default of `radiant run`; in a run's own cell, the run's settings
-    ours edges      the same, the cloud only cuts
+    ours once       all device models joined at once, as without edges, in the cloud's epochs
+    paper once      the same by the paper's preset: one tier in place of two
+    ours edges      as ours, the cloud only cuts
     even            ours on even counts of photographs
     photographs     device models retrained on the photographs: the paper's upper bound
     vastgaussian    its own cells, cameras and crop, its own models
@@ -33,7 +35,9 @@ from radiant_app.report.progress import track_items
 from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.aggregate.ownership import claims_of_polygons
+from radiant_core.aggregate.join import join_models
+from radiant_core.aggregate.ownership import Claims, claims_of_polygons
+from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import UploadFormat
 from radiant_core.errors import BadInput, StageFailed
@@ -118,7 +122,7 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
 
 def _receive_models(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
     """The devices' models as their edges receive them."""
-    arrived = [passed_on(model, recipe.upload, recipe.train.long_side_px) for model in cell.devices.values()]
+    arrived = [passed_on(model, recipe.upload) for model in cell.devices.values()]
     return [model for model in arrived if isinstance(model, DeviceModel)]
 
 
@@ -138,11 +142,17 @@ def _make_centralised_model(cell: Cell, recipe: Recipe) -> Made:
     return _sum_trainings(cell.centralised_model.splats, [cell.centralised_model])
 
 
-def _crop(cell: Cell, recipe: Recipe) -> Made:
-    models = [model.splats for model in _receive_models(cell, recipe)]
+def _claims(cell: Cell, recipe: Recipe) -> Claims:
+    """Which device's strip a place lies in."""
     claims = claims_of_polygons([strip for plan in recipe.edge_plans for strip in plan.strips if len(strip)])
     if claims is None:
         raise BadInput(f"{cell.name}: no device has a strip to cut its model to.")
+    return claims
+
+
+def _crop(cell: Cell, recipe: Recipe) -> Made:
+    models = [model.splats for model in _receive_models(cell, recipe)]
+    claims = _claims(cell, recipe)
 
     def work() -> tuple[Splats, float]:
         owners = [claims(model.means[:, :2].astype(np.float64)) for model in models]
@@ -185,13 +195,26 @@ def _fed3dgs(cell: Cell, recipe: Recipe) -> Made:
     return _time_work(work)
 
 
-def _own_arm(name: str, **changes: Any) -> Arm:
-    return Arm(name=name, make=join, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
+def _join_at_once(cell: Cell, recipe: Recipe) -> Made:
+    models = _receive_models(cell, recipe)
+    teachers = [Teacher(splats=model.splats, cameras=model.cameras) for model in models]
+    claims = _claims(cell, recipe)
+    cameras = concatenate_cameras([model.cameras for model in models]).scaled(recipe.train.long_side_px)
+
+    def work() -> tuple[Splats, float]:
+        joined = join_models(teachers, recipe.train, recipe.aggregate, FitOptions(backend=recipe.backend), claims)
+        return joined.splats, float(joined.trained.num_steps * cameras.sizes_wh.prod(axis=1).mean())
+
+    return _time_work(work)
 
 
-def _paper_arm(name: str, **changes: Any) -> Arm:
+def _own_arm(name: str, make: Callable[[Cell, Recipe], Made] = join, **changes: Any) -> Arm:
+    return Arm(name=name, make=make, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
+
+
+def _paper_arm(name: str, make: Callable[[Cell, Recipe], Made] = join, **changes: Any) -> Arm:
     aggregate = replace(aggregate_preset("paper"), **changes)
-    return Arm(name=name, make=join, recipe=lambda cell: replace(cell.recipe, aggregate=aggregate))
+    return Arm(name=name, make=make, recipe=lambda cell: replace(cell.recipe, aggregate=aggregate))
 
 
 METHODS: Mapping[str, Arm] = {
@@ -201,6 +224,8 @@ METHODS: Mapping[str, Arm] = {
         Arm(name="crop", make=_crop),
         _paper_arm("paper"),
         _own_arm("ours"),
+        _own_arm("ours once", _join_at_once),
+        _paper_arm("paper once", _join_at_once),
         _own_arm("ours edges", cloud="crop_merge"),
         Arm(name="even", make=join, recipe=lambda cell: cell.even),
         Arm(name="photographs", make=_on_photographs),
@@ -211,13 +236,11 @@ METHODS: Mapping[str, Arm] = {
 
 
 def epochs_arm(name: str, num_epochs: int) -> Arm:
-    """`ours` or `paper` with another number of epochs at both tiers; 0 is the plain cut."""
+    """`ours` or `paper` with so many epochs at both tiers; 0 is the plain cut for both."""
     if num_epochs == 0:
         return METHODS["crop"]
-    if num_epochs == aggregate_preset({"ours": "default", "paper": "paper"}[name]).num_epochs:
-        return METHODS[name]
     changed = {"ours": _own_arm, "paper": _paper_arm}[name]
-    return changed(f"{name} {num_epochs} epochs", num_epochs=num_epochs)
+    return changed(f"{name} {num_epochs} epochs", num_epochs=num_epochs, edge_epochs=num_epochs)
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:

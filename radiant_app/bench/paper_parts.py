@@ -202,7 +202,7 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     settings = {
         "crop": "cut at both",
         "ours edges": "retrain at the edges, cut at the cloud",
-        "ours": "pool at the edges, retrain at the cloud",
+        "ours": "retrain at the edges, then at the cloud",
         "paper": "retrain at both, as `paper`",
     }
     cells = {system: [arms.cell(system[0], seed, system[1]) for seed in seeds] for system in systems}

@@ -16,12 +16,11 @@ from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggr
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.edge import join_edge
-from radiant_core.hierarchy.messages import CloudOutlook, CloudTask, EdgeModel, EdgeTask, SceneModel
+from radiant_core.hierarchy.messages import CloudTask, EdgeModel, EdgeTask, SceneModel
 from radiant_core.io.messages import load_task, passed_on
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_plan
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.system import Cloud
 
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
@@ -44,7 +43,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     require_run(run)
     require_current(run)
     config = aggregate_preset(preset)
-    config = config if epochs is None else replace(config, num_epochs=epochs)
+    config = config if epochs is None else replace(config, num_epochs=epochs, edge_epochs=epochs)
     scene, joined_s = join_run(run, config, display)
     if scene.splats is None:
         raise BadInput(f"no model of {run} can be joined: {'; '.join(scene.refused.values()) or 'no edge has one'}.")
@@ -65,18 +64,16 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
     for folder in folders:
         if folder.name not in tasks:
             display(Warned(stage=f"edges/{folder.name}", message="it received no model, so that its region is left out."))
-    # A lone edge joins its models as the cloud would.
-    outlook = CloudOutlook(limits=Cloud(), share=1.0) if config.edges_pool and len(tasks) > 1 else None
     models: dict[str, EdgeModel | str] = {}
     joined_s = 0.0
     for edge, given in tasks.items():
-        task = replace(given, aggregate=config, memory_bytes=None, cloud=outlook)
+        task = replace(given, aggregate=config, memory_bytes=None)
         arrived = receive_device_models(run / "edges" / edge, task)
         stage = f"edges/{edge}"
         with stage_bar(display, stage):
             model = join_edge(task, arrived, EventReporter(stage=stage, emit=display))
         if model.splats is not None:
-            models[edge] = passed_on(model, task.upload, task.train.long_side_px)
+            models[edge] = passed_on(model, task.upload)
             joined_s += float(model.summary["train_s"])
     if not models:
         return SceneModel(splats=None), joined_s

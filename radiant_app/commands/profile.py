@@ -96,7 +96,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
         seconds = clock() - begun_s
         listen(StageDone(stage=STAGE, seconds=seconds))
     what = "the sample town" if request.source is None else f"{len(training.cameras)} photographs"
-    joining = f"{measured.num_epochs} epochs of retraining at edges" if measured.num_epochs else "edges that leave joining to the cloud"
+    joining = f"{measured.num_epochs} epochs of retraining at edges"
     source = f"radiant profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
     machine = request.machine or machine_label(request.num_threads)

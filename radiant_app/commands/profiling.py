@@ -4,9 +4,7 @@
     G, F_n, H (c)   a device node per count                          → start-up, steps, bytes
     F_m (c)         an edge node per count with two devices' models  → a + b · views; and with one's
 
-An edge does what it would in a run of this scene by several edges: it leaves joining to the cloud
-where that is expected to retrain (it then pools models and makes pictures of them), else it
-retrains itself. Which one is settled once, by the pilot's model.
+An edge does what it does in a run: it joins its devices' models.
 
 Where the time does not allow all the steps that a run takes, all trainings get the same smaller
 number and their seconds are multiplied: every schedule of a preset follows the share of its steps,
@@ -31,12 +29,11 @@ from radiant_app.run.dealing import deal_files
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
-from radiant_core.hierarchy.messages import CloudOutlook, DeviceTask, EdgeTask, Renderer
+from radiant_core.hierarchy.messages import DeviceTask, EdgeTask, Renderer
 from radiant_core.io.messages import save_task
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json
 from radiant_core.plan.devices.device_split import long_axis
-from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import NoDensification
@@ -52,8 +49,6 @@ _TRAINING_SHARE = 0.7
 _RETRAIN_STEP_COST = 2.0
 """A step of retraining against one of training, a guess that only divides the time."""
 UPLOAD = "float16"
-_UNLIMITED_CLOUD = CloudOutlook(limits=Cloud(memory_bytes=1e18), share=1.0)
-"""What an edge's task says of the cloud where the edge is to pool."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +79,7 @@ class Measured:
     edges: tuple[EdgeSample, ...]
     num_steps: int
     num_epochs: int
-    """Of an edge's retraining; 0 where edges leave joining to the cloud, or if unknown."""
+    """Of an edge's retraining; 0 if unknown."""
     held_out: int | None
     """Count of photographs that a check leaves out of the fit."""
 
@@ -126,9 +121,6 @@ class Measuring:
     left_s: list[float] = field(default_factory=list)
     """What the nodes still to come are expected to take."""
     note: str = ""
-    edges_pool: bool = True
-    """Whether edges leave joining to the cloud, as they do unless the system file limits the cloud;
-    else they retrain."""
     _begun_s: float = 0.0
 
     def measure(self, time_s: float) -> Measured:
@@ -143,15 +135,14 @@ class Measuring:
         step_s = pilot.train_s / self.train.num_steps
         start_s = seconds - step_s * steps
         free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + len(joined) + 2))
-        training_share = 1.0 if self.edges_pool else _TRAINING_SHARE
-        num_steps = int(np.clip(training_share * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
+        num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
         retrain_s = _RETRAIN_STEP_COST * step_s * sum(joined)
-        all_epochs = aggregate_preset("default").num_epochs
+        all_epochs = aggregate_preset("default").edge_epochs
 
         def epochs_in(seconds: float) -> int:
-            return 0 if self.edges_pool else int(np.clip(seconds / retrain_s, 1, all_epochs))
+            return int(np.clip(seconds / retrain_s, 1, all_epochs))
 
-        num_epochs = epochs_in((1 - training_share) * free_s)
+        num_epochs = epochs_in((1 - _TRAINING_SHARE) * free_s)
         self.left_s = [start_s + step_s * num_steps] * len(sizes)
         self.left_s += [start_s + _RETRAIN_STEP_COST * step_s * num_epochs * count for count in joined] + [start_s] * 2
         devices, edges = [], []
@@ -205,14 +196,13 @@ class Measuring:
             num_dealt=tuple(map(len, shares)),
             strips=((),) * num_devices,
             train=self.train,
-            aggregate=replace(aggregate, num_epochs=max(1, num_epochs), agreement_db=None),
+            aggregate=replace(aggregate, edge_epochs=num_epochs, agreement_db=None),
             backend=self.backend,
             upload=UPLOAD,
-            cloud=_UNLIMITED_CLOUD if self.edges_pool else None,
         )
         seconds = self._run("edge", folder, task)
         train_s = read_json(folder / "summary.json", ("train_s",))["train_s"]
-        left_s = train_s * (aggregate.num_epochs / num_epochs - 1) if num_epochs else 0.0
+        left_s = train_s * (aggregate.edge_epochs / num_epochs - 1)
         return EdgeSample(num_cameras=count, num_devices=num_devices, seconds=seconds + left_s)
 
     @property

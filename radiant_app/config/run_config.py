@@ -206,7 +206,7 @@ class ExecutionOptions:
     """local: processes here; ray: tasks of one owner's cluster."""
     address: str | None = None
     """ray: host:port of the cluster's head, or local."""
-    teachers: Teachers = "early"
+    teachers: Teachers = "late"
     """Render an edge's teachers as each device arrives, or after the last."""
     deadline_factor: Annotated[float, Option(min=0)] = 10.0
     """Give up who takes so many times its time; 0: never."""
@@ -272,9 +272,8 @@ class RunConfig:
 
     @property
     def early_teachers(self) -> bool:
-        """Whether teachers are nodes of their own; not of edges that are emulated or only pool."""
-        pools = self.frames != "gps" and self.aggregate.config.edges_pool
-        return self.execution.teachers == "early" and not (self.emulated or pools)
+        """Whether teachers are nodes of their own; not of edges that are emulated."""
+        return self.execution.teachers == "early" and not self.emulated
 
     @property
     def cell_m(self) -> float | None:

@@ -36,10 +36,10 @@ def receive_device_models(folder: Path, task: EdgeTask) -> dict[str, DeviceModel
     return found
 
 
-def receive_edge_models(folder: Path, edges: Sequence[str], long_side_px: int) -> dict[str, EdgeModel | str]:
+def receive_edge_models(folder: Path, edges: Sequence[str]) -> dict[str, EdgeModel | str]:
     """Edge → its model, or the reason why the cloud refuses it."""
     rejected = _find_unsigned(folder, edges)
-    return {name: rejected.get(name) or load_edge_model(folder / "inbox" / name, long_side_px) for name in edges}
+    return {name: rejected.get(name) or load_edge_model(folder / "inbox" / name) for name in edges}
 
 
 def _find_unsigned(folder: Path, senders: Sequence[str]) -> dict[str, str]:

@@ -10,8 +10,8 @@ Each reads task.json, and beside it, below its folder:
     teacher  inbox/{model,cameras}.safetensors
              → views/<number>.safetensors
     edge     inbox/<device>/{model,cameras}.safetensors, teachers/<device>/
-             → as device, virtual_{cameras,views}.safetensors
-    cloud    inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors
+             → as device, virtual_cameras.safetensors
+    cloud    inbox/<edge>/{model,virtual_cameras}.safetensors
              → scene.ply, summary.json
     score    inbox/{scene.ply,plan.json}, {held_out,initial}.safetensors, own.json, photos/, masks/,
              of a device all but the inbox in the folder above
@@ -140,7 +140,7 @@ def run_teacher(folder: Path, task: TeacherTask, reporter: EventReporter) -> Seq
 
 
 def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[str]:
-    """Join the devices' models, or pool them for the cloud."""
+    """Join the devices' models."""
     from radiant_app.workers.inbox import receive_device_models, save_joining
     from radiant_core.hierarchy.edge import join_edge
     from radiant_core.io.messages import save_edge_model
@@ -162,7 +162,7 @@ def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequenc
     from radiant_core.io.messages import NOTHING
     from radiant_core.io.ply import save_ply
 
-    models = receive_edge_models(folder, task.edges, task.train.long_side_px)
+    models = receive_edge_models(folder, task.edges)
     (folder / CUT_NAME).unlink(missing_ok=True)
     scene = join_cloud(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
     names = ["summary.json", *save_joining(folder, scene.corrections, scene.refused, scene.uncertainty)]

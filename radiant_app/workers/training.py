@@ -51,7 +51,7 @@ def make_machine(folder: Path, checkpoint_every_s: float, reporter: EventReporte
         return kept
 
     base_bytes = base_bytes_in(folder, resident_bytes()) if limited else 0
-    return Machine(base_bytes=base_bytes, free_bytes=available_bytes, checkpoints=checkpoints)
+    return Machine(base_bytes=base_bytes, free_bytes=available_bytes, checkpoints=checkpoints, scratch=folder)
 
 
 def remove_checkpoints(folder: Path) -> None:

@@ -71,7 +71,7 @@ def test_kept_figures_are_those_of_the_kept_model(scene: Path, tmp_path: Path) -
     cell = arms.first
     row = arms.row(cell, METHODS["crop"])
     assert epochs_arm("ours", 0).name == epochs_arm("paper", 0).name == "crop"
-    assert (epochs_arm("ours", 5).name, epochs_arm("paper", 10).name, epochs_arm("ours", 4).name) == ("ours", "paper", "ours 4 epochs")
+    assert (epochs_arm("paper", 10).name, epochs_arm("ours", 4).name) == ("paper 10 epochs", "ours 4 epochs")
     views = arms.views(cell, METHODS["crop"])
     errors = [((view.image - photograph) ** 2).mean() for view, photograph in zip(views, arms.photographs, strict=True)]
     np.testing.assert_allclose(row.psnr_db, -10 * np.log10(errors), rtol=1e-5)

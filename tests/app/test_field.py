@@ -282,7 +282,7 @@ def assert_no_canary_elsewhere(run_folder: Path, source: Path, broken: dict[str,
 
 
 def assert_models_and_little_else_were_sent(run_folder: Path) -> None:
-    """Bytes that went up: the model, the poses or virtual cameras with pictures, and a record under 1 kB; the ledger counts just that."""
+    """Bytes that went up: the model, the poses or virtual cameras, and a record under 1 kB; the ledger counts just that."""
     ledger = {row["node"]: row["other_bytes"] for row in json.loads((run_folder / "manifest.json").read_text())["ledger"]}
     edges = [(f"edges/{path.name}", "devices") for path in (run_folder / "edges").iterdir()]
     for node, tier in (*edges, ("cloud", "edges")):
@@ -292,7 +292,6 @@ def assert_models_and_little_else_were_sent(run_folder: Path) -> None:
             sent = {path.name: path.stat().st_size for path in sender.iterdir()}
             assert sent.pop("model.safetensors") == (run_folder / tier / sender.name / "upload.safetensors").stat().st_size
             assert sent.pop("cameras.safetensors" if tier == "devices" else "virtual_cameras.safetensors") > 0
-            sent.pop("virtual_views.safetensors", 0)
             sent |= {path.name: path.stat().st_size for path in (records / sender.name).iterdir()}
             assert {"delivery.json", "delivery.sig"} <= set(sent) and sum(sent.values()) <= 1000, sent
 

@@ -125,7 +125,7 @@ def test_cameras_are_a_devices_an_edges_virtual_ones_or_none(tmp_path: Path) -> 
     for name in ("device", "edge"):
         save_cameras(tmp_path / "inbox" / name / "virtual_cameras.safetensors", two)
     reporter = EventReporter(stage="cloud", emit=lambda event: None)
-    at_cloud = admit(receive_edge_models(tmp_path, ["device", "edge", "nothing"], 48), [6, 6, 6], reporter)
+    at_cloud = admit(receive_edge_models(tmp_path, ["device", "edge", "nothing"]), [6, 6, 6], reporter)
     assert [len(cameras) for cameras in at_cloud.cameras] == [2, 2, 0], "the cloud does not look at poses of devices"
     at_edge = read_inbox(tmp_path, ["device", "nothing"], "edges/north", lambda event: None)
     assert [len(cameras) for cameras in at_edge.cameras] == [6, 0]

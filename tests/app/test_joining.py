@@ -20,6 +20,7 @@ from radiant_app.workers import nodes, training
 from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
+from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import load_upload
 from radiant_core.splats import Splats, concatenate_splats
 from tests.joined_again import held_out_db, joined_again
@@ -60,7 +61,7 @@ def test_without_a_limit_in_any_file_the_machine_decides_and_trained_models_are_
     assert held_out_db(trained, scene) > held_out_db(trained, plainly_cut(trained)) + 0.4
 
 
-def test_what_the_machine_cannot_join_is_cut_with_a_warning_and_what_an_edge_pooled_is_joined_by_itself(
+def test_what_the_cloud_cannot_join_is_cut_with_a_warning_and_what_its_edges_joined_stays_so(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     by_views = joined_again(trained, tmp_path / "views", max_cameras=10)
@@ -70,14 +71,23 @@ def test_what_the_machine_cannot_join_is_cut_with_a_warning_and_what_an_edge_poo
     (views_warning,), (warning,) = by_views.warnings, by_machine.warnings
     assert "exceeds 80% of what this machine has free, a limit of 0.08 GB" in warning and "dB lower" in warning
     assert "52 cameras, exceeds the cloud's limit of 10 cameras" in views_warning
-    # Edge by edge fits where the limit is of views; where not even that fits, what was only faded
-    # stays so.
-    joined_db, alone_db = held_out_db(trained, load_ply(trained / "scene.ply")), held_out_db(trained, by_views.splats)
-    assert joined_db > alone_db + 0.1 and alone_db > held_out_db(trained, by_machine.splats) + 0.1
-    assert alone_db > held_out_db(trained, plainly_cut(trained))
+    np.testing.assert_array_equal(by_views.splats.means, by_machine.splats.means)
+    # 0.27 dB were measured between joined and cut edges, 2.7 between those and cut devices.
+    joined_db, cut_db = held_out_db(trained, load_ply(trained / "scene.ply")), held_out_db(trained, by_views.splats)
+    assert joined_db > cut_db + 0.1 and cut_db > held_out_db(trained, plainly_cut(trained)) + 1.0
     assert "raise that limit under [cloud] in the system file of the next run" in views_warning
     assert "free memory there and go on with --resume" in warning
     assert all("radiant aggregate RUN" in text for text in (warning, views_warning))
+
+
+def test_what_exceeds_the_clouds_memory_by_little_is_joined_in_tiles_as_well_as_at_once(trained: Path, tmp_path: Path) -> None:
+    decisions = read_json(trained / "cloud" / "notes.json")["decisions"]
+    (needed_gb,) = (one["figure"] for one in decisions if one["topic"] == "aggregation")
+    tiled = joined_again(trained, tmp_path / "tiled", memory_bytes=1e9 * needed_gb - 1e5)
+    (warning,) = tiled.warnings
+    assert tiled.choice.startswith("retraining") and "models are joined in " in warning and " tiles" in warning
+    # 0.005 dB more were measured; another seed changes more than a tenth.
+    assert held_out_db(trained, tiled.splats) > held_out_db(trained, load_ply(trained / "scene.ply")) - 0.15
 
 
 def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path) -> None:
@@ -94,7 +104,7 @@ def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path
     np.testing.assert_array_equal(load_ply(folder / "scene.ply").means, scene.means)
     assert not (folder / "cloud" / nodes.CUT_NAME).exists()
     aggregate(folder, tmp_path / "joined.ply", "default", None, ProgressDisplay(Console(quiet=True)))
-    assert held_out_db(trained, load_ply(tmp_path / "joined.ply")) > held_out_db(trained, cut_off.splats) + 0.3
+    assert held_out_db(trained, load_ply(tmp_path / "joined.ply")) > held_out_db(trained, cut_off.splats) + 0.1
 
 
 def test_joining_again_names_an_edge_whose_models_are_lost(trained: Path, tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.predictions import planned_training
 from radiant_app.workers.nodes import run_node
 from radiant_app.workers.tasks import receive_task
+from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
@@ -95,7 +96,7 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     assert made.init_s.curve(5) > 0.2 and made.train_s.curve(5) > 0
     assert 92 * 100 < made.model_bytes.curve(5) <= 92 * 600 * 1.3
     assert made.aggregate_s is not None and made.aggregate_alone_s is not None
-    assert "edges that leave joining to the cloud" in made.source
+    assert "epochs of retraining at edges" in made.source
     rows = {row["quantity"]: row for row in result["check"]}
     assert {"start-up", "training", "device", "model"} <= rows.keys()
     assert all(row["error"] == pytest.approx(row["predicted"] / row["measured"] - 1) for row in rows.values())
@@ -124,23 +125,16 @@ def test_photographs_alone_are_reconstructed_by_a_task_that_its_worker_accepts(
     assert [task.source for task in tasks] == [str((scene / "images").resolve())]
 
 
-@pytest.mark.parametrize("pools", [True, False])
-def test_edges_are_timed_at_what_a_run_would_have_them_do(
-    pools: bool, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """They pool and draw pictures unless the cloud is limited; where it is they retrain all views, which takes longer."""
+def test_edges_are_timed_at_what_a_run_has_them_do(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They retrain two devices' models on all their views, and pass a lone one on."""
     monkeypatch.setattr(Measuring, "_run", in_this_process)
-    measuring = measuring_in(tmp_path, scene)
-    assert measuring.edges_pool
-    measuring.edges_pool = pools
-    measured = measuring.measure(1.0)
+    measured = measuring_in(tmp_path, scene).measure(1.0)
     summaries = {path.parent.name: read_json(path) for path in (tmp_path / "edges").glob("*/summary.json")}
-    pictures = {path.parent.name: path.stat().st_size for path in (tmp_path / "edges").glob("*/virtual_views.safetensors")}
     joined = [name for name in summaries if name.endswith("-2")]
-    assert len(joined) >= 2 and pools == (measured.num_epochs == 0)
+    assert len(joined) >= 2 and 1 <= measured.num_epochs <= AggregateConfig().edge_epochs
     for name in joined:
-        assert (summaries[name]["num_steps"] == 0) == pools
-        assert (pictures[name] > 1000 * int(name.split("-")[0])) == pools
+        assert summaries[name]["num_steps"] == measured.num_epochs * int(name.split("-")[0])
+    assert all(summary["num_steps"] == 0 for name, summary in summaries.items() if name not in joined)
 
 
 def measuring_in(folder: Path, scene: Path) -> Measuring:

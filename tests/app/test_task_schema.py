@@ -34,13 +34,12 @@ from radiant_app.workers.tasks import (
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
-from radiant_core.hierarchy.messages import NO_CAMERAS, CloudOutlook, CloudTask, DeviceTask, EdgeTask
+from radiant_core.hierarchy.messages import NO_CAMERAS, CloudTask, DeviceTask, EdgeTask
 from radiant_core.io.messages import load_task, message_record, save_task
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
@@ -91,7 +90,6 @@ MESSAGES: dict[str, Any] = {
         num_dealt=(2,),
         strips=(((0.0, 1.0), (2.0, 3.0), (4.0, 5.0)),),
         aggregate=AggregateConfig(),
-        cloud=CloudOutlook(limits=Cloud(memory_bytes=1e9), share=0.5),
     ),
     "cloud": CloudTask(
         train=TRAIN, backend="native", edges=("a",), num_dealt=(2,), sites=((0.0, 1.0),), weights=(0.0,), aggregate=AggregateConfig()

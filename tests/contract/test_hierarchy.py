@@ -31,7 +31,6 @@ from radiant_core.io.photos.masks import mask_name
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_splats, save_cameras
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.io.view_file import save_views
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
@@ -103,20 +102,20 @@ def unequal(system: System) -> System:
     return replace(system, edges=tuple(edges))
 
 
-def hamlet_pooled(folder: Path) -> World:
-    """Two edges with two unequal devices each, pooled; the cloud retrains. Twelve photographs with known cameras, uploads in 16 bits."""
+def hamlet_of_two_tiers(folder: Path) -> World:
+    """Two edges with two unequal devices each; they and the cloud retrain. Twelve photographs with known cameras, uploads in 16 bits."""
     hamlet = sample_scenes_folder() / "hamlet"
     result = scene_from_colmap(hamlet / "known", hamlet / "images", folder / "sfm", lambda progress: None)
     photographs = PooledPhotographs(
         config=RunConfig(source=hamlet / "images", out=folder), scene=result.scene, images=result.undistorted_folder
     )
-    recipe = planned(photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(num_epochs=1))
+    recipe = planned(photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(num_epochs=1, edge_epochs=2))
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
 
 
 def ground_of_a_lone_edge(folder: Path) -> World:
     """One edge, which retrains its two devices' models; exact uploads."""
-    return ground(folder, unequal(even_system(1, 2)), AggregateConfig(num_epochs=1))
+    return ground(folder, unequal(even_system(1, 2)), AggregateConfig(edge_epochs=1))
 
 
 def ground_crop_merged(folder: Path) -> World:
@@ -157,12 +156,12 @@ def town_of_the_paper(folder: Path) -> World:
     photographs = PooledPhotographs(
         config=RunConfig(source=town / "images", out=folder), scene=result.scene, images=result.undistorted_folder
     )
-    recipe = planned(photographs, even_system(2, 2), PAPER, replace(aggregate_preset("paper"), num_epochs=2))
+    recipe = planned(photographs, even_system(2, 2), PAPER, replace(aggregate_preset("paper"), num_epochs=2, edge_epochs=2))
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"), teachers=True)
 
 
 WORLDS: dict[str, Callable[[Path], World]] = {
-    "hamlet pooled": hamlet_pooled,
+    "hamlet of two tiers": hamlet_of_two_tiers,
     "ground of a lone edge": ground_of_a_lone_edge,
     "ground crop-merged": ground_crop_merged,
     "town of the paper": town_of_the_paper,
@@ -248,9 +247,7 @@ def test_every_executor_makes_the_scene_of_the_fold_in_one_process(
             again = tmp_path / edge
             again.mkdir()
             save_cameras(again / "cameras", model.cameras)
-            save_views(again / "views", model.views)
             assert (again / "cameras").read_bytes() == (folder / "virtual_cameras.safetensors").read_bytes()
-            assert (again / "views").read_bytes() == (folder / "virtual_views.safetensors").read_bytes()
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -270,7 +267,9 @@ def test_the_worlds_differ_in_how_they_are_joined(oracle: dict[str, Oracle], run
     def choices(name: str, stage: str, topic: str) -> list[str]:
         return [one.choice for one in oracle[name].recorders[stage].decisions if one.topic == topic]
 
-    assert choices("hamlet pooled", "edges/edge-1", "retraining") == ["left to the cloud, with the devices' pictures"]
+    for stage in ("edges/edge-1", "cloud"):
+        (retrained,) = choices("hamlet of two tiers", stage, "retraining")
+        assert "steps on" in retrained, stage
     (retrained,) = choices("ground of a lone edge", "edges/edge-1", "retraining")
     assert "steps on" in retrained and choices("ground of a lone edge", "cloud", "retraining") == ["skipped"]
     assert choices("ground crop-merged", "cloud", "blind spots")

@@ -1,69 +1,69 @@
-"""A separate process that retrains two synthetic edge models as the cloud does and prints how far
-its peak memory grew.
+"""A separate process that joins two models of a made-up ground as an edge does and prints its peak memory.
 
-python -m tests.stress.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE         the constants of `aggregate/cloud_choice.py`
-python -m tests.stress.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE BYTES   the peak itself, within a limit of so many bytes
+python -m tests.stress.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE LIMIT_BYTES
+
+Tiles and kept statistics are as planned for that limit; one epoch.
 """
 
 from __future__ import annotations
 
+import json
 import sys
+import tempfile
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 
-from radiant_app.bench.drone_scene import SceneSize, drone_scene
 from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
-from radiant_core.aggregate.cloud_choice import kept_statistics_bytes
-from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.join import join_models
+from radiant_core.aggregate.join_memory import plan_join_memory
+from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.splats import SH_BASES
+from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import train_preset
 from radiant_core.train.trainer import FitOptions
+from tests.core.scenes import cameras_above, ground_splats
+
+HALF_SIDE_M = 24.0
 
 
-def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, memory_bytes: int | None = None) -> None:
-    """Print the growth of the peak resident memory in bytes, or with a limit the peak itself; each view is rendered once."""
-    for name in ("radiant_app.workers.nodes", "radiant_app.workers.task_schema"):
+def two_models(num_splats: int, num_views: int, long_side_px: int, sh_degree: int) -> tuple[list[Splats], list[Cameras]]:
+    """Two models of one ground, each of the half of it that its cameras see and 8 m more."""
+    whole = ground_splats(num_splats * 3 // 4, half_side_m=HALF_SIDE_M)
+    whole = replace(whole, shN=np.zeros((len(whole), SH_BASES[sh_degree] - 1, 3), np.float32))
+    models, cameras = [], []
+    for sign in (-1, 1):
+        models.append(whole.select(sign * whole.means[:, 0] > -8.0))
+        places = [(sign * x, float(y)) for x in (5.0, 16.0) for y in np.linspace(-20, 20, num_views // 4)]
+        cameras.append(cameras_above(places, height_m=20.0, size_wh=(long_side_px, long_side_px * 3 // 4)))
+    return models, cameras
+
+
+def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, memory_bytes: int) -> None:
+    """Print the plan and the peak as a record; BadInput where models would be cut."""
+    for name in ("radiant_app.workers.nodes", "radiant_app.workers.training"):
         # Modules that a worker has loaded as well.
         import_module(name)
-    splats, camera = drone_scene(SceneSize(num_splats=num_splats, width=long_side_px, height=long_side_px * 3 // 4))
-    splats = replace(splats, shN=np.zeros((num_splats, SH_BASES[sh_degree] - 1, 3), np.float32))
-    half = num_splats // 2
-    models = [splats.select(np.arange(half)), splats.select(np.arange(half, num_splats))]
-    del splats
-    cameras = [_copies(camera, range(half_views.start, half_views.stop)) for half_views in _halves(num_views)]
-    aggregate = replace(aggregate_preset("paper"), max_num_steps=num_views)
-    model_bytes = sum(model.num_bytes for model in models)
-    options = FitOptions()
-    if memory_bytes is not None:
-        left = kept_statistics_bytes(models, cameras, long_side_px, memory_bytes)
-        if left is None:
-            raise BadInput("models would be cut: give more bytes.")
-        options = FitOptions(statistics_bytes=left)
-    before = reset_peak_bytes()
-    teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
-    retrain_on_synthetic_views(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, options)
-    # The models were in memory before the count began.
-    print(peak_bytes() if memory_bytes is not None else peak_bytes() - before + model_bytes)
-
-
-def _halves(count: int) -> tuple[range, range]:
-    return range(count // 2), range(count // 2, count)
-
-
-def _copies(camera: Cameras, numbers: range) -> Cameras:
-    one = camera.select([0])
-    return Cameras(
-        names=tuple(f"view-{number}" for number in numbers),
-        Ks=np.repeat(one.Ks, len(numbers), axis=0),
-        cam_from_world=np.repeat(one.cam_from_world, len(numbers), axis=0),
-        sizes_wh=np.repeat(one.sizes_wh, len(numbers), axis=0),
-    )
+    models, cameras = two_models(num_splats, num_views, long_side_px, sh_degree)
+    plan = plan_join_memory(models, cameras, long_side_px, memory_bytes)
+    if not plan.fits:
+        raise BadInput(f"models would be cut: give {plan.needed_bytes:.0f} bytes at least.")
+    train = replace(train_preset("default"), long_side_px=long_side_px, max_num_splats=num_splats)
+    claims = claims_of_cells(np.array([[-12.0, 0.0], [12.0, 0.0]]), np.zeros(2))
+    with tempfile.TemporaryDirectory() as name:
+        reset_peak_bytes()
+        teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
+        options = FitOptions(scratch=Path(name), statistics_bytes=plan.statistics_bytes)
+        config = AggregateConfig(num_epochs=1, agreement_db=None)
+        joined = join_models(teachers, train, config, options, claims, plan.num_tiles)
+        peak = peak_bytes()
+    figures = {"num_tiles": plan.num_tiles, "needed_bytes": plan.needed_bytes, "statistics_bytes": plan.statistics_bytes}
+    print(json.dumps({**figures, "num_steps": joined.trained.num_steps, "num_given": joined.num_given, "peak_bytes": peak}))
 
 
 if __name__ == "__main__":

@@ -1,42 +1,51 @@
-"""The predicted memory of retraining at the cloud against the peak of a process that does it."""
+"""The predicted memory of joining, at once and by tiles, against the peak of a process that does it."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
-from radiant_core.aggregate.cloud_choice import PROCESS_BYTES, STATISTICS_BYTES_PER_PX, retrain_memory_bytes
-from radiant_core.splats import SH_BASES
+from radiant_core.aggregate.join_memory import STATISTICS_BYTES_PER_PX
 
 pytestmark = pytest.mark.stress
 
+AMPLE = 10**11
+
+
+def joined(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, memory_bytes: int) -> dict[str, Any]:
+    numbers = map(str, (num_splats, num_views, long_side_px, sh_degree, memory_bytes))
+    done = subprocess.run([sys.executable, "-m", "tests.stress.retrain_memory", *numbers], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
 
 @pytest.mark.parametrize(("num_splats", "num_views", "long_side_px", "sh_degree"), [
-    (400_000, 4, 320, 3), (200_000, 4, 320, 0), (20_000, 24, 1152, 3), (20_000, 4, 1152, 3),
+    (300_000, 16, 320, 3), (200_000, 16, 320, 0), (20_000, 24, 1152, 3), (40_000, 24, 640, 3),
 ])  # fmt: skip
-def test_the_prediction_is_above_the_peak_and_below_twice_it(num_splats: int, num_views: int, long_side_px: int, sh_degree: int) -> None:
-    command = [sys.executable, "-m", "tests.stress.retrain_memory", *map(str, (num_splats, num_views, long_side_px, sh_degree))]
-    measured = int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    pixels = [long_side_px * (long_side_px * 3 // 4)] * num_views
-    kept = STATISTICS_BYTES_PER_PX * sum(pixels)
-    predicted = retrain_memory_bytes(num_splats, 4 * (11 + 3 * SH_BASES[sh_degree]), pixels) + kept - PROCESS_BYTES
-    assert measured <= predicted <= 2 * measured, f"{measured / 1e6:.0f} MB measured, {predicted / 1e6:.0f} MB predicted"
-
-
-@pytest.mark.parametrize(("share", "num_splats"), [(0.5, 20_000), (0.0, 20_000), (0.0, 150_000)])
-def test_joining_with_a_share_of_what_the_loss_would_keep_stays_below_the_limit(
-    share: float, num_splats: int, capsys: pytest.CaptureFixture[str]
+def test_the_prediction_at_once_is_above_the_peak_and_below_twice_it(
+    num_splats: int, num_views: int, long_side_px: int, sh_degree: int
 ) -> None:
-    num_views, long_side_px, sh_degree = 24, 1152, 3
-    pixels = [long_side_px * (long_side_px * 3 // 4)] * num_views
-    kept = share * STATISTICS_BYTES_PER_PX * sum(pixels)
-    limit = round(retrain_memory_bytes(num_splats, 4 * (11 + 3 * SH_BASES[sh_degree]), pixels) + kept) + 1
-    numbers = (num_splats, num_views, long_side_px, sh_degree, limit)
-    command = [sys.executable, "-m", "tests.stress.retrain_memory", *map(str, numbers)]
-    measured = int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    made = joined(num_splats, num_views, long_side_px, sh_degree, AMPLE)
+    predicted = made["needed_bytes"] + made["statistics_bytes"]
+    assert made["num_tiles"] == 1 and made["peak_bytes"] <= predicted <= 2 * made["peak_bytes"], made
+
+
+@pytest.mark.parametrize(("num_splats", "sh_degree", "share"), [(300_000, 3, 0.97), (300_000, 0, 0.9), (300_000, 1, 0.85)])
+def test_by_tiles_a_join_stays_below_the_limit(num_splats: int, sh_degree: int, share: float, capsys: pytest.CaptureFixture[str]) -> None:
+    at_once = joined(num_splats, 16, 320, sh_degree, AMPLE)
+    limit = round(share * at_once["needed_bytes"])
+    tiled = joined(num_splats, 16, 320, sh_degree, limit)
     with capsys.disabled():
-        allowed = f"{limit / 1e6:,.0f} MB allowed ({share:.0%} of what the loss would keep)"
-        print(f"{num_splats:,} Gaussians, {allowed}: {measured / 1e6:,.0f} MB held at most")
-    assert measured <= limit
+        print(f"{tiled['num_tiles']} tiles: {limit / 1e6:,.0f} MB allowed, {tiled['peak_bytes'] / 1e6:,.0f} MB held at most")
+    assert tiled["num_tiles"] > 1 and tiled["peak_bytes"] <= limit
+
+
+def test_views_take_no_memory_beyond_what_the_loss_keeps() -> None:
+    few, many = (joined(20_000, num_views, 640, 0, AMPLE) for num_views in (16, 96))
+    kept = many["statistics_bytes"] - few["statistics_bytes"]
+    assert kept == 80 * STATISTICS_BYTES_PER_PX * 640 * 480
+    assert many["peak_bytes"] - few["peak_bytes"] <= kept + 5e7

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -75,19 +74,6 @@ def _agreement_db(home: Sequence, guest: Sequence) -> float:
         return float("nan")
     squares = sum(float(np.square(one.image[m] - other.image[m]).sum()) for one, other, m in zip(home, guest, both, strict=True))
     return float(-10 * np.log10(max(squares / (3 * num_shared), 1e-10)))
-
-
-def measure_agreement_db(model: Splats, cameras: Cameras, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> float:
-    """PSNR of some of V views, image (H,W,3) and weight (H,W), against the model's own, where both
-    are opaque; infinity where that is nowhere."""
-    rows = np.unique(np.linspace(0, len(cameras) - 1, min(NUM_ASKED, len(cameras))).astype(np.int64))
-    squares, count = 0.0, 0
-    for own, row in zip(render_views(model, cameras.select(rows)), rows.tolist(), strict=True):
-        image, weight = views[row]
-        both = (own.alpha > OPAQUE) & (weight > 255 * OPAQUE)
-        squares += float(np.square(own.image[both] - image[both].astype(np.float32) / 255).sum())
-        count += 3 * int(both.sum())
-    return float(-10 * np.log10(max(squares / count, 1e-10))) if count else float("inf")
 
 
 def _find_outvoted(agreement_db: FloatArray) -> dict[int, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from radiant_core.errors import BadInput
@@ -10,6 +10,8 @@ from radiant_core.errors import BadInput
 AggregatePreset = Literal["default", "paper"]
 """default: ours; paper: concatenate and retrain everything at full rate, at the edges and then at
 the cloud, nothing skipped (paper Sec. III-D)."""
+
+MAX_TILES = 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,11 +21,9 @@ class AggregateConfig:
     preset: AggregatePreset = "default"
     """default: models fade where others own the place and are fitted; paper: all are retrained."""
     num_epochs: int = 5
-    """How often each synthetic view is shown in retraining (paper Sec. IV-B: 10)."""
-    edges: Literal["pool", "retrain"] = "pool"
-    """pool: where the cloud retrains, an edge sends its devices' models as one, fainter where
-    another owns the place, with their pictures at its virtual cameras; retrain: it joins them
-    itself. default only."""
+    """How often the cloud shows each synthetic view (paper Sec. IV-B: 10)."""
+    edge_epochs: int = 8
+    """The same of an edge: its model teaches the cloud (paper Sec. IV-B: 10)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
@@ -48,27 +48,30 @@ class AggregateConfig:
             raise BadInput(f"aggregate preset {self.preset!r} is unknown: use 'default' or 'paper'.")
         if self.cloud not in ("crop_merge", "retrain"):
             raise BadInput(f"the cloud's aggregation is {self.cloud!r}, expected 'crop_merge' or 'retrain'.")
-        if self.edges not in ("pool", "retrain"):
-            raise BadInput(f"the edges' aggregation is {self.edges!r}, expected 'pool' or 'retrain'.")
         if not 0 < self.foreign_opacity <= 1 or not (self.agreement_db is None or self.agreement_db > 0):
             raise BadInput(
                 f"foreign_opacity is {self.foreign_opacity} and agreement_db {self.agreement_db}: give a share and a level in dB."
             )
         if not 0 <= self.faint_opacity < 1:
             raise BadInput(f"faint_opacity is {self.faint_opacity}, expected at least 0 and less than 1.")
-        if self.num_epochs < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
-            raise BadInput("num_epochs and max_num_steps of the aggregation must be at least 1.")
+        if min(self.num_epochs, self.edge_epochs) < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
+            raise BadInput("num_epochs, edge_epochs and max_num_steps of the aggregation must be at least 1.")
 
     @property
-    def edges_pool(self) -> bool:
-        """Whether edges leave joining to the cloud wherever it can."""
-        return self.preset == "default" and self.edges == "pool" and self.cloud == "retrain"
+    def most_tiles(self) -> int:
+        """Into how many tiles a join may be divided where memory is short; the paper knows none."""
+        return 1 if self.preset == "paper" else MAX_TILES
+
+    @property
+    def at_edge(self) -> AggregateConfig:
+        """The settings with an edge's epochs in place of the cloud's."""
+        return replace(self, num_epochs=self.edge_epochs)
 
 
 def aggregate_preset(name: str) -> AggregateConfig:
     """The configuration of a preset; BadInput lists the names there are."""
     if name == "paper":
-        return AggregateConfig(preset="paper", num_epochs=10, edges="retrain", retrain_single=True, weight_by_alpha=False, cloud="retrain")
+        return AggregateConfig(preset="paper", num_epochs=10, edge_epochs=10, retrain_single=True, weight_by_alpha=False)
     if name != "default":
         raise BadInput(f"aggregate preset {name!r} is unknown: use one of {', '.join(get_args(AggregatePreset))}.")
     return AggregateConfig()

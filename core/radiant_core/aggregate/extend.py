@@ -23,8 +23,9 @@ from shapely import Polygon, boundary, contains, distance, points, prepare
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import far_from
+from radiant_core.aggregate.join import faded, touched_cameras
 from radiant_core.aggregate.ownership import Ownership
-from radiant_core.aggregate.retrain import faded, retrain, touched_cameras
+from radiant_core.aggregate.retrain import retrain
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_error import ground_places

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
+from radiant_core.train.stored_images import store_views
 from radiant_core.train.views import TrainingViews
 
 ViewBytes = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -28,18 +30,23 @@ class Teacher:
     splats: Splats
     cameras: Cameras
     rendered: Rendered = field(default_factory=dict)
-    pooled: bool = False
-    """Whether the model is several not yet joined (`pooling`): then all of it is contested."""
 
 
 _NONE_RENDERED: Rendered = {}
 
 
-def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", rendered: Rendered = _NONE_RENDERED) -> TrainingViews:
-    """Images and weights of `splats` at `cameras`, 8 bits; none in `rendered` is rendered again."""
-    missing = [index for index in range(len(cameras)) if index not in rendered]
-    views = {**rendered, **dict(zip(missing, views_in_bytes(splats, cameras.select(missing), backend), strict=True))}
-    images, weights = zip(*(views[index] for index in range(len(cameras))), strict=True)
+def synthetic_views(
+    splats: Splats,
+    cameras: Cameras,
+    backend: Backend = "auto",
+    rendered: Rendered = _NONE_RENDERED,
+    folder: Path | None = None,
+) -> TrainingViews:
+    """Images and weights of `splats` at `cameras`, 8 bits; none in `rendered` is rendered again.
+    They lie in a file of `folder` where one is given."""
+    fresh = views_in_bytes(splats, cameras.select([index for index in range(len(cameras)) if index not in rendered]), backend)
+    views = (rendered[index] if index in rendered else next(fresh) for index in range(len(cameras)))
+    images, weights = store_views(views, folder)
     return TrainingViews(cameras=cameras, images=images, weights=weights)
 
 

@@ -25,8 +25,8 @@ MAX_DISTANCES = 10_000
 """Gaussians that a median distance is taken over, evenly among all."""
 
 
-def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> tuple[Cameras, NDArray[np.int64]]:
-    """A virtual camera per camera (C) for a model of means (N,3) m; which (C,) each stands near.
+def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> Cameras:
+    """A virtual camera per camera (C), in random order, for a model of means (N,3) m.
 
     `rng` must be seeded by what is hidden from the cloud. Size and focal length are those of the
     camera with the median angle of view. Raises BadInput without cameras or Gaussians.
@@ -43,13 +43,12 @@ def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.rando
     poses[:, :3, :3] = turns @ poses[:, :3, :3]
     poses[:, :3, 3] = -np.einsum("cij,cj->ci", poses[:, :3, :3], moved)
     size_wh, K = _common_pinhole(cameras)
-    drawn = Cameras(
+    return Cameras(
         names=tuple(f"view-{number:016x}" for number in rng.integers(2**63, size=count)),
         Ks=np.tile(K, (count, 1, 1)),
         cam_from_world=poses,
         sizes_wh=np.tile(size_wh, (count, 1)),
     )
-    return drawn, order
 
 
 def _inside_ball(count: int, rng: np.random.Generator) -> FloatArray:

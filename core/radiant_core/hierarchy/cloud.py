@@ -11,30 +11,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, measure_agreement_db
-from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs, kept_statistics_bytes
+from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.extend import NewRegion, extend_scene
+from radiant_core.aggregate.join import Joined, cut_at_borders, join_models
+from radiant_core.aggregate.join_memory import JoinMemory, plan_join_memory
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
-from radiant_core.aggregate.retrain import Joined, cut_at_borders, retrain_on_synthetic_views
-from radiant_core.aggregate.synthetic_views import Rendered, Teacher
-from radiant_core.cameras import Cameras
-from radiant_core.decisions import Decision
-from radiant_core.hierarchy.decisions import blind_spots_decision, join_decisions
+from radiant_core.aggregate.synthetic_views import Teacher
+from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN, blind_spots_decision, join_decisions, report_join_memory
 from radiant_core.hierarchy.device import training_summary
-from radiant_core.hierarchy.joining import CUT_COSTS, JOIN_AGAIN, Arrivals, admit, join_key
+from radiant_core.hierarchy.joining import Arrivals, admit, join_key
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.plan.system import Cloud
-from radiant_core.splats import Splats
-from radiant_core.train.trainer import FitOptions, NoCheckpoints
+from radiant_core.train.trainer import FitOptions
 
 MACHINE_SHARE = 0.8
 """Of the free memory of its machine, what joining may take where the system file has no limit."""
+RAISE_LIMIT = "raise that limit under [cloud] in the system file of the next run"
 
 
 def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter: Reporter, machine: Machine = Machine()) -> SceneModel:
@@ -64,7 +61,7 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
         cut_for_memory = choice.cut_for_memory
         if choice.retrains or task.aggregate.preset != "paper":
             options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
-            teachers = cloud_teachers(models, arrivals, task.train.long_side_px, reporter)
+            teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]
             joined = _join(task, teachers, claims_of_cells(sites, weights), options, choice, reporter)
             return SceneModel(splats=joined.splats, summary=training_summary(joined.trained), cut_for_memory=cut_for_memory, **found)
     merged = crop_merge(arrivals.models, sites, weights, fill_blind_spots=task.aggregate.fill_blind_spots)
@@ -94,83 +91,53 @@ def _extend(
 
 @dataclass(frozen=True, kw_only=True)
 class _Choice:
-    """Whether the cloud retrains, within which limits, and whether free memory alone forbids it."""
+    """Whether and how the cloud retrains, and whether free memory alone forbids it."""
 
     retrains: bool
-    limits: Cloud
+    memory: JoinMemory
     cut_for_memory: bool
 
 
 def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: Reporter, machine: Machine) -> _Choice:
-    """Whether the models are retrained, without a limit in `MACHINE_SHARE` of the free memory."""
+    """Whether and how the models are joined; without a limit, in `MACHINE_SHARE` of what is free."""
     times_s = None if task.edge_times_s is None else [task.edge_times_s[row] for row in rows]
-    needs = cloud_needs(arrivals.models, arrivals.cameras, task.train.long_side_px, times_s)
     given = task.limits or Cloud()
     limits, memory_of = given, "the cloud's limit"
     free_bytes = machine.free_bytes()
     if given.memory_bytes is None and np.isfinite(free_bytes):
         limits = replace(given, memory_bytes=MACHINE_SHARE * free_bytes)
         memory_of = f"{MACHINE_SHARE:.0%} of what this machine has free, a limit"
+    most_bytes = float("inf") if limits.memory_bytes is None else limits.memory_bytes
+    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, most_bytes, task.aggregate.most_tiles)
+    needs = cloud_needs(arrivals.models, arrivals.cameras, memory, times_s)
     retrains, decision = choose_at_cloud(needs, limits, reporter.stage, memory_of=memory_of)
     reporter.decide(decision)
+    can_join_again = arrivals.uncertainty is None
     if retrains:
-        return _Choice(retrains=True, limits=limits, cut_for_memory=False)
+        if len(arrivals.models) > 1:
+            # A join in tiles is finished: no --resume does it anew.
+            free = "free memory there before the next run"
+            lift = _ways_to_lift(free if limits is not given else RAISE_LIMIT, can_join_again=can_join_again)
+            report_join_memory(memory, most_bytes, lift, reporter)
+        return _Choice(retrains=True, memory=memory, cut_for_memory=False)
     by_machine = choose_at_cloud(needs, given, reporter.stage)[0]
-    reporter.warn(_cut_warning(decision, by_machine=by_machine, can_join_again=arrivals.uncertainty is None))
-    return _Choice(retrains=False, limits=limits, cut_for_memory=by_machine)
+    lift = _ways_to_lift("free memory there and go on with --resume" if by_machine else RAISE_LIMIT, can_join_again=can_join_again)
+    reporter.warn(f"{decision.choice}: {decision.reason}. {CUT_COSTS} To join them {lift}.")
+    return _Choice(retrains=False, memory=memory, cut_for_memory=by_machine)
 
 
-def _cut_warning(decision: Decision, *, by_machine: bool, can_join_again: bool) -> str:
-    lift = (
-        "free memory there and go on with --resume" if by_machine else "raise that limit under [cloud] in the system file of the next run"
-    )
-    again = f"; or {JOIN_AGAIN}" if can_join_again else ""
-    return f"{decision.choice}: {decision.reason}. {CUT_COSTS} To join them {lift}{again}."
+def _ways_to_lift(lift: str, *, can_join_again: bool) -> str:
+    return f"{lift}; or {JOIN_AGAIN}" if can_join_again else lift
 
 
 def _join(
     task: CloudTask, teachers: list[Teacher], claims: Claims | None, options: FitOptions, choice: _Choice, reporter: Reporter
 ) -> Joined:
     """The teachers' models retrained together, or cut at the borders of the regions."""
-    most_bytes = float("inf") if choice.limits.memory_bytes is None else choice.limits.memory_bytes
-    if choice.retrains:
-        whole = replace(options, statistics_bytes=_statistics_bytes(task, teachers, most_bytes) or 0)
-        joined = retrain_on_synthetic_views(teachers, task.train, task.aggregate, whole, claims)
-        for decision in join_decisions(reporter.stage, task.aggregate, len(teachers), joined):
-            reporter.decide(decision)
-        return joined
-    # What an edge only pooled, for a cloud that was expected to join, is still joined by itself
-    # where that fits.
-    alone = replace(options, checkpoints=NoCheckpoints())
-    for index, teacher in enumerate(teachers):
-        if teacher.pooled and (left := _statistics_bytes(task, [teacher], most_bytes)) is not None:
-            joined = retrain_on_synthetic_views([teacher], task.train, task.aggregate, replace(alone, statistics_bytes=left))
-            teachers[index] = replace(teacher, splats=joined.splats)
-    return cut_at_borders(teachers, claims)
-
-
-def _statistics_bytes(task: CloudTask, chosen: Sequence[Teacher], most_bytes: float) -> int | None:
-    models, cameras = [teacher.splats for teacher in chosen], [teacher.cameras for teacher in chosen]
-    return kept_statistics_bytes(models, cameras, task.train.long_side_px, most_bytes)
-
-
-def cloud_teachers(models: Mapping[str, EdgeModel | str], arrivals: Arrivals, long_side_px: int, reporter: Reporter) -> list[Teacher]:
-    """The edges' models with virtual cameras and the pictures sent; bad ones become a warning."""
-    teachers = []
-    for name, model, own in zip(arrivals.senders, arrivals.models, arrivals.cameras, strict=True):
-        sent = models[name]
-        views = sent.views if isinstance(sent, EdgeModel) else ()
-        pictures, refusal = _check_pictures(model, own.scaled(long_side_px), views)
-        if refusal is not None:
-            reporter.warn(f"the pictures of {name} are left out, its model's are shown instead: {refusal}")
-        teachers.append(Teacher(splats=model, cameras=own, rendered=pictures, pooled=bool(pictures) or refusal is not None))
-    return teachers
-
-
-def _check_pictures(model: Splats, cameras: Cameras, views: tuple[Any, ...] | str) -> tuple[Rendered, str | None]:
-    """An edge's pictures by camera; none, and why, where they are broken or not of its model."""
-    if isinstance(views, str):
-        return {}, views
-    if views and (agreement_db := measure_agreement_db(model, cameras, views)) < MIN_AGREEMENT_DB:
-        return {}, f"they differ from what its model shows ({agreement_db:.1f} dB, expected {MIN_AGREEMENT_DB:g} or more)."
-    return dict(enumerate(views)), None
+    if not choice.retrains:
+        return cut_at_borders(teachers, claims)
+    options = replace(options, statistics_bytes=choice.memory.statistics_bytes)
+    joined = join_models(teachers, task.train, task.aggregate, options, claims, choice.memory.num_tiles)
+    for decision in join_decisions(reporter.stage, task.aggregate, len(teachers), joined):
+        reporter.decide(decision)
+    return joined

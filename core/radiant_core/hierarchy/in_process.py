@@ -51,13 +51,13 @@ def run_in_process(
             rows = plan.cameras_of(device)
             task = device_task(recipe.device_settings(device), scene.restricted_to(rows))
             model = train(task, views.select(rows), reporter_of(f"devices/{device}"))
-            models[device] = passed_on(model, recipe.upload, recipe.train.long_side_px)
+            models[device] = passed_on(model, recipe.upload)
         if not models:
             continue
         edge = join_edge(recipe.edge_task(plan.edge_id, dealt), models, reporter_of(f"edges/{plan.edge_id}"))
         edges[plan.edge_id] = edge
         if edge.splats is not None:
-            sent[plan.edge_id] = passed_on(edge, recipe.upload, recipe.train.long_side_px)
+            sent[plan.edge_id] = passed_on(edge, recipe.upload)
             num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
     joined_scene = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
     return InProcessRun(scene=joined_scene, edges=edges)

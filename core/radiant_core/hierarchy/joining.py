@@ -27,8 +27,6 @@ from radiant_core.io.messages import task_key
 from radiant_core.io.run_store import content_key
 from radiant_core.splats import Splats
 
-CUT_COSTS = "On two scenes that were joined both ways a cut came out 0.5 to 0.8 dB lower."
-JOIN_AGAIN = "`radiant aggregate RUN --out JOINED.ply` joins the models of a run without a limit, on any machine"
 _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
 Arrival = DeviceModel | EdgeModel | str

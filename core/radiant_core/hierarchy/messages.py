@@ -16,8 +16,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from radiant_core.aggregate.config import AggregateConfig
@@ -39,8 +37,6 @@ Pair = tuple[float, float]
 
 UNKEYED: Mapping[str, Any] = {"keyed": False}
 LOCAL: Mapping[str, Any] = {"local": True}
-Views = tuple[tuple[NDArray[np.uint8], NDArray[np.uint8]], ...]
-"""Images (H,W,3) and weights (H,W)."""
 CHECKPOINT_EVERY_S = 10.0
 """Seconds between two checkpoints of a training, unless a run says otherwise."""
 NO_CAMERAS = concatenate_cameras([])
@@ -99,14 +95,6 @@ class DeviceModel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CloudOutlook:
-    """What an edge knows of its cloud: its limits, and the edge's share of all cameras (0 to 1]."""
-
-    limits: Cloud
-    share: Annotated[float, Field(gt=0, le=1)]
-
-
-@dataclass(frozen=True, kw_only=True)
 class EdgeTask(Training):
     """Join the models of `devices`, whose strips of the region are `strips`."""
 
@@ -117,8 +105,6 @@ class EdgeTask(Training):
     aggregate: AggregateConfig
     upload: UploadFormat = "float32"
     memory_bytes: Positive | None = None
-    cloud: CloudOutlook | None = None
-    """None where the edge joins by itself: its cloud cuts, or there is no other edge."""
     teachers: tuple[Id, ...] = field(default=(), metadata=UNKEYED)
     """Devices whose views teacher processes render."""
 
@@ -135,8 +121,6 @@ class EdgeModel:
     """None where no device's model could be used; such a model is not sent."""
     cameras: Cameras = field(default=NO_CAMERAS, metadata=in_file("virtual_cameras.safetensors"))
     """Virtual cameras, where the cloud asks for some."""
-    views: Views | str = field(default=(), metadata=in_file("virtual_views.safetensors"))
-    """The devices' models at those cameras; none of an edge that joined; text: why unusable."""
     uncertainty: FrameUncertainty | None = None
     corrections: Mapping[str, Sim3 | None] = field(default_factory=dict, metadata=LOCAL)
     """How each device's model was moved; None for one that was refused."""

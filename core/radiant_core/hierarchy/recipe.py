@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudOutlook, CloudTask, DeviceSettings, EdgeTask, Renderer
+from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudTask, DeviceSettings, EdgeTask, Renderer
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
@@ -66,16 +66,8 @@ class Recipe:
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,
             memory_bytes=next(own.memory_bytes for own in self.system.edges if own.id == edge),
-            cloud=self._outlook_of(edge),
             teachers=tuple(teachers),
         )
-
-    def _outlook_of(self, edge: str) -> CloudOutlook | None:
-        counts = self.cloud_plan.counts
-        # A lone edge joins its models as the cloud would.
-        if not self.aggregate.edges_pool or np.count_nonzero(counts) < 2:
-            return None
-        return CloudOutlook(limits=self.system.cloud, share=float(counts[self.cloud_plan.edge_ids.index(edge)] / counts.sum()))
 
     def cloud_task(self, num_dealt: Mapping[str, int], joined: Mapping[str, Mapping[str, float | int]]) -> CloudTask:
         """Join the models of the edges that delivered one.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 from radiant_core.decisions import Decision
@@ -64,6 +65,8 @@ class Machine:
     """What the process may still take."""
     checkpoints: Callable[[Callable[[], str]], Checkpoints] = lambda key: NoCheckpoints()
     """Where the state of a training with that key is saved against interruption."""
+    scratch: Path | None = None
+    """Folder for pictures that need not stay in memory; None: they do."""
     clock: Callable[[], float] = time.monotonic
     """What a training's seconds are measured by."""
 
@@ -74,4 +77,4 @@ def fit_options(backend: Backend, reporter: Reporter, machine: Machine, key: Cal
     def report(progress: TrainProgress) -> None:
         reporter.progress(progress.step, progress.num_steps, f"loss {progress.loss:.4f}")
 
-    return FitOptions(backend=backend, report=report, checkpoints=machine.checkpoints(key), clock=machine.clock)
+    return FitOptions(backend=backend, report=report, checkpoints=machine.checkpoints(key), clock=machine.clock, scratch=machine.scratch)

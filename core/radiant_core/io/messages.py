@@ -3,7 +3,7 @@
     a task       task.json, and files of the arrays that its fields name (`in_file`)
     DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json
                  where its frame is uncertain
-    EdgeModel    the same with virtual_cameras.safetensors, virtual_views.safetensors
+    EdgeModel    the same with virtual_cameras.safetensors
 
 Types and unknown keys are refused by pydantic in its strict mode: no number as text, nothing
 infinite. Values are checked by the dataclasses themselves.
@@ -32,7 +32,6 @@ from radiant_core.io.records import load_cameras, load_scene, save_cameras, save
 from radiant_core.io.run_store import MAX_JSON_BYTES, file_sha256, parse_json, read_bounded, read_json, write_json
 from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.io.transport.upload import UploadFormat, count_uploaded, load_upload, save_upload, upload_problem
-from radiant_core.io.view_file import load_views, save_views
 from radiant_core.splats import Splats
 
 Message = TypeVar("Message")
@@ -41,7 +40,7 @@ TASK_NAME = "task.json"
 MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
 """What a node keeps, and what it sends where that differs; both arrive under the first name."""
 CAMERAS_NAME, FRAME_NAME, SUMMARY_NAME = "cameras.safetensors", "frame.json", "summary.json"
-VIRTUAL_CAMERAS, VIRTUAL_VIEWS = "virtual_cameras.safetensors", "virtual_views.safetensors"
+VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
 NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
 """The summary of a node that delivers no model."""
 MAX_FRAME_BYTES = 1 << 12
@@ -158,8 +157,7 @@ def save_edge_model(folder: Path, model: EdgeModel, upload: UploadFormat, warn: 
     if not len(model.cameras):
         return names
     save_cameras(folder / VIRTUAL_CAMERAS, model.cameras)
-    save_views(folder / VIRTUAL_VIEWS, () if isinstance(model.views, str) else model.views)
-    return [*names, VIRTUAL_CAMERAS, VIRTUAL_VIEWS]
+    return [*names, VIRTUAL_CAMERAS]
 
 
 def save_frame(folder: Path, uncertainty: FrameUncertainty | None, missing: str | None = None) -> str:
@@ -191,7 +189,7 @@ def sent_files(folder: Path) -> dict[str, Path]:
     """
     upload = folder / UPLOAD_NAME
     sent = {MODEL_NAME: upload if upload.is_file() else folder / MODEL_NAME}
-    sent |= {name: folder / name for name in (CAMERAS_NAME, VIRTUAL_CAMERAS, VIRTUAL_VIEWS) if (folder / name).is_file()}
+    sent |= {name: folder / name for name in (CAMERAS_NAME, VIRTUAL_CAMERAS) if (folder / name).is_file()}
     if (folder / FRAME_NAME).is_file() and read_json(folder / FRAME_NAME, ("uncertainty",))["uncertainty"] is not None:
         sent[FRAME_NAME] = folder / FRAME_NAME
     return sent
@@ -210,14 +208,12 @@ def load_device_model(place: Path) -> DeviceModel | str:
         return str(error)
 
 
-def load_edge_model(place: Path, long_side_px: int) -> EdgeModel | str:
-    """The edge's model in a folder, its pictures of that long side, or why it cannot be used."""
+def load_edge_model(place: Path) -> EdgeModel | str:
+    """The edge's model that arrived in a folder, or why it cannot be used, one sentence."""
     try:
-        cameras = _cameras_in(place / VIRTUAL_CAMERAS)
         return EdgeModel(
             splats=_load_model(place),
-            cameras=cameras,
-            views=_views_in(place / VIRTUAL_VIEWS, cameras.scaled(long_side_px)),
+            cameras=_cameras_in(place / VIRTUAL_CAMERAS),
             uncertainty=load_uncertainty(place),
             received=_hashes(place),
         )
@@ -235,15 +231,6 @@ def _load_model(place: Path) -> Splats:
 
 def _cameras_in(path: Path) -> Cameras:
     return load_cameras(path) if path.is_file() else NO_CAMERAS
-
-
-def _views_in(path: Path, cameras: Cameras) -> tuple[Any, ...] | str:
-    if not path.is_file():
-        return ()
-    try:
-        return tuple(load_views(path, [(int(width), int(height)) for width, height in cameras.sizes_wh]))
-    except BadInput as error:
-        return str(error)
 
 
 def _hashes(place: Path) -> dict[str, str]:
@@ -268,7 +255,7 @@ def load_uncertainty(place: Path) -> FrameUncertainty | None:
     return FrameUncertainty(**{name: float(value) for name, value in found.items()})
 
 
-def passed_on(model: Model, upload: UploadFormat, long_side_px: int) -> Model | str:
+def passed_on(model: Model, upload: UploadFormat) -> Model | str:
     """The model as its receiver reads it, after the same bytes that a delivery has."""
     with TemporaryDirectory(prefix="radiant-message-") as name:
         sender, receiver = Path(name) / "sender", Path(name) / "receiver"
@@ -281,7 +268,7 @@ def passed_on(model: Model, upload: UploadFormat, long_side_px: int) -> Model | 
             save_edge_model(sender, model, upload, lambda message: None)
         for file, path in sent_files(sender).items():
             shutil.copyfile(path, receiver / file)
-        arrived: Any = load_device_model(receiver) if isinstance(model, DeviceModel) else load_edge_model(receiver, long_side_px)
+        arrived: Any = load_device_model(receiver) if isinstance(model, DeviceModel) else load_edge_model(receiver)
         return arrived
 
 

@@ -23,6 +23,7 @@ from radiant_core.render.rasterize import resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.results import TrainState
+from radiant_core.train.stored_images import Images
 from radiant_core.train.trainer import FitOptions
 from radiant_core.train.views import TrainingViews
 
@@ -34,8 +35,12 @@ MAX_SHARE = 0.05
 
 def training_key(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> str:
     """Hash of all that determines the bits: settings, first model, views, renderer, version."""
-    shown = [part if part is None else [part.cameras, part.images, part.weights] for part in (views, options.validation)]
+    shown = [None if part is None else [part.cameras, *map(_hashes, (part.images, part.weights))] for part in (views, options.validation)]
     return content_key(__version__, config, options.steps, resolve_backend(options.backend), initial.arrays(), shown)
+
+
+def _hashes(images: Images | None) -> list[str] | None:
+    return None if images is None else [content_key(image) for image in images]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -134,7 +134,7 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
     density = config.density
     if isinstance(density, NoDensification) or density.kind == "adc" or density.pixels_per_splat is None:
         return config, ()
-    num_pixels = sum(image.shape[0] * image.shape[1] for image in views.images)
+    num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
     most = max(MIN_PLANNED, num_pixels // density.pixels_per_splat)
     if most >= config.max_num_splats:
         return config, ()

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -92,6 +93,8 @@ class FitOptions:
     checkpoints: Checkpoints = field(default_factory=NoCheckpoints)
     statistics_bytes: int = STATISTICS_BUDGET_BYTES
     """Memory for the statistics of its targets that the loss keeps."""
+    scratch: Path | None = None
+    """Folder for what need not stay in memory, such as synthetic views; None: memory."""
     held: NDArray[np.bool_] | None = None
     """Gaussians (N,) that are rendered and keep their bits; only without densification."""
 

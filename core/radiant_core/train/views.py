@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.scene import SfmScene
+from radiant_core.train.stored_images import Images, concatenate_images, select_images, shapes_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,16 +21,18 @@ class TrainingViews:
     of weight 0 are not compared. BadInput unless sizes agree."""
 
     cameras: Cameras
-    images: tuple[NDArray[np.uint8], ...]
-    weights: tuple[NDArray[np.uint8], ...] | None = None
+    images: Images
+    weights: Images | None = None
 
     def __post_init__(self) -> None:
         if len(self.images) != len(self.cameras) or not len(self.cameras):
             raise BadInput(f"{len(self.images)} images for {len(self.cameras)} cameras: give one image per camera, at least one.")
-        for name, (width, height), image in zip(self.cameras.names, self.cameras.sizes_wh, self.images, strict=True):
-            if image.shape != (height, width, 3) or image.dtype != np.uint8:
-                raise BadInput(f"image {name!r} is {image.shape} {image.dtype}, expected ({height}, {width}, 3) uint8.")
-        if self.weights is not None and [w.shape for w in self.weights] != [i.shape[:2] for i in self.images]:
+        shapes = shapes_of(self.images)
+        for index, (name, (width, height)) in enumerate(zip(self.cameras.names, self.cameras.sizes_wh, strict=True)):
+            kind = self.images[index].dtype if isinstance(self.images, tuple) else np.dtype(np.uint8)
+            if shapes[index] != (height, width, 3) or kind != np.uint8:
+                raise BadInput(f"image {name!r} is {shapes[index]} {kind}, expected ({height}, {width}, 3) uint8.")
+        if self.weights is not None and list(shapes_of(self.weights)) != [shape[:2] for shape in shapes]:
             raise BadInput("weights and images differ in size: give one weight per pixel.")
 
     def __len__(self) -> int:
@@ -45,14 +48,12 @@ class TrainingViews:
 
     def select(self, indices: NDArray[np.integer] | list[int]) -> TrainingViews:
         """Some of the views, in the given order; the images are shared."""
-        weights = None if self.weights is None else tuple(self.weights[index] for index in indices)
-        return TrainingViews(
-            cameras=self.cameras.select(np.asarray(indices)), images=tuple(self.images[index] for index in indices), weights=weights
-        )
+        weights = None if self.weights is None else select_images(self.weights, indices)
+        return TrainingViews(cameras=self.cameras.select(np.asarray(indices)), images=select_images(self.images, indices), weights=weights)
 
     def scaled(self, scale: float) -> TrainingViews:
         """The views at that share (0 to 1) of their size, pixels averaged."""
-        longest = max(image.shape[0] if image.shape[0] > image.shape[1] else image.shape[1] for image in self.images)
+        longest = max(max(shape[:2]) for shape in shapes_of(self.images))
         cameras = self.cameras.scaled(max(1, round(scale * longest)))
         sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
         weights = None if self.weights is None else tuple(map(_reduce, self.weights, sizes))
@@ -70,6 +71,6 @@ def concatenate_views(parts: list[TrainingViews]) -> TrainingViews:
     weights = [part.weights for part in parts if part.weights is not None]
     return TrainingViews(
         cameras=concatenate_cameras([part.cameras for part in parts]),
-        images=tuple(image for part in parts for image in part.images),
-        weights=tuple(w for part in weights for w in part) if len(weights) == len(parts) else None,
+        images=concatenate_images([part.images for part in parts]),
+        weights=concatenate_images(weights) if len(weights) == len(parts) else None,
     )

@@ -10,8 +10,9 @@ import pytest
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
+from radiant_core.aggregate.join import Joined, join_models, teacher_views
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
-from radiant_core.aggregate.retrain import Joined, reached_by, retrain_on_synthetic_views, retraining_config, teacher_views
+from radiant_core.aggregate.retrain import reached_by, retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.cameras import Cameras, concatenate_cameras
@@ -91,7 +92,7 @@ def teachers(models: list[Splats], cameras: list[Cameras]) -> list[Teacher]:
 
 
 def joined(models: list[Splats], cameras: list[Cameras], **settings: Any) -> Joined:
-    return retrain_on_synthetic_views(teachers(models, cameras), TRAIN, AggregateConfig(**settings), FitOptions(), CELLS)
+    return join_models(teachers(models, cameras), TRAIN, AggregateConfig(**settings), FitOptions(), CELLS)
 
 
 def mean_psnr_db(splats: Splats, views: TrainingViews) -> float:
@@ -104,7 +105,7 @@ def test_joining_heals_what_a_blind_neighbour_covers(claims: Claims | None) -> N
     west, east = halves()
     views = teacher_views(teachers([west, east], [WEST, EAST]), 48)
     before = mean_psnr_db(concatenate_splats([west, east]), views)
-    result = retrain_on_synthetic_views(teachers([west, east], [WEST, EAST]), TRAIN, AggregateConfig(), FitOptions(), claims)
+    result = join_models(teachers([west, east], [WEST, EAST]), TRAIN, AggregateConfig(), FitOptions(), claims)
     assert (result.trained.num_steps, result.num_shown, result.num_views) == (4 * AggregateConfig().num_epochs, 4, 4)
     assert result.agreement_db is not None and before + 3 < result.agreement_db < 48
     assert mean_psnr_db(result.splats, views) > before + 3

@@ -8,15 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs, retrain_memory_bytes
+from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.retrain import retrain_on_synthetic_views, retraining_config
+from radiant_core.aggregate.join import join_models
+from radiant_core.aggregate.join_memory import JoinMemory, join_bytes, plan_join_memory
+from radiant_core.aggregate.retrain import retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import MAX_MOVE, MAX_TURN_DEG, virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import Cloud
+from radiant_core.splats import Splats
 from radiant_core.train.config import train_preset
 from radiant_core.train.densify.policies import Adc, NoDensification
 from radiant_core.train.trainer import FitOptions
@@ -29,7 +32,12 @@ NEEDS = CloudNeeds(num_cameras=40, memory_bytes=2e9, time_s=100.0)
 
 
 def drawn(seed: int = 0, cameras: Cameras = CAMERAS) -> Cameras:
-    return virtual_cameras(cameras, MODEL.means, np.random.default_rng(seed))[0]
+    return virtual_cameras(cameras, MODEL.means, np.random.default_rng(seed))
+
+
+def at_once(models: list[Splats], views: list[Cameras], long_side_px: int) -> JoinMemory:
+    """The memory of a join without a limit."""
+    return plan_join_memory(models, views, long_side_px, np.inf)
 
 
 class TestVirtualCameras:
@@ -114,26 +122,18 @@ class TestNeeds:
     def test_they_follow_gaussians_pixels_and_the_edges_times(self) -> None:
         models = [ground_splats(100), ground_splats(300)]
         views = [CAMERAS.select([0, 1]), CAMERAS.select([2])]
-        needs = cloud_needs(models, views, 24, [10.0, 30.0])
+        needs = cloud_needs(models, views, at_once(models, views, 24), [10.0, 30.0])
         assert needs.num_cameras == 3
         assert needs.time_s == pytest.approx(10 * 400 / 100 + 30 * 400 / 300)
-        assert needs.memory_bytes == retrain_memory_bytes(400, 56, [24 * 18] * 3)
-        # Three hundred photographs of 576 × 432 px, a million Gaussians: less than a laptop has, so
-        # nothing is cut there.
-        assert retrain_memory_bytes(1_000_000, 92, [576 * 432] * 300) < 2e9
-        assert cloud_needs(models, views, 48, None).memory_bytes > needs.memory_bytes
-        assert cloud_needs(models, views, 48, None).time_s is None
-
-    def test_more_of_anything_never_takes_less(self) -> None:
-        base = retrain_memory_bytes(1000, 236, [1000] * 10)
-        assert retrain_memory_bytes(1001, 236, [1000] * 10) > base
-        assert retrain_memory_bytes(1000, 237, [1000] * 10) > base
-        assert retrain_memory_bytes(1000, 236, [1000] * 11) > base
-        assert retrain_memory_bytes(0, 236, []) > 0
+        assert needs.memory_bytes == join_bytes(400, 400, 56, [24 * 18] * 3)
+        larger = cloud_needs(models, views, at_once(models, views, 48), None)
+        assert larger.memory_bytes > needs.memory_bytes and larger.time_s is None
+        # A million Gaussians and photographs of 576 × 432 px: less than a laptop has, however many.
+        assert join_bytes(1_000_000, 1_000_000, 92, [576 * 432] * 300) < 2e9
 
     def test_a_time_per_edge_is_demanded(self) -> None:
         with pytest.raises(BadInput, match="1 times for 2 edges"):
-            cloud_needs([MODEL, MODEL], [CAMERAS, CAMERAS], 48, [1.0])
+            cloud_needs([MODEL, MODEL], [CAMERAS, CAMERAS], at_once([MODEL], [CAMERAS], 48), [1.0])
 
 
 class TestPaperAggregation:
@@ -158,14 +158,14 @@ class TestPaperAggregation:
         train = replace(train_preset("paper"), long_side_px=48, density=Adc(from_step=0, every=1))
         paper = replace(aggregate_preset("paper"), num_epochs=1)
         west, east = MODEL.select(MODEL.means[:, 0] < 1), MODEL.select(MODEL.means[:, 0] > -1)
-        both = retrain_on_synthetic_views(
+        both = join_models(
             [Teacher(splats=west, cameras=CAMERAS.select([0, 1])), Teacher(splats=east, cameras=CAMERAS.select([13]))],
             train,
             paper,
             FitOptions(),
         ).trained
         assert both.num_steps == 3 and len(both.splats) == len(west) + len(east)
-        lone = retrain_on_synthetic_views([Teacher(splats=west, cameras=CAMERAS.select([0, 1]))], train, paper, FitOptions()).trained
+        lone = join_models([Teacher(splats=west, cameras=CAMERAS.select([0, 1]))], train, paper, FitOptions()).trained
         assert lone.num_steps == 2 and (lone.splats.means != west.means).any()
 
     def test_transparent_pixels_teach_black_without_weights(self) -> None:
@@ -174,9 +174,7 @@ class TestPaperAggregation:
         losses = []
         for weigh in (True, False):
             config = replace(aggregate_preset("paper"), num_epochs=1, weight_by_alpha=weigh)
-            losses.append(
-                retrain_on_synthetic_views([Teacher(splats=thin, cameras=CAMERAS)], train, config, FitOptions()).trained.first_loss
-            )
+            losses.append(join_models([Teacher(splats=thin, cameras=CAMERAS)], train, config, FitOptions()).trained.first_loss)
         assert losses[0] != losses[1]
 
     def test_a_plain_cut_keeps_nothing_outside_its_region(self) -> None:

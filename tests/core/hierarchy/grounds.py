@@ -46,7 +46,7 @@ def edge_task(*devices: str, **changes: object) -> EdgeTask:
 
 
 def edge_models() -> dict[str, EdgeModel]:
-    """Three edges' models as they arrive, of edges that joined."""
+    """Three edges' models as they arrive."""
     return {name: EdgeModel(splats=part(index), cameras=CAMERAS[index]) for index, name in enumerate(NAMES)}
 
 

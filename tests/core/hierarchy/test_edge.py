@@ -1,20 +1,20 @@
-"""An edge: a refusal costs the others no bit, a lone model stays, outlook and memory decide."""
+"""An edge: a refusal costs the others no bit, a lone model stays, memory decides between at once, tiles and a cut."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 
+from radiant_core.aggregate import join_memory
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.hierarchy.edge import join_edge
-from radiant_core.hierarchy.messages import CloudOutlook
-from radiant_core.hierarchy.reporter import Recorder
-from radiant_core.plan.system import Cloud
+from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.splats import Splats, morton_order
 from tests.core.hierarchy.grounds import AGGREGATE, CAMERAS, NAMES, device_models, edge_task, part
-
-OUTLOOK = CloudOutlook(limits=Cloud(), share=0.5)
 
 
 def assert_same(ours: Splats | None, theirs: Splats | None) -> None:
@@ -54,7 +54,7 @@ def test_whoever_sends_more_cameras_than_photographs_or_a_model_elsewhere_is_ref
 def test_an_edge_all_of_whose_devices_are_refused_has_no_model() -> None:
     reporter = Recorder()
     found = join_edge(edge_task("a", "b"), dict.fromkeys("ab", "nothing arrived."), reporter)
-    assert found.splats is None and not len(found.cameras) and found.views == ()
+    assert found.splats is None and not len(found.cameras)
     assert found.refused == dict.fromkeys("ab", "nothing arrived.") and found.corrections == dict.fromkeys("ab")
     assert len(reporter.warnings) == 2 and not reporter.decisions
 
@@ -62,11 +62,11 @@ def test_an_edge_all_of_whose_devices_are_refused_has_no_model() -> None:
 def test_a_lone_devices_model_passes_as_it_is_along_a_z_curve() -> None:
     reporter = Recorder()
     models = {"a": device_models()["a"]}
-    found = join_edge(edge_task("a", cloud=OUTLOOK), models, reporter)
+    found = join_edge(edge_task("a"), models, reporter)
     assert_same(found.splats, part(0).select(morton_order(part(0).means)))
     assert choices(reporter, "retraining") == ["skipped"] and found.summary["num_steps"] == 0
-    assert len(found.cameras) == 2 and found.views == (), "the cloud renders what the model shows"
-    retrained = join_edge(edge_task("a", aggregate=replace(aggregate_preset("paper"), num_epochs=1)), models, Recorder())
+    assert len(found.cameras) == 2, "the cloud renders what the model shows"
+    retrained = join_edge(edge_task("a", aggregate=replace(aggregate_preset("paper"), edge_epochs=1)), models, Recorder())
     assert retrained.summary["num_steps"] == 2
 
 
@@ -83,18 +83,19 @@ def test_virtual_cameras_follow_from_what_arrived_and_stand_where_no_device_stoo
     assert not len(join_edge(edge_task("a", aggregate=cropped), {"a": models["a"]}, Recorder()).cameras)
 
 
-def test_joining_is_left_to_a_cloud_that_will_join_and_to_no_other() -> None:
+def test_an_edge_shows_each_view_as_often_as_its_own_epochs_say_whatever_the_cloud_does() -> None:
     models = {name: device_models()[name] for name in "ab"}
-    reporter = Recorder()
-    pooled = join_edge(edge_task("a", "b", cloud=OUTLOOK), models, reporter)
-    assert choices(reporter, "retraining") == ["left to the cloud, with the devices' pictures"]
-    assert pooled.summary["num_steps"] == 0 and len(pooled.views) == len(pooled.cameras) == 4
-    for limits in (Cloud(max_cameras=0), Cloud(memory_bytes=1e6), Cloud(time_s=1e9)):
-        joined = join_edge(edge_task("a", "b", cloud=CloudOutlook(limits=limits, share=0.5)), models, Recorder())
-        assert joined.summary["num_steps"] > 0 and joined.views == ()
-    # Its half of the cameras is within the limit, all of them are not.
-    share = CloudOutlook(limits=Cloud(max_cameras=7), share=0.5)
-    assert join_edge(edge_task("a", "b", cloud=share), models, Recorder()).summary["num_steps"] > 0
+    for config in (AGGREGATE, replace(AGGREGATE, cloud="crop_merge"), replace(AGGREGATE, num_epochs=9)):
+        assert join_edge(edge_task("a", "b", aggregate=config), models, Recorder()).summary["num_steps"] == 4 * AGGREGATE.edge_epochs
+    twice = join_edge(edge_task("a", "b", aggregate=replace(AGGREGATE, edge_epochs=2)), models, Recorder())
+    assert twice.summary["num_steps"] == 8
+
+
+def test_where_the_pictures_lie_changes_no_bit(tmp_path: Path) -> None:
+    models = {name: device_models()[name] for name in "ab"}
+    stored = join_edge(edge_task("a", "b"), models, Recorder(), Machine(scratch=tmp_path))
+    assert_same(stored.splats, join_edge(edge_task("a", "b"), models, Recorder()).splats)
+    assert list(tmp_path.iterdir()) == [], "the file has no name"
 
 
 def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_join() -> None:
@@ -102,7 +103,7 @@ def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_joi
     reporter = Recorder(stage="edges/north")
     found = join_edge(edge_task("a", "b", memory_bytes=1e8), models, reporter)
     (warning,) = reporter.warnings
-    assert "memory_gb of this edge allows 100 MB" in warning and "radiant aggregate" in warning
+    assert "where 100 MB are allowed" in warning and "raise memory_gb of this edge" in warning and "radiant aggregate" in warning
     assert choices(reporter, "memory") == ["models are cut at their borders instead of retrained"]
     assert found.splats is not None and found.summary["num_steps"] == 0
     assert 0 < len(found.splats) < sum(len(model.splats) for model in models.values())
@@ -111,6 +112,23 @@ def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_joi
         join_edge(edge_task("a", "b", memory_bytes=1e9), models, enough).splats, join_edge(edge_task("a", "b"), models, Recorder()).splats
     )
     assert not enough.warnings
+
+
+def test_what_exceeds_an_edges_memory_by_little_is_joined_in_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Tiles spare little of 300 Gaussians: most of the memory is the process's and the views'.
+    monkeypatch.setattr(join_memory, "RASTERIZER_BYTES_PER_SPLAT", 5e6)
+    models = {name: device_models()[name] for name in "ab"}
+    at_once = plan_join_memory([part(0), part(1)], CAMERAS[:2], 48, np.inf).needed_bytes
+    reporter = Recorder()
+    found = join_edge(edge_task("a", "b", memory_bytes=at_once - 1), models, reporter)
+    (warning,) = reporter.warnings
+    (choice,) = choices(reporter, "memory")
+    assert choice.startswith("models are joined in ") and choice in warning and "raise memory_gb of this edge" in warning
+    assert found.splats is not None and found.summary["num_steps"] > 0
+    paper = Recorder()
+    config = replace(aggregate_preset("paper"), edge_epochs=1)
+    cut = join_edge(edge_task("a", "b", aggregate=config, memory_bytes=at_once - 1), models, paper)
+    assert cut.summary["num_steps"] == 0 and choices(paper, "memory") == ["models are cut at their borders instead of retrained"]
 
 
 def test_views_that_a_teacher_rendered_change_no_bit() -> None:
@@ -125,6 +143,6 @@ def test_views_that_a_teacher_rendered_change_no_bit() -> None:
 
 
 def test_no_field_of_the_config_is_needed_to_pass_a_lone_model() -> None:
-    for config in (AggregateConfig(), replace(AGGREGATE, edges="retrain"), replace(AGGREGATE, cloud="crop_merge")):
+    for config in (AggregateConfig(), replace(AGGREGATE, edge_epochs=1), replace(AGGREGATE, cloud="crop_merge")):
         found = join_edge(edge_task("c", aggregate=config), {"c": device_models()["c"]}, Recorder())
         assert found.splats is not None and len(found.splats) == len(part(2))

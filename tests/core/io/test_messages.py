@@ -18,7 +18,6 @@ from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, FrameUncertainty
 from radiant_core.hierarchy.messages import (
-    CloudOutlook,
     CloudTask,
     DeviceModel,
     DeviceSettings,
@@ -56,7 +55,6 @@ EDGE = EdgeTask(
     train=TRAIN,
     aggregate=AGGREGATE,
     backend="native",
-    cloud=CloudOutlook(limits=LIMITS, share=0.5),
     teachers=("a-1",),
 )
 CLOUD = CloudTask(
@@ -105,7 +103,6 @@ edges = st.integers(1, 4).flatmap(
         strips=of_each(count, st.lists(pairs, max_size=4).map(tuple)),
         aggregate=aggregates,
         memory_bytes=st.none() | positive,
-        cloud=st.none() | st.builds(CloudOutlook, limits=clouds, share=st.floats(min_value=0, max_value=1, exclude_min=True)),
         teachers=st.lists(ids, max_size=3).map(tuple),
     )
 )
@@ -295,7 +292,7 @@ def test_an_exact_upload_arrives_bit_for_bit_under_the_key_of_its_folder(tmp_pat
         uncertainty=FrameUncertainty(position_m=1.0, scale=0.01, rotation_rad=0.02),
         summary={"num_steps": 3},
     )
-    arrived = passed_on(model, "float32", 48)
+    arrived = passed_on(model, "float32")
     assert isinstance(arrived, DeviceModel) and arrived.uncertainty == model.uncertainty
     assert arrived.initial is None and arrived.summary == {}, "figures stay on the device"
     for name, array in model.splats.arrays().items():
@@ -324,29 +321,26 @@ def test_the_key_of_files_is_that_of_their_folder(tmp_path_factory: pytest.TempP
 
 def test_a_compressed_upload_is_what_the_receiver_reads_and_one_that_fits_no_format_is_sent_exact() -> None:
     splats = ground_splats(50)
-    arrived = passed_on(DeviceModel(splats=splats, cameras=ground_scene().cameras), "float16", 48)
+    arrived = passed_on(DeviceModel(splats=splats, cameras=ground_scene().cameras), "float16")
     assert isinstance(arrived, DeviceModel) and len(arrived.splats) == 50 and (arrived.splats.sh0 != splats.sh0).any()
     far = replace(splats, means=splats.means + np.float32(1e12) * (np.arange(50) == 0)[:, None])
-    arrived = passed_on(DeviceModel(splats=far, cameras=ground_scene().cameras), "spz", 48)
+    arrived = passed_on(DeviceModel(splats=far, cameras=ground_scene().cameras), "spz")
     assert isinstance(arrived, DeviceModel)
     np.testing.assert_array_equal(arrived.splats.means, far.means)
 
 
-def test_an_edges_views_come_back_at_their_cameras_sizes() -> None:
+def test_an_edge_sends_its_model_and_virtual_cameras_and_names_no_device() -> None:
     cameras = ground_scene().cameras
-    ramp = np.add.outer(np.arange(36), np.arange(48)).astype(np.uint8)
-    views = tuple((np.dstack([ramp + shift] * 3), np.full((36, 48), 17 * shift, np.uint8)) for shift in (0, 5, 15))
-    sent = EdgeModel(splats=ground_splats(50), cameras=cameras, views=views, refused={"a": "it is refused."}, corrections={"a": None})
-    arrived = passed_on(sent, "float32", 48)
+    sent = EdgeModel(splats=ground_splats(50), cameras=cameras, refused={"a": "it is refused."}, corrections={"a": None})
+    arrived = passed_on(sent, "float32")
     assert isinstance(arrived, EdgeModel) and not arrived.refused and not arrived.corrections, "nothing names a device"
-    for (image, weight), (ours, theirs) in zip(views, arrived.views, strict=True):
-        # JPEG of a smooth picture; multiples of 17 are the steps of the weights.
-        assert np.abs(image.astype(int) - ours).max() <= 3 and (weight == theirs).all()
-    smaller = passed_on(sent, "float32", 24)
-    assert isinstance(smaller, EdgeModel) and isinstance(smaller.views, str), "pictures of another size are a reason"
+    assert set(arrived.received) == {"model.safetensors", "virtual_cameras.safetensors"}, "no picture goes up"
+    np.testing.assert_array_equal(arrived.cameras.cam_from_world, cameras.cam_from_world)
+    lone = passed_on(EdgeModel(splats=ground_splats(50)), "float32")
+    assert isinstance(lone, EdgeModel) and not len(lone.cameras) and set(lone.received) == {"model.safetensors"}
 
 
 def test_what_is_no_model_arrives_as_a_reason() -> None:
     empty = DeviceModel(splats=ground_splats(50).select(np.arange(0)), cameras=ground_scene().cameras)
-    arrived = passed_on(empty, "float32", 48)
+    arrived = passed_on(empty, "float32")
     assert isinstance(arrived, str) and "0 Gaussians" in arrived

@@ -6,7 +6,7 @@
 
 kind          files (those in brackets may be absent)                               way
 device_model  model.safetensors, cameras.safetensors, (frame.json)                  device → edge
-edge_model    model.safetensors, (virtual_{cameras,views}.safetensors, frame.json)  edge → cloud
+edge_model    model.safetensors, (virtual_cameras.safetensors, frame.json)  edge → cloud
 edge_task     task.json                                                             cloud → edge
 device_task   task.json, scene.safetensors, photos/, (masks/)                       edge → device
 field_task    task.json, (poses.safetensors), (poses/)                              edge → device
@@ -44,7 +44,7 @@ MAX_ATTEMPT = 10**6
 Kind = Literal["device_model", "edge_model", "edge_task", "device_task", "field_task", "score_task"]
 FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "device_model": (frozenset({"model.safetensors", "cameras.safetensors"}), frozenset({"frame.json"})),
-    "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "virtual_views.safetensors", "frame.json"})),
+    "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "frame.json"})),
     "edge_task": (frozenset({"task.json"}), frozenset()),
     "device_task": (frozenset({"task.json", "scene.safetensors", "photos"}), frozenset({"masks"})),
     "field_task": (frozenset({"task.json"}), frozenset({"poses.safetensors", "poses"})),

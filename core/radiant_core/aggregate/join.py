@@ -1,0 +1,269 @@
+"""Joining models at an edge or the cloud: all of them together, taught by what each shows at its
+own cameras. Once per node.
+
+`paper` concatenates and retrains everything (paper Sec. III-D, Fig. 6). `default` begins near the
+end instead: every model fades where another one speaks for the place (`ownership`), so that the
+first picture is about that of a clean cut, then all of them are fitted together in a few epochs at
+falling rates. Views before which nothing is contested are not shown, and what only they see keeps
+its bits. Gaussians are neither added nor densified: the paper densifies on devices, from step 500
+of their 20,000 on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.aggregate.balance import Balance, balance_teachers, exposure_balance
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.ownership import Claims, Ownership, ownership
+from radiant_core.aggregate.retrain import retraining_config
+from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
+from radiant_core.aggregate.tiles import retrain_by_tiles
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import psnr_db, psnr_db_of_mse
+from radiant_core.render.contract import Backend
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats, concatenate_splats
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.results import TrainResult
+from radiant_core.train.trainer import FitOptions, fit_splats
+from radiant_core.train.views import TrainingViews, concatenate_views
+
+TOUCHED_SHARE = 0.02
+"""A view is shown where at least this share of the Gaussians before it is contested."""
+NUM_COMPARED = 8
+"""Views that say how far the models disagree before anything is done about it, and after it."""
+VIEWS_PER_CHECKED = 16
+"""Of so many views one is held back from joining, to compare the joined model with the cut one."""
+NUM_ASKED = 10_000
+"""Gaussians that say which views are touched."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """PSNR, over all pixels, of the joined and of the cut model in pictures of the models that
+    joining was not shown. A mean of each view's would favour the cut: well inside a region it is
+    its teacher's own picture, to the bit."""
+
+    num_views: int
+    joined_db: float
+    cut_db: float
+
+    @property
+    def keeps_joined(self) -> bool:
+        """Whether the joined model is the better one."""
+        return self.joined_db >= self.cut_db
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joined:
+    """A joined model and what was done and skipped on the way."""
+
+    trained: TrainResult
+    num_given: int
+    """Gaussians of all models."""
+    num_views: int = 0
+    """Synthetic views there are."""
+    num_shown: int = 0
+    """Those that something contested lies before."""
+    contested_share: float = 1.0
+    """Of all Gaussians, those in places that a second model knows too."""
+    agreement_db: float | None = None
+    """PSNR of the models' pictures and the cut ones', in the worst view; None: not compared."""
+    balance: Balance | None = None
+    """How exposures of the models differ; None: not compared."""
+    check: Check | None = None
+    """Joined against cut; None: too few views to hold one back."""
+
+    @property
+    def splats(self) -> Splats:
+        """The joined model."""
+        return self.trained.splats
+
+
+def join_models(
+    teachers: Sequence[Teacher],
+    train: TrainConfig,
+    aggregate: AggregateConfig,
+    options: FitOptions,
+    claims: Claims | None = None,
+    num_tiles: int = 1,
+) -> Joined:
+    """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a
+    place lies in.
+
+    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single`.
+    `num_tiles` are fitted one after another, except by `paper`. Raises BadInput without any model.
+    """
+    if not teachers:
+        raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
+    if len(teachers) == 1 and not aggregate.retrain_single:
+        return Joined(trained=untrained(teachers[0].splats), num_given=len(teachers[0].splats))
+    if aggregate.preset == "paper":
+        return _retrain_as_in_the_paper(teachers, train, aggregate, options)
+    return _join(teachers, train, aggregate, options, claims, num_tiles)
+
+
+def _retrain_as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
+    views = teacher_views(teachers, train.long_side_px, options.scratch)
+    if not aggregate.weight_by_alpha:
+        views = replace(views, weights=None)
+    merged = concatenate_splats([teacher.splats for teacher in teachers])
+    trained = fit_splats(merged, views, retraining_config(train, aggregate, merged, len(views)), options)
+    return Joined(trained=trained, num_given=len(merged), num_views=len(views), num_shown=len(views))
+
+
+def cut_at_borders(teachers: Sequence[Teacher], claims: Claims | None = None) -> Joined:
+    """The teachers' models, each without what another owns; nothing is rendered or retrained."""
+    return _cut(teachers, _find_owners(teachers, claims))
+
+
+def _find_owners(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
+    cameras = [teacher.cameras for teacher in teachers]
+    return [ownership(teacher.splats.means, cameras, claims) for teacher in teachers]
+
+
+def _cut(teachers: Sequence[Teacher], owned: Sequence[Ownership]) -> Joined:
+    kept = [teacher.splats.select(places.owner == index) for index, (teacher, places) in enumerate(zip(teachers, owned, strict=True))]
+    num_contested = sum(int(places.contested.sum()) for places in owned)
+    num_given = sum(len(teacher.splats) for teacher in teachers)
+    return Joined(
+        trained=untrained(concatenate_splats(kept)),
+        num_given=num_given,
+        num_views=sum(len(teacher.cameras) for teacher in teachers),
+        contested_share=num_contested / num_given if num_given else 0.0,
+    )
+
+
+def _join(
+    teachers: Sequence[Teacher],
+    train: TrainConfig,
+    aggregate: AggregateConfig,
+    options: FitOptions,
+    claims: Claims | None,
+    num_tiles: int,
+) -> Joined:
+    balance = exposure_balance(teachers, options.backend)
+    teachers = balance_teachers(teachers, balance)
+    owned = _find_owners(teachers, claims)
+    cut = replace(_cut(teachers, owned), balance=balance)
+    merged, owns, contested = _start(teachers, owned, aggregate)
+    shown = [touched_cameras(teacher.cameras, merged.means, contested) for teacher in teachers]
+    cut = replace(cut, num_shown=int(sum(rows.sum() for rows in shown)), contested_share=float(contested.mean()) if len(contested) else 0.0)
+    if not cut.num_shown:
+        return cut
+    asked = [_select_cameras(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()]
+    views = teacher_views(asked, train.long_side_px, options.scratch)
+    if not aggregate.weight_by_alpha:
+        views = replace(views, weights=None)
+    cut = replace(cut, agreement_db=min(_psnr_db(cut.splats, _sample(views, NUM_COMPARED), options.backend)))
+    if aggregate.agreement_db is not None and (cut.agreement_db or 0.0) >= aggregate.agreement_db:
+        return cut
+    # What the cut is made of is there: a copy would wait for the end of the training.
+    told = replace(cut, trained=untrained(merged.select(np.arange(0))))
+    del cut
+    held_back = _middles(len(views), min(NUM_COMPARED, len(views) // VIEWS_PER_CHECKED))
+    made = retrain_by_tiles(merged, views.select(np.setdiff1d(np.arange(len(views)), held_back)), train, aggregate, options, num_tiles)
+    whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
+    joined = replace(told, trained=replace(made.trained, splats=whole))
+    if not len(held_back):
+        return joined
+    unseen, cut_again = views.select(held_back), _cut(teachers, owned).splats
+    joined_db, cut_db = (_pooled_db(_psnr_db(model, unseen, options.backend)) for model in (whole, cut_again))
+    check = Check(num_views=len(unseen), joined_db=joined_db, cut_db=cut_db)
+    kept = joined if check.keeps_joined else replace(joined, trained=replace(made.trained, splats=cut_again))
+    return replace(kept, check=check)
+
+
+def _start(
+    teachers: Sequence[Teacher], owned: Sequence[Ownership], aggregate: AggregateConfig
+) -> tuple[Splats, NDArray[np.bool_], NDArray[np.bool_]]:
+    """All models together (N), faded; which (N,) are in their own place, which are contested."""
+    models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
+    owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
+    return faded(models, owned, aggregate.foreign_opacity), owns, np.concatenate([places.contested for places in owned])
+
+
+def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig) -> tuple[list[Splats], list[Ownership]]:
+    """Models and owners without what `faded` would make fainter than `aggregate.faint_opacity`."""
+    kept = [
+        (places.owner == index) | (aggregate.foreign_opacity * model.opacities >= aggregate.faint_opacity)
+        for index, (model, places) in enumerate(zip(models, owned, strict=True))
+    ]
+    chosen = [model.select(rows) for model, rows in zip(models, kept, strict=True)]
+    return chosen, [places.at(rows) for places, rows in zip(owned, kept, strict=True)]
+
+
+def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -> Splats:
+    """All models together, their opacities times `factor` where another model owns the place."""
+    parts = []
+    for index, (model, places) in enumerate(zip(models, owned, strict=True)):
+        faint = np.clip(model.opacities * factor, 1e-4, 1 - 1e-4)
+        logits = np.where(places.owner == index, model.logit_opacities, np.log(faint / (1 - faint)))
+        parts.append(replace(model, logit_opacities=logits.astype(np.float32)))
+    return concatenate_splats(parts)
+
+
+def teacher_views(teachers: Sequence[Teacher], long_side_px: int, folder: Path | None = None) -> TrainingViews:
+    """Every teacher's views at its cameras, reduced to `long_side_px`; rendered ones are reused."""
+    parts = [synthetic_views(t.splats, t.cameras.scaled(long_side_px), rendered=t.rendered, folder=folder) for t in teachers]
+    return concatenate_views(parts)
+
+
+def _select_cameras(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
+    """The teacher at some of its cameras."""
+    rows = np.flatnonzero(chosen).tolist()
+    rendered = {place: teacher.rendered[row] for place, row in enumerate(rows) if row in teacher.rendered}
+    return replace(teacher, cameras=teacher.cameras.select(rows), rendered=rendered)
+
+
+def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which cameras (C,) see enough contested Gaussians, judged by an even sample of all."""
+    touched = np.zeros(len(cameras), bool)
+    some = np.unique(np.linspace(0, len(means) - 1, NUM_ASKED).astype(np.int64))
+    means, contested = means[some], contested[some]
+    for index in range(len(cameras)):
+        before = cameras.select([index]).any_sees(means)
+        touched[index] = contested[before].sum() > TOUCHED_SHARE * before.sum()
+    return touched
+
+
+def _rows(count: int, num_chosen: int) -> NDArray[np.int64]:
+    """So many rows of `count`, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, num_chosen).astype(np.int64))
+
+
+def _middles(count: int, num_parts: int) -> NDArray[np.int64]:
+    """The middle row of each of so many equal parts of `count`."""
+    return ((np.arange(num_parts) + 0.5) * count / max(1, num_parts)).astype(np.int64)
+
+
+def _pooled_db(psnrs_db: Sequence[float]) -> float:
+    """PSNR of the mean squared error of views with these."""
+    return psnr_db_of_mse(float(np.mean(10.0 ** (-np.array(psnrs_db) / 10))))
+
+
+def _sample(views: TrainingViews, num_chosen: int) -> TrainingViews:
+    return views.select(_rows(len(views), num_chosen))
+
+
+def _psnr_db(model: Splats, views: TrainingViews, backend: Backend) -> list[float]:
+    """PSNR of the model in each view, where its teacher is opaque."""
+    weights = views.weights if views.weights is not None else [None] * len(views)
+    shown = zip(render_views(model, views.cameras, backend), views.images, weights, strict=True)
+    return [psnr_db(view.image, image / 255, _opaque(weight)) for view, image, weight in shown]
+
+
+def _opaque(weight: NDArray[np.uint8] | None) -> NDArray[np.bool_] | None:
+    return None if weight is None or not (opaque := weight > 127).any() else opaque
+
+
+def untrained(splats: Splats) -> TrainResult:
+    """A model as it is, as the result of no step."""
+    return TrainResult(splats=splats, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)
