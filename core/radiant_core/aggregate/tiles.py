@@ -37,7 +37,7 @@ NUM_ASKED = 20_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tile:
-    """Of N Gaussians those (N,) that are fitted, and rows and windows of the views that show them."""
+    """Of N Gaussians those (N,) that are fitted; rows and windows of views that show them."""
 
     fitted: NDArray[np.bool_]
     rows: tuple[int, ...]

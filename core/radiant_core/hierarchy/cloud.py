@@ -99,7 +99,7 @@ class _Choice:
 
 
 def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: Reporter, machine: Machine) -> _Choice:
-    """Whether and how the models are joined; without a limit, in `MACHINE_SHARE` of what is free."""
+    """Whether and how models are joined; without a limit, in `MACHINE_SHARE` of what is free."""
     times_s = None if task.edge_times_s is None else [task.edge_times_s[row] for row in rows]
     given = task.limits or Cloud()
     limits, memory_of = given, "the cloud's limit"

@@ -36,7 +36,7 @@ class UnnamedFile:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where an image (H,W,3) or (H,W) uint8 lies: in a file, from a byte on; `window` of it counts."""
+    """Where an image (H,W,3) or (H,W) uint8 lies in a file; only `window` of it counts."""
 
     file: UnnamedFile
     offset: int
