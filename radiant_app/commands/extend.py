@@ -22,7 +22,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
-from radiant_core.hierarchy.joining import moved_cameras
+from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
 from radiant_core.io.messages import TASK_NAME, message_of
 from radiant_core.io.ply import load_ply, save_ply
@@ -157,7 +157,7 @@ def _virtual_cameras(run: Path) -> Cameras:
     found = [(path, move) for path in sorted(inbox.glob("*/virtual_cameras.safetensors")) if (move := moves.get(path.parent.name))]
     if not found:
         raise BadInput(f"{inbox} holds no virtual cameras to ask the new model at: run it with a cloud that retrains, the default.")
-    return concatenate_cameras([moved_cameras(load_cameras(path), move) for path, move in found])
+    return concatenate_cameras([move_cameras(load_cameras(path), move) for path, move in found])
 
 
 def _move_scene(splats: Splats, cameras: Cameras, move: Sim3 | None) -> tuple[Splats, Cameras]:

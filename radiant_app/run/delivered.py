@@ -15,7 +15,7 @@ import numpy as np
 from radiant_app.run.dealing import Dealer
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.frames import Frame
-from radiant_core.hierarchy.joining import moved_cameras, numbered
+from radiant_core.hierarchy.joining import move_cameras, number_cameras
 from radiant_core.io.messages import CAMERAS_NAME
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, save_plan, save_scene
@@ -32,9 +32,9 @@ def save_delivered(run: Path, dealer: Dealer, origin: FloatArray | None) -> None
     parts, owners = [], []
     for device, moves in sorted(dealer.load_moves().items()):
         inbox = run / "edges" / dealer.recipe.plan_of(device).edge_id / "inbox"
-        cameras = numbered(load_cameras(inbox / device / CAMERAS_NAME), device)
+        cameras = number_cameras(load_cameras(inbox / device / CAMERAS_NAME), device)
         for move in moves:
-            cameras = moved_cameras(cameras, move)
+            cameras = move_cameras(cameras, move)
         parts.append(cameras)
         owners += [device] * len(cameras)
     splats = load_ply(run / "cloud" / "scene.ply")

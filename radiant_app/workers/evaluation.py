@@ -39,7 +39,7 @@ from radiant_core.evaluate.image_error import (
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.seam_error import seam_masks, seam_sums
-from radiant_core.hierarchy.joining import moved_cameras
+from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.photos.listing import load_photograph
 from radiant_core.io.photos.masks import pixel_weights, used_pixels
@@ -124,7 +124,7 @@ def score_views(
     and the images."""
     cameras = views.cameras
     for move in task.corrections:
-        cameras = moved_cameras(cameras, move.sim3)
+        cameras = move_cameras(cameras, move.sim3)
     scored = []
     for image in score_images(scene, cameras, views, task.backend, lpips):
         scored.append(image)

@@ -136,7 +136,7 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
     except (BadInput, StageFailed) as error:
         # frame.json with the reason leaves the device.
         return _report_missing(folder, make_redactor("field", folder).redact(str(error)), reporter)
-    from radiant_core.hierarchy.joining import numbered
+    from radiant_core.hierarchy.joining import number_cameras
 
     assert model.initial is not None
     save_splats(folder / INITIAL_NAME, model.initial)
@@ -144,7 +144,7 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
     save_cameras(folder / HELD_OUT_NAME, placed.scene.cameras.select(held))
     frame = save_frame(folder, placed.uncertainty)
     write_json(folder / OWN_NAME, {"images": str(placed.images)})
-    sent = replace(model, cameras=numbered(training.cameras, folder.name), uncertainty=placed.uncertainty)
+    sent = replace(model, cameras=number_cameras(training.cameras, folder.name), uncertainty=placed.uncertainty)
     names = save_device_model(folder, sent, task.upload, reporter.warn)
     remove_checkpoints(folder)
     return [*names, INITIAL_NAME, "scene.safetensors", HELD_OUT_NAME, frame, OWN_NAME]

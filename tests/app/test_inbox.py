@@ -21,7 +21,7 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame
 from radiant_core.hierarchy import joining
-from radiant_core.hierarchy.joining import Arrivals, admit, numbered
+from radiant_core.hierarchy.joining import Arrivals, admit, number_cameras
 from radiant_core.hierarchy.messages import EdgeTask
 from radiant_core.io.messages import NOTHING, sim3_of, sim3_record
 from radiant_core.io.records import save_cameras
@@ -282,4 +282,4 @@ def test_a_correction_comes_back_from_its_file(tmp_path: Path) -> None:
 
 
 def test_numbered_cameras_say_nothing_of_the_files(tmp_path: Path) -> None:
-    assert numbered(CAMERAS.select([0, 1]), "north").names == ("north/0000", "north/0001")
+    assert number_cameras(CAMERAS.select([0, 1]), "north").names == ("north/0000", "north/0001")

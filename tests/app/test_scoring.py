@@ -20,7 +20,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Frame, Sim3
 from radiant_core.geometry.similarity import move_splats
-from radiant_core.hierarchy.joining import moved_cameras
+from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_cameras, save_plan, save_scene, save_splats
 from radiant_core.io.run_store import read_json, seal, write_json
@@ -49,11 +49,11 @@ def scored(run: Path, stage: str, cameras: Cameras, move: Sim3 | None = None) ->
     for view in render_views(TRUTH, cameras):
         (own / "photos" / view.name).write_bytes(png_bytes(view.image_bytes))
     back = STAY if move is None else move.inverse()
-    save_cameras(own / HELD_OUT_NAME, moved_cameras(cameras, back))
+    save_cameras(own / HELD_OUT_NAME, move_cameras(cameras, back))
     save_splats(own / INITIAL_NAME, move_splats(INITIAL, back))
     write_json(own / OWN_NAME, {"images": str(own / "photos")})
     if move is not None:
-        save_model(own, moved_cameras(cameras, back), move_splats(SCENE, back))
+        save_model(own, move_cameras(cameras, back), move_splats(SCENE, back))
     save_ply(folder / "inbox" / "scene.ply", SCENE)
     save_plan(folder / "inbox" / "plan.json", PLAN, ())
     moves = () if move is None else (Move.of(move),)

@@ -18,7 +18,7 @@ from radiant_app.run.pipeline import run
 from radiant_core.cameras import Cameras
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Sim3, geodetic_from_enu
-from radiant_core.hierarchy.joining import moved_cameras
+from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.messages import sim3_of
 from radiant_core.io.records import load_scene
@@ -68,7 +68,7 @@ def frame_errors(out: Path, known: Cameras) -> dict[str, tuple[float, float, flo
     extent = float(np.linalg.norm(theirs[:, None] - theirs, axis=2).max())
     errors = {}
     for device, cameras in placed.items():
-        moved = moved_cameras(cameras, gauge)
+        moved = move_cameras(cameras, gauge)
         wanted = np.array([true[name][0] for name in moved.names])
         left = fit_sim3(moved.centers, wanted)
         turns = [_angle_deg(true[name][1] @ pose[:3, :3].T) for name, pose in zip(moved.names, moved.cam_from_world, strict=True)]
@@ -87,7 +87,7 @@ def placed_cameras(out: Path) -> dict[str, Cameras]:
     for edge, to_cloud in moves(out / "cloud").items():
         for device, to_edge in moves(out / "edges" / edge).items():
             cameras = load_scene(out / "devices" / device / "scene.safetensors").cameras
-            placed[device] = moved_cameras(moved_cameras(cameras, to_edge), to_cloud)
+            placed[device] = move_cameras(move_cameras(cameras, to_edge), to_cloud)
     return placed
 
 

@@ -51,7 +51,7 @@ class Balance:
         return float(np.abs(0.5 * self.gains + self.offsets - 0.5).max(initial=0.0) * 255)
 
     @property
-    def needed(self) -> bool:
+    def is_needed(self) -> bool:
         """Whether that is more than models differ by anyway."""
         return self.levels >= MIN_LEVELS
 
@@ -84,7 +84,7 @@ def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> 
 
 def balance_teachers(teachers: Sequence[Teacher], balance: Balance) -> list[Teacher]:
     """The teachers as if all had been exposed alike: their models, and their rendered pictures."""
-    if not balance.needed:
+    if not balance.is_needed:
         return list(teachers)
     return [_expose_teacher(*each) for each in zip(teachers, balance.gains, balance.offsets, strict=True)]
 

@@ -23,7 +23,7 @@ from shapely import Polygon, boundary, contains, distance, points, prepare
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import far_from
-from radiant_core.aggregate.join import faded, touched_cameras
+from radiant_core.aggregate.join import fade, touched_cameras
 from radiant_core.aggregate.ownership import Ownership
 from radiant_core.aggregate.retrain import retrain
 from radiant_core.aggregate.synthetic_views import Teacher
@@ -119,7 +119,7 @@ def extend_scene(
     if views is None:
         joined = concatenate_splats(margin).select(np.concatenate(owns))
     else:
-        moving = faded(margin, _owners(owns), aggregate.foreign_opacity)
+        moving = fade(margin, _owners(owns), aggregate.foreign_opacity)
         made = retrain(moving, views, train, aggregate, options, held=still)
         joined = concatenate_splats([made.splats, moving.select(~made.reached & np.concatenate(owns))])
     return Extended(

@@ -104,7 +104,7 @@ def join_models(
     if not teachers:
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
     if len(teachers) == 1 and not aggregate.retrain_single:
-        return Joined(trained=untrained(teachers[0].splats), num_given=len(teachers[0].splats))
+        return Joined(trained=as_result(teachers[0].splats), num_given=len(teachers[0].splats))
     if aggregate.preset == "paper":
         return _retrain_as_in_the_paper(teachers, train, aggregate, options)
     return _join(teachers, train, aggregate, options, claims, num_tiles)
@@ -134,7 +134,7 @@ def _cut(teachers: Sequence[Teacher], owned: Sequence[Ownership]) -> Joined:
     num_contested = sum(int(places.contested.sum()) for places in owned)
     num_given = sum(len(teacher.splats) for teacher in teachers)
     return Joined(
-        trained=untrained(concatenate_splats(kept)),
+        trained=as_result(concatenate_splats(kept)),
         num_given=num_given,
         num_views=sum(len(teacher.cameras) for teacher in teachers),
         contested_share=num_contested / num_given if num_given else 0.0,
@@ -166,12 +166,12 @@ def _join(
     if aggregate.agreement_db is not None and (cut.agreement_db or 0.0) >= aggregate.agreement_db:
         return cut
     # What the cut is made of is there: a copy would wait for the end of the training.
-    told = replace(cut, trained=untrained(merged.select(np.arange(0))))
+    figures = replace(cut, trained=as_result(merged.select(np.arange(0))))
     del cut
     held_back = _middles(len(views), min(NUM_COMPARED, len(views) // VIEWS_PER_CHECKED))
     made = retrain_by_tiles(merged, views.select(np.setdiff1d(np.arange(len(views)), held_back)), train, aggregate, options, num_tiles)
     whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
-    joined = replace(told, trained=replace(made.trained, splats=whole))
+    joined = replace(figures, trained=replace(made.trained, splats=whole))
     if not len(held_back):
         return joined
     unseen, cut_again = views.select(held_back), _cut(teachers, owned).splats
@@ -187,11 +187,11 @@ def _start(
     """All models together (N), faded; which (N,) are in their own place, which are contested."""
     models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
-    return faded(models, owned, aggregate.foreign_opacity), owns, np.concatenate([places.contested for places in owned])
+    return fade(models, owned, aggregate.foreign_opacity), owns, np.concatenate([places.contested for places in owned])
 
 
 def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig) -> tuple[list[Splats], list[Ownership]]:
-    """Models and owners without what `faded` would make fainter than `aggregate.faint_opacity`."""
+    """Models and owners without what `fade` would make fainter than `aggregate.faint_opacity`."""
     kept = [
         (places.owner == index) | (aggregate.foreign_opacity * model.opacities >= aggregate.faint_opacity)
         for index, (model, places) in enumerate(zip(models, owned, strict=True))
@@ -200,7 +200,7 @@ def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregat
     return chosen, [places.at(rows) for places, rows in zip(owned, kept, strict=True)]
 
 
-def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -> Splats:
+def fade(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -> Splats:
     """All models together, their opacities times `factor` where another model owns the place."""
     parts = []
     for index, (model, places) in enumerate(zip(models, owned, strict=True)):
@@ -264,6 +264,6 @@ def _opaque(weight: NDArray[np.uint8] | None) -> NDArray[np.bool_] | None:
     return None if weight is None or not (opaque := weight > 127).any() else opaque
 
 
-def untrained(splats: Splats) -> TrainResult:
+def as_result(splats: Splats) -> TrainResult:
     """A model as it is, as the result of no step."""
     return TrainResult(splats=splats, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)

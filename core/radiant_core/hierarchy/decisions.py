@@ -185,12 +185,12 @@ def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, join
 
 def exposures_decision(stage: str, balance: Balance) -> Decision:
     """Whether models were balanced, with how far the one that differs most is off."""
-    choice = "models are balanced by a gain and an offset per channel" if balance.needed else "left as they are"
+    choice = "models are balanced by a gain and an offset per channel" if balance.is_needed else "left as they are"
     if not balance.num_pairs:
         reason = "no two models show the same place"
     else:
-        reason = f"{'more' if balance.needed else 'no more'} than models of one exposure differ by"
+        reason = f"{'more' if balance.is_needed else 'no more'} than models of one exposure differ by"
     unit = "of 255 from the mean of all models, at mid grey"
-    unchanged = not balance.needed
+    unchanged = not balance.is_needed
     topic = "exposures of the models"
     return Decision(stage=stage, topic=topic, choice=choice, figure=balance.levels, unit=unit, reason=reason, changes_nothing=unchanged)

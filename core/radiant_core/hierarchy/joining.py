@@ -82,7 +82,7 @@ def received_files(arrived: Mapping[str, Arrival]) -> dict[str, str]:
 
 def _check_model(name: str, model: DeviceModel | EdgeModel, num_dealt: int) -> tuple[Splats, Cameras, FrameUncertainty | None] | str:
     # Under numbers: one that gives its cameras another's names would end the joining for both.
-    own = numbered(model.cameras, name)
+    own = number_cameras(model.cameras, name)
     return model_problem(model, num_dealt) or (_require_splats(model.splats), own, model.uncertainty)
 
 
@@ -152,7 +152,7 @@ def _move_models(
     return Arrivals(
         senders=tuple(kept),
         models=tuple(usable[name][0] if move is _UNMOVED else move_splats(usable[name][0], move) for name, move in kept.items()),
-        cameras=tuple(moved_cameras(usable[name][1], move) for name, move in kept.items()),
+        cameras=tuple(move_cameras(usable[name][1], move) for name, move in kept.items()),
         corrections=moves,
         uncertainty=common,
         refused={},
@@ -188,12 +188,12 @@ def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter) -> Arrivals:
     )
 
 
-def moved_cameras(cameras: Cameras, move: Sim3) -> Cameras:
+def move_cameras(cameras: Cameras, move: Sim3) -> Cameras:
     """The same cameras seen from the frame that `move` leads to."""
     return replace(cameras, cam_from_world=move.apply_to_poses(cameras.cam_from_world))
 
 
-def numbered(cameras: Cameras, prefix: str) -> Cameras:
+def number_cameras(cameras: Cameras, prefix: str) -> Cameras:
     """The same cameras named prefix/0000, prefix/0001, …: file names are their owner's business."""
     return replace(cameras, names=tuple(f"{prefix}/{index:04d}" for index in range(len(cameras))))
 

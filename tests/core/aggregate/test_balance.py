@@ -38,7 +38,7 @@ def test_exposures_that_were_planted_are_taken_back_up_to_the_mean_of_all() -> N
     given = [0.8, 1.1, 1.1]
     teachers = exposed(given, [0.0, 0.03, -0.03])
     balance = exposure_balance(teachers)
-    assert balance.needed and balance.num_pairs > 2_000
+    assert balance.is_needed and balance.num_pairs > 2_000
     np.testing.assert_allclose(balance.gains.mean(axis=0), 1, atol=1e-9)
     np.testing.assert_allclose(balance.offsets.mean(axis=0), 0, atol=1e-9)
     shown = [view.image for teacher in balance_teachers(teachers, balance) for view in render_views(teacher.splats, NEAR[2])]
@@ -60,7 +60,7 @@ def test_pictures_that_were_rendered_before_are_exposed_as_their_model() -> None
 def test_models_of_one_exposure_keep_their_bits() -> None:
     teachers = exposed([1.0, 1.0], [0.0, 0.0])
     balance = exposure_balance(teachers)
-    assert balance.levels < 0.1 < MIN_LEVELS and not balance.needed
+    assert balance.levels < 0.1 < MIN_LEVELS and not balance.is_needed
     assert all(after is before for after, before in zip(balance_teachers(teachers, balance), teachers, strict=True))
 
 
@@ -70,4 +70,4 @@ def test_models_that_share_no_place_are_left_alone() -> None:
     far = Teacher(splats=replace(dark.splats, means=means), cameras=cameras_above([(999, 0), (1001, 0)]))
     for teachers in ([near, far], [near]):
         balance = exposure_balance(teachers)
-        assert balance.num_pairs == 0 and not balance.needed and (balance.gains == 1).all()
+        assert balance.num_pairs == 0 and not balance.is_needed and (balance.gains == 1).all()

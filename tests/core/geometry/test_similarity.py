@@ -110,13 +110,13 @@ def test_pictures_of_the_moved_model_by_moved_cameras_are_the_same(degree: int) 
     # decides whether a Gaussian is drawn.
     splats = Splats(**{**some_splats(degree, 120).arrays(), "logit_opacities": np.full(120, 0.4)})
     cameras, move = cameras_above([(-1, 0), (2, 1)]), some_sim3(7)
-    moved_cameras = Cameras(
+    move_cameras = Cameras(
         names=cameras.names, Ks=cameras.Ks, cam_from_world=move.apply_to_poses(cameras.cam_from_world), sizes_wh=cameras.sizes_wh
     )
     # The rasterizer dilates in pixels and cuts at fixed α, so a similarity changes nothing but
     # rounding, and α_min steps of 1/255 · w.
     moved = move_splats(splats, move)
-    for before, after in zip(render_views(splats, cameras), render_views(moved, moved_cameras), strict=True):
+    for before, after in zip(render_views(splats, cameras), render_views(moved, move_cameras), strict=True):
         difference = np.abs(before.image - after.image).max(axis=2)
         # A Gaussian whose α crosses 1/255 between the two roundings jumps by that; such pixels are
         # few.
