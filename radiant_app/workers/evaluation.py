@@ -1,15 +1,14 @@
-"""Scores a finished scene on the held-out photographs of a machine. Once per run and machine: a
-render, its figures and pictures per photograph.
+"""Scores a finished scene on the photographs of a machine. Once per run and machine: a render, its
+figures and pictures per held-out photograph, a render per training photograph for the seams.
 
 Two baselines stand beside every figure: the Gaussians before any training, and the photograph's own
-mean colour. Seam masks come from the scene's own depth here; a comparison of methods has to fix
-them by one depth for all.
+mean colour.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, ScoreTask
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, ScoreTask
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -36,7 +35,7 @@ from radiant_core.evaluate.image_error import (
 )
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.lpips import Lpips, load_lpips
-from radiant_core.evaluate.seam_error import seam_masks, seam_sums
+from radiant_core.evaluate.seam_excess import BorderError, border_errors
 from radiant_core.hierarchy.joining import moved_cameras
 from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.photos.listing import load_photograph
@@ -74,7 +73,8 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     """Score the scene in inbox/ on the held-out photographs of this machine; writes scores.json and
     three pictures per photograph."""
     own, inbox = folder.parent if task.owned else folder, folder / "inbox"
-    images = Path(read_json(own / OWN_NAME, ("images",))["images"])
+    places = read_json(own / OWN_NAME, ("images",))
+    images = Path(places["images"])
     cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
     sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
     photographs = [load_photograph(images / name, size) for name, size in zip(cameras.names, sizes, strict=True)]
@@ -84,25 +84,23 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME))
     scene, (plan, _) = load_ply(inbox / "scene.ply"), load_plan(inbox / "plan.json")
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
-    figures, rendered = score_views(scene, plan, views, task, lpips, reporter)
+    rows, rendered = score_views(scene, views, task, lpips, reporter)
+    errors = measure_borders(scene, plan, own, Path(places.get("training_images", images)), task, reporter)
     pictures = [
         name
         for view, photograph, pixels in zip(rendered, photographs, used, strict=True)
         for name in save_comparison(folder, view, photograph, pixels)
     ]
-    write_json(folder / SCORES_NAME, {**figures, "leakage": leakage})
+    write_json(folder / SCORES_NAME, {"images": rows, "borders": [asdict(error) for error in errors], "leakage": leakage})
     # Checking a seal reads every file it lists, and the owner's process checks those of devices.
     return [SCORES_NAME] if task.owned else [SCORES_NAME, *pictures]
 
 
 def score_views(
-    scene: Splats, plan: CloudPlan, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter
-) -> tuple[dict[str, Any], list[RenderedView]]:
-    """Score a scene on one machine's views: figures per photograph, sums about the plan's borders,
-    and the renders."""
-    cameras = views.cameras
-    for move in task.corrections:
-        cameras = moved_cameras(cameras, move.sim3)
+    scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter
+) -> tuple[list[dict[str, Any]], list[RenderedView]]:
+    """Score a scene on one machine's views: figures per photograph, and the renders."""
+    cameras = _corrected(views.cameras, task)
     seen = count(1)
 
     def report(view: RenderedView) -> RenderedView:
@@ -115,9 +113,36 @@ def score_views(
     for view, before, photograph, pixels in zip(rendered, untrained, views.photographs, views.used, strict=True):
         rows.append(score_render(view, photograph, before=before, lpips=lpips, used=pixels))
         report(view)
-    masks = seam_masks(cameras, [view.depth for view in rendered], plan, region_width(plan.sites)).within(views.used)
-    sums = seam_sums([view.image for view in rendered], views.photographs, masks)
-    return {"images": rows, "seam_sums": sums.tolist()}, rendered
+    return rows, rendered
+
+
+def measure_borders(scene: Splats, plan: CloudPlan, own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> list[BorderError]:
+    """Measure a scene at the plan's borders on the photographs in `images` that this machine, whose
+    files are in `own`, trained on."""
+    cameras = load_scene(own / "scene.safetensors").cameras if task.owned else load_cameras(own / TRAINED_NAME)
+    if len(plan.sites) < 2:
+        return []
+    cameras = cameras.scaled(task.long_side_px)
+    weights = pixel_weights(own / MASKS, cameras)
+
+    def render() -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        for done, view in enumerate(render_views(scene, _corrected(cameras, task), task.backend), 1):
+            reporter.progress(done, len(cameras), "training photographs at the borders")
+            yield view.image, view.depth
+
+    photographs = (
+        load_photograph(images / name, (int(width), int(height)))
+        for name, (width, height) in zip(cameras.names, cameras.sizes_wh, strict=True)
+    )
+    used = None if weights is None else [used_pixels(each) for each in weights]
+    return list(border_errors(_corrected(cameras, task), render(), photographs, plan, used))
+
+
+def _corrected(cameras: Cameras, task: ScoreTask) -> Cameras:
+    """Cameras of this machine in the frame of the scene."""
+    for move in task.corrections:
+        cameras = moved_cameras(cameras, move.sim3)
+    return cameras
 
 
 def _measure_leakage(own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:

@@ -84,7 +84,8 @@ def border_errors(
     plan: CloudPlan,
     used: Sequence[Used] | None = None,
 ) -> Iterator[BorderError]:
-    """Errors of C training photographs (H,W,3) in 0..1 at every border that they show both sides of.
+    """Errors of C training photographs (H,W,3) in 0..1 at every border of which they show
+    both sides.
 
     `renders` are colours (H,W,3) and depths (H,W) m of the judged model. Pictures come one at a
     time. Raises BadInput when sizes differ.
