@@ -150,8 +150,8 @@ class Move:
 
 HELD_OUT_NAME, INITIAL_NAME, OWN_NAME = "held_out.safetensors", "initial.safetensors", "own.json"
 TRAINED_NAME = "trained.safetensors"
-"""In the folder of a machine that scores: its held-out cameras, the Gaussians before training, where
-its photographs are, and the cameras of the training where it is no device's folder."""
+"""In the folder of a machine that scores: its held-out cameras, the Gaussians before training,
+where its photographs are, and the cameras of the training where it is no device's folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
