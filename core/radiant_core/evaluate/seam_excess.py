@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
-from radiant_core.evaluate.borders import edge_owners
+from radiant_core.evaluate.borders import EdgeBorders, edge_owners
 from radiant_core.evaluate.image_pair import Used
-from radiant_core.evaluate.seam_error import ground_places, seam_masks, squared_errors
+from radiant_core.evaluate.seam_error import ground_places
 from radiant_core.plan.plans import CloudPlan
 
 MARGIN_DB = 0.25
@@ -84,32 +85,35 @@ def border_errors(
     plan: CloudPlan,
     used: Sequence[Used] | None = None,
 ) -> Iterator[BorderError]:
-    """Errors of C training photographs (H,W,3) in 0..1 at every border of which they show
-    both sides.
+    """Errors of C training photographs (H,W,3) in 0..1 at every border whose two sides they show.
 
-    `renders` are colours (H,W,3) and depths (H,W) m of the judged model. Pictures come one at a
-    time. Raises BadInput when sizes differ.
+    `renders` are colours (H,W,3) and depths (H,W) m of the judged model: where it is wrong the place
+    is unsure as well, and to leave such pixels out would leave out the seam. Pictures come one at a
+    time. Raises BadInput when sizes differ or values near a border are not finite.
     """
     half_band_m = _half_band_m(plan)
     if half_band_m is None:
         return
     sides = edge_owners(cameras.centers[:, :2], plan)
     for index, ((image, depth_m), photograph) in enumerate(zip(renders, photographs, strict=True)):
-        masks = seam_masks(cameras.select([index]), [depth_m], plan, half_band_m)
-        (mask,) = masks.within([None if used is None else used[index]])
-        if not mask.band.any():
-            continue
-        squared = squared_errors(image, photograph, mask)
-        owners = np.full(mask.labels.shape, -1)
-        owners[mask.band] = edge_owners(ground_places(cameras, index, depth_m)[mask.band], plan)
-        side = plan.edge_ids[sides[index]]
-        for label, border in enumerate(masks.borders):
-            if side not in border:
-                continue
-            before, beyond = (squared[(mask.labels == label) & is_own] for is_own in (owners == sides[index], owners != sides[index]))
-            if min(len(before), len(beyond)) >= MIN_SHARE * squared.size:
-                other = border[0] if side == border[1] else border[1]
-                yield BorderError(side=side, beyond=other, before_db=_mean_db(before), beyond_db=_mean_db(beyond))
+        height_width = depth_m.shape
+        if not image.shape == photograph.shape == (*height_width, 3):
+            raise BadInput(f"render {image.shape}, depth {height_width} and photograph {photograph.shape} differ in size.")
+        places = ground_places(cameras, index, depth_m)
+        known = np.isfinite(places).all(axis=2)
+        pixels = None if used is None else used[index]
+        known = known if pixels is None else known & pixels
+        nearest = EdgeBorders(plan=plan).nearest(places[known])
+        owners = edge_owners(places[known], plan)
+        squared = ((image[known].astype(np.float64) - photograph[known]) ** 2).mean(axis=1)
+        side = int(sides[index])
+        in_band = (nearest.distance_m <= half_band_m) & (nearest.pair == side).any(axis=1)
+        for other in np.setdiff1d(nearest.pair[in_band], [side]):
+            at_border = in_band & (nearest.pair == other).any(axis=1)
+            before, beyond = squared[at_border & (owners == side)], squared[at_border & (owners == other)]
+            if min(len(before), len(beyond)) >= MIN_SHARE * known.size:
+                names = {"side": plan.edge_ids[side], "beyond": plan.edge_ids[other]}
+                yield BorderError(**names, before_db=_mean_db(before), beyond_db=_mean_db(beyond))
 
 
 def pooled_excess(errors: Iterable[BorderError]) -> SeamExcess:
@@ -144,4 +148,7 @@ def _half_band_m(plan: CloudPlan) -> float | None:
 
 
 def _mean_db(squared: NDArray[np.floating]) -> float:
-    return 10 * float(np.log10(squared.mean() + LEAST_MSE))
+    mean = float(squared.mean())
+    if not np.isfinite(mean):
+        raise BadInput("a render or photograph has values that are not finite near a border: check the model it came from.")
+    return 10 * float(np.log10(mean + LEAST_MSE))

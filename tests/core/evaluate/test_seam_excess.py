@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_excess import MARGIN_DB, BorderError, SeamExcess, border_errors, excess_by_border, pooled_excess
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.cloud import join_cloud
@@ -81,6 +82,24 @@ def test_too_few_photographs_of_either_side_or_one_region_have_no_figure() -> No
     told = pooled_excess(few)
     assert told.excess_db is None and told.found is None and "3 training photographs" in str(told.reason)
     assert errors_by_ground(0.1, 0.2, plan_of(SITES[:1], np.zeros(1))) == [] and pooled_excess([]).reason
+
+
+def test_a_broken_model_or_a_picture_of_another_size_is_an_error_and_masks_leave_pixels_out() -> None:
+    (image, depth_m), *_ = flat(CAMERAS.select([6]))
+    photograph = np.full_like(image, 0.1)
+
+    def of(image: NDArray[np.float32], used: NDArray[np.bool_] | None = None) -> list[BorderError]:
+        return list(border_errors(CAMERAS.select([6]), [(image, depth_m)], [photograph], PLAN, [used]))
+
+    (whole,) = of(image)
+    with pytest.raises(BadInput, match="not finite near a border"):
+        of(np.full_like(image, np.nan))
+    with pytest.raises(BadInput, match="differ in size"):
+        of(image[:-1])
+    spoilt, used = image.copy(), np.ones(depth_m.shape, bool)
+    spoilt[::2], used[::2] = np.nan, False
+    assert of(spoilt, used) == [whole]
+    assert of(image, np.zeros_like(used)) == []
 
 
 @dataclass(frozen=True)
