@@ -47,9 +47,8 @@ class SeamRow:
 def model_excess(splats: Splats, cell: Cell) -> SeamExcess:
     """The measure of a model over the cell's training photographs and borders."""
     views = cell.scene.views
-    renders = ((view.image, view.depth) for view in render_views(splats, views.cameras))
     photographs = (image / np.float32(255) for image in views.images)
-    return pooled_excess(border_errors(views.cameras, renders, photographs, cell.recipe.cloud_plan))
+    return pooled_excess(border_errors(views.cameras, render_views(splats, views.cameras), photographs, cell.recipe.cloud_plan))
 
 
 def measure_cells(cells: Sequence[Cell]) -> Iterator[SeamRow]:

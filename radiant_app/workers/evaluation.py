@@ -125,10 +125,10 @@ def measure_borders(scene: Splats, plan: CloudPlan, own: Path, images: Path, tas
     cameras = cameras.scaled(task.long_side_px)
     weights = pixel_weights(own / MASKS, cameras)
 
-    def render() -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    def render() -> Iterator[RenderedView]:
         for done, view in enumerate(render_views(scene, _corrected(cameras, task), task.backend), 1):
             reporter.progress(done, len(cameras), "training photographs at the borders")
-            yield view.image, view.depth
+            yield view
 
     photographs = (
         load_photograph(images / name, (int(width), int(height)))

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.seam_error import ground_places
 from radiant_core.plan.plans import CloudPlan
 
+if TYPE_CHECKING:
+    from radiant_core.render.rendered_view import RenderedView
+
 MARGIN_DB = 0.25
 """Distance and slant alone may cost as much beyond a border: docs/experiments/borders.md."""
 BAND = 0.1
@@ -37,8 +41,11 @@ BAND = 0.1
 With half of it plain cuts scored less; with more, slant takes part and bounds are no better."""
 MIN_PHOTOGRAPHS = 3
 """Of either side of a border; with fewer it has no figure."""
-MIN_SHARE = 0.005
+MIN_SHARE = 0.002
 """Share of a photograph's pixels that must lie in the band before a border, and beyond it."""
+OPAQUE = 0.5
+"""Where the model covers a pixel less, no place is known. To leave out also what lies on the edges
+of depth, as `seam_masks` does, cost power: that is where a cut model is wrong."""
 LEAST_MSE = 1e-6
 """Added to both errors: 60 dB and no error at all are the same."""
 
@@ -80,32 +87,30 @@ class SeamExcess:
 
 def border_errors(
     cameras: Cameras,
-    renders: Iterable[tuple[NDArray[np.floating], NDArray[np.floating]]],
+    renders: Iterable[RenderedView],
     photographs: Iterable[NDArray[np.floating]],
     plan: CloudPlan,
     used: Sequence[Used] | None = None,
 ) -> Iterator[BorderError]:
     """Errors of C training photographs (H,W,3) in 0..1 at every border whose two sides they show.
 
-    `renders` are colours (H,W,3) and depths (H,W) m of the judged model: where it is wrong the place
-    is unsure as well, and to leave such pixels out would leave out the seam. Pictures come one at a
-    time. Raises BadInput when sizes differ or values near a border are not finite.
+    `renders` are those of the judged model, whose depths say which ground a pixel shows. Pictures
+    come one at a time. Raises BadInput when sizes differ or values near a border are not finite.
     """
     half_band_m = _half_band_m(plan)
     if half_band_m is None:
         return
     sides = edge_owners(cameras.centers[:, :2], plan)
-    for index, ((image, depth_m), photograph) in enumerate(zip(renders, photographs, strict=True)):
-        height_width = depth_m.shape
-        if not image.shape == photograph.shape == (*height_width, 3):
-            raise BadInput(f"render {image.shape}, depth {height_width} and photograph {photograph.shape} differ in size.")
-        places = ground_places(cameras, index, depth_m)
-        known = np.isfinite(places).all(axis=2)
+    for index, (view, photograph) in enumerate(zip(renders, photographs, strict=True)):
+        if view.image.shape != photograph.shape:
+            raise BadInput(f"the render of {view.name!r} has the shape {view.image.shape}, its photograph {photograph.shape}.")
+        places = ground_places(cameras, index, view.depth)
+        known = np.isfinite(places).all(axis=2) & (view.alpha >= OPAQUE)
         pixels = None if used is None else used[index]
         known = known if pixels is None else known & pixels
         nearest = EdgeBorders(plan=plan).nearest(places[known])
         owners = edge_owners(places[known], plan)
-        squared = ((image[known].astype(np.float64) - photograph[known]) ** 2).mean(axis=1)
+        squared = ((view.image[known].astype(np.float64) - photograph[known]) ** 2).mean(axis=1)
         side = int(sides[index])
         in_band = (nearest.distance_m <= half_band_m) & (nearest.pair == side).any(axis=1)
         for other in np.setdiff1d(nearest.pair[in_band], [side]):

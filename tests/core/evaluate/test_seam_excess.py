@@ -20,7 +20,7 @@ from radiant_core.hierarchy.device import train_device
 from radiant_core.hierarchy.messages import CloudTask, DeviceTask, EdgeModel
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.render.rendered_view import render_views
+from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
 from radiant_core.train.config import train_preset
@@ -33,10 +33,13 @@ PLAN = plan_of(SITES, np.zeros(2))
 CAMERAS = cameras_above([(x, y) for x in (-3.5, -2.0, -0.8, 0.8, 2.0, 3.5) for y in (-2.0, 0.0, 2.0)], height_m=5.0, size_wh=(96, 72))
 
 
-def flat(cameras: Cameras) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+def flat(cameras: Cameras) -> Iterator[RenderedView]:
     """Black renders of flat ground at height 0."""
-    for (width, height), center in zip(cameras.sizes_wh, cameras.centers, strict=True):
-        yield np.zeros((height, width, 3), np.float32), np.full((height, width), center[2], np.float32)
+    for name, (width, height), center in zip(cameras.names, cameras.sizes_wh, cameras.centers, strict=True):
+        whole = np.ones((height, width), np.float32)
+        yield RenderedView(
+            name=name, image=np.zeros((height, width, 3), np.float32), alpha=whole, depth=center[2].astype(np.float32) * whole
+        )
 
 
 def errors_by_ground(west: float, east: float, plan: CloudPlan = PLAN, own: float = 1.0) -> list[BorderError]:
@@ -85,21 +88,21 @@ def test_too_few_photographs_of_either_side_or_one_region_have_no_figure() -> No
 
 
 def test_a_broken_model_or_a_picture_of_another_size_is_an_error_and_masks_leave_pixels_out() -> None:
-    (image, depth_m), *_ = flat(CAMERAS.select([6]))
-    photograph = np.full_like(image, 0.1)
+    (view,) = flat(CAMERAS.select([6]))
+    photograph = np.full_like(view.image, 0.1)
 
-    def of(image: NDArray[np.float32], used: NDArray[np.bool_] | None = None) -> list[BorderError]:
-        return list(border_errors(CAMERAS.select([6]), [(image, depth_m)], [photograph], PLAN, [used]))
+    def of(view: RenderedView, used: NDArray[np.bool_] | None = None) -> list[BorderError]:
+        return list(border_errors(CAMERAS.select([6]), [view], [photograph], PLAN, [used]))
 
-    (whole,) = of(image)
+    (whole,) = of(view)
     with pytest.raises(BadInput, match="not finite near a border"):
-        of(np.full_like(image, np.nan))
-    with pytest.raises(BadInput, match="differ in size"):
-        of(image[:-1])
-    spoilt, used = image.copy(), np.ones(depth_m.shape, bool)
+        of(replace(view, image=np.full_like(view.image, np.nan)))
+    with pytest.raises(BadInput, match="has the shape"):
+        of(replace(view, image=view.image[:-1]))
+    spoilt, used = view.image.copy(), np.ones(view.depth.shape, bool)
     spoilt[::2], used[::2] = np.nan, False
-    assert of(spoilt, used) == [whole]
-    assert of(image, np.zeros_like(used)) == []
+    assert of(replace(view, image=spoilt), used) == of(replace(view, image=spoilt, alpha=view.alpha * used)) == [whole]
+    assert of(view, np.zeros_like(used)) == []
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,7 @@ class Ground:
 
     def excess(self, splats: Splats) -> SeamExcess:
         """The measure, drawn offscreen."""
-        renders = ((view.image, view.depth) for view in render_views(splats, CAMERAS, "native"))
+        renders = render_views(splats, CAMERAS, "native")
         return pooled_excess(border_errors(CAMERAS, renders, [image / 255 for image in self.photographs], PLAN))
 
 
