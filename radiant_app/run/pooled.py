@@ -24,7 +24,7 @@ from radiant_app.run.source import Plan
 from radiant_app.run.source_key import source_key
 from radiant_app.run.stages import plan_stage
 from radiant_app.workers.sources import sfm_task
-from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME
 from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput, StageFailed
@@ -131,8 +131,10 @@ class PooledPhotographs:
         held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(train.long_side_px)
         save_cameras(folder / HELD_OUT_NAME, held_out)
         deal_files(self.images, held_out.names, folder / "photos")
-        write_json(folder / OWN_NAME, {"images": str(folder / "photos")})
-        given = [folder / "photos", *deal_masks(config.out, held_out.names, folder), folder / HELD_OUT_NAME, folder / INITIAL_NAME]
+        save_cameras(folder / TRAINED_NAME, self.training.cameras)
+        write_json(folder / OWN_NAME, {"images": str(folder / "photos"), "training_images": str(self.images)})
+        files = [folder / name for name in (HELD_OUT_NAME, INITIAL_NAME, TRAINED_NAME)]
+        given = [folder / "photos", *deal_masks(config.out, scene.cameras.names, folder), *files]
         machine = ScoringMachine(stage="evaluation", inputs=tuple(given))
         scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine])
         # Where the owner is, whatever runs the tree.

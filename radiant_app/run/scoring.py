@@ -1,8 +1,8 @@
-"""Scores a finished scene where its held-out photographs are. Once per run.
+"""Scores a finished scene where its photographs are. Once per run.
 
-Each machine scores the photographs that it has: a device those it held out, in score/ of its
-folder, or the owner of pooled photographs all of them, in evaluation/. Figures travel, photographs
-do not.
+Each machine scores the photographs that it has, held out for the quality and trained on for the
+seams: a device its own, in score/ of its folder, or the owner of pooled photographs all of them, in
+evaluation/. Figures travel, photographs do not.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.dealing import count_received, deal_files
 from radiant_app.run.progress import Progress
 from radiant_app.workers.delivering import identify_scoring, sign_task
-from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, SCORES_NAME, region_width, summarize_scores
+from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, SCORES_NAME, summarize_scores
 from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import StageFailed
-from radiant_core.evaluate.seam_error import pooled_seam_error
+from radiant_core.evaluate.seam_excess import BorderError, SeamExcess, excess_by_border, pooled_excess
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import SUMMARY_NAME, TASK_NAME, save_task, task_key
@@ -115,21 +115,28 @@ class Scoring:
 def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
     """Combine the files of scores, by machine, into the figures of metrics.json; StageFailed where
     no machine has a held-out photograph."""
-    found = {name: read_json(path, ("images", "leakage", "seam_sums")) for name, path in scores.items()}
+    found = {name: read_json(path, ("images", "leakage", "borders")) for name, path in scores.items()}
     images = [row for each in found.values() for row in each["images"]]
     if not images:
         none_placed = "the machines that scored have none whose pose is known; give more photographs."
         reason = none_placed if found else "scoring ended without figures on every machine that has any; --resume tries again."
         raise StageFailed(f"no held-out photograph could be scored: {reason}")
-    seams = pooled_seam_error([np.array(each["seam_sums"]) for each in found.values()])
-    plan, _ = load_plan(run / "plan.json")
+    errors = [BorderError(**row) for each in found.values() for row in each["borders"]]
     leakage = {name: each["leakage"] for name, each in found.items() if each["leakage"] is not None}
     return {
         **summarize_scores(images, lpips_network=lpips_network),
         "num_gaussians": read_json(run / "cloud" / SUMMARY_NAME, ("num_splats",))["num_splats"],
-        "seam_psnr_db": seams.seam_psnr_db,
-        "interior_psnr_db": seams.interior_psnr_db,
-        "seam_reason": seams.reason,
-        "seam_half_band": region_width(plan.sites),
+        **_seam_figures(pooled_excess(errors)),
+        "borders": [{"between": between, **_seam_figures(excess)} for between, excess in excess_by_border(errors).items()],
         **({"leakage": leakage} if leakage else {}),
+    }
+
+
+def _seam_figures(excess: SeamExcess) -> dict[str, Any]:
+    return {
+        "seam_excess_db": excess.excess_db,
+        "seam_excess_at_least_db": excess.at_least_db,
+        "seam_found": excess.found,
+        "seam_reason": excess.reason,
+        "seam_photographs": excess.num_photographs,
     }

@@ -4,14 +4,13 @@
 `radiant train` and of `radiant evaluate`.
 
 Two baselines stand beside every figure: the Gaussians before any training, and the photograph's own
-mean colour. Seam masks come from the scene's own depth here; a comparison of methods has to fix
-them by one depth for all.
+mean colour.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, ScoreTask
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, ScoreTask
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -38,7 +37,7 @@ from radiant_core.evaluate.image_error import (
 )
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.lpips import Lpips, load_lpips
-from radiant_core.evaluate.seam_error import seam_masks, seam_sums
+from radiant_core.evaluate.seam_excess import BorderError, border_errors
 from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.photos.listing import load_photograph
@@ -101,7 +100,8 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     """Score the scene in inbox/ on the held-out photographs of this machine; writes scores.json and
     three pictures per photograph."""
     own, inbox = folder.parent if task.owned else folder, folder / "inbox"
-    images = Path(read_json(own / OWN_NAME, ("images",))["images"])
+    places = read_json(own / OWN_NAME, ("images",))
+    images = Path(places["images"])
     cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
     photographs = [images / name for name in cameras.names]
     leakage = _measure_leakage(own, images, task, reporter) if task.owned else None
@@ -110,28 +110,23 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME))
     scene, (plan, _) = load_ply(inbox / "scene.ply"), load_plan(inbox / "plan.json")
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
-    figures, scored = score_views(scene, plan, views, task, lpips, reporter)
+    scored = score_views(scene, views, task, lpips, reporter)
+    errors = measure_borders(scene, plan, own, Path(places.get("training_images", images)), task, reporter)
     pictures = [name for image in scored for name in image.save(folder)]
-    write_json(folder / SCORES_NAME, {**figures, "leakage": leakage})
+    rows = [image.row for image in scored]
+    write_json(folder / SCORES_NAME, {"images": rows, "borders": [asdict(error) for error in errors], "leakage": leakage})
     # Checking a seal reads every file it lists, and the owner's process checks those of devices.
     return [SCORES_NAME] if task.owned else [SCORES_NAME, *pictures]
 
 
-def score_views(
-    scene: Splats, plan: CloudPlan, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter
-) -> tuple[dict[str, Any], list[ScoredImage]]:
-    """Score a scene on one machine's views: figures per photograph, sums about the plan's borders,
-    and the images."""
-    cameras = views.cameras
-    for move in task.corrections:
-        cameras = move_cameras(cameras, move.sim3)
+def score_views(scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter) -> list[ScoredImage]:
+    """Score a scene on one machine's views."""
+    cameras = _correct_cameras(views.cameras, task)
     scored = []
     for image in score_images(scene, cameras, views, task.backend, lpips):
         scored.append(image)
         reporter.progress(len(scored), len(cameras), image.view.name)
-    masks = seam_masks(cameras, [image.view.depth for image in scored], plan, region_width(plan.sites)).within(views.used)
-    sums = seam_sums([image.view.image for image in scored], [image.photograph for image in scored], masks)
-    return {"images": [image.row for image in scored], "seam_sums": sums.tolist()}, scored
+    return scored
 
 
 def score_images(
@@ -156,6 +151,35 @@ def score_images(
         photograph = load_photograph(path, (width, height))
         row = _score_render(view, photograph, before=before, lpips=lpips, used=used)
         yield ScoredImage(row=row, view=view, photograph=photograph, used=used)
+
+
+def measure_borders(scene: Splats, plan: CloudPlan, own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> list[BorderError]:
+    """Measure a scene at the plan's borders on the photographs in `images` that this machine, whose
+    files are in `own`, trained on."""
+    cameras = load_scene(own / "scene.safetensors").cameras if task.owned else load_cameras(own / TRAINED_NAME)
+    if len(plan.sites) < 2:
+        return []
+    cameras = cameras.scaled(task.long_side_px)
+    weights = pixel_weights(own / MASKS, cameras)
+
+    def render() -> Iterator[RenderedView]:
+        for done, view in enumerate(render_views(scene, _correct_cameras(cameras, task), task.backend), 1):
+            reporter.progress(done, len(cameras), "training photographs at the borders")
+            yield view
+
+    photographs = (
+        load_photograph(images / name, (int(width), int(height)))
+        for name, (width, height) in zip(cameras.names, cameras.sizes_wh, strict=True)
+    )
+    used = None if weights is None else [used_pixels(each) for each in weights]
+    return list(border_errors(_correct_cameras(cameras, task), render(), photographs, plan, used))
+
+
+def _correct_cameras(cameras: Cameras, task: ScoreTask) -> Cameras:
+    """Cameras of this machine in the frame of the scene."""
+    for move in task.corrections:
+        cameras = move_cameras(cameras, move.sim3)
+    return cameras
 
 
 def _measure_leakage(own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:

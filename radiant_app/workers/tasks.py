@@ -149,13 +149,15 @@ class Move:
 
 
 HELD_OUT_NAME, INITIAL_NAME, OWN_NAME = "held_out.safetensors", "initial.safetensors", "own.json"
-"""In the folder of a machine that scores: its held-out cameras, the Gaussians before training, and
-where its photographs are."""
+TRAINED_NAME = "trained.safetensors"
+"""In the folder of a machine that scores: its held-out cameras, the Gaussians before training,
+where its photographs are, and the cameras of the training where it is no device's folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreTask:
-    """Score the finished scene in inbox/ on the held-out photographs of this machine."""
+    """Score the finished scene in inbox/ on the held-out photographs of this machine, and its seams
+    on those that were trained on."""
 
     corrections: tuple[Move, ...]
     """From the frame of the held-out cameras to the scene's, in order."""

@@ -15,7 +15,7 @@ from radiant_app.report.html import describe_unscored
 from radiant_app.run.scoring import Scoring, ScoringMachine, combine_scores
 from radiant_app.workers.evaluation import SCORES_NAME, png_bytes, run_score
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, Move, ScoreTask
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, Move, ScoreTask
 from radiant_core.cameras import Cameras
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Frame, Sim3
@@ -52,7 +52,9 @@ def scored(run: Path, stage: str, cameras: Cameras, move: Sim3 | None = None) ->
     save_cameras(own / HELD_OUT_NAME, move_cameras(cameras, back))
     save_splats(own / INITIAL_NAME, move_splats(INITIAL, back))
     write_json(own / OWN_NAME, {"images": str(own / "photos")})
-    if move is not None:
+    if move is None:
+        save_cameras(own / TRAINED_NAME, cameras)
+    else:
         save_model(own, move_cameras(cameras, back), move_splats(SCENE, back))
     save_ply(folder / "inbox" / "scene.ply", SCENE)
     save_plan(folder / "inbox" / "plan.json", PLAN, ())
@@ -87,7 +89,7 @@ def run(tmp_path: Path) -> Path:
 
 def without_names(figures: dict[str, Any]) -> dict[str, Any]:
     rows = [{key: value for key, value in row.items() if key != "name"} for row in figures["images"]]
-    return {key: value for key, value in figures.items() if key not in ("images", "leakage", "median")} | {"rows": rows}
+    return {key: value for key, value in figures.items() if key not in ("images", "leakage", "median", "borders")} | {"rows": rows}
 
 
 def test_one_machine_with_all_photographs_and_two_devices_in_frames_of_their_own_give_the_same_figures(run: Path) -> None:
@@ -95,7 +97,9 @@ def test_one_machine_with_all_photographs_and_two_devices_in_frames_of_their_own
     shares = {"a": (range(5), AWAY), "b": (range(5, 12), STAY)}
     files = {name: scored(run, f"devices/{name}/score", CAMERAS.select(list(rows)), move) for name, (rows, move) in shares.items()}
     divided = combine_scores(run, files, None)
-    assert whole["seam_psnr_db"] is not None and whole["num_gaussians"] == 400 and "leakage" not in whole
+    assert whole["seam_excess_db"] is not None and whole["seam_photographs"] == 12 and not whole["seam_found"]
+    assert [row["between"] for row in whole["borders"]] == [("0", "1")] and whole["borders"][0]["seam_excess_db"] == whole["seam_excess_db"]
+    assert whole["num_gaussians"] == 400 and "leakage" not in whole
     assert [row["name"] for row in whole["images"]] == list(CAMERAS.names)
     assert [row["name"] for row in divided["images"]][4:6] == ["a/held-out-0004", "b/held-out-0000"]
     assert divided["leakage"].keys() == {"a", "b"}

@@ -5,17 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiant_core.cameras import Cameras
 from radiant_core.evaluate.observed_ground import observed_coverage
+from radiant_core.io.run_store import write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
 from radiant_viewer.runs.border_figures import BorderFigures, border_figures
-from radiant_viewer.runs.seam_findings import seam_findings, verdict_text
+from radiant_viewer.runs.seam_findings import excess_text, seam_findings, verdict_text
 from radiant_viewer.runs.seam_tour import seam_stops
 from tests.viewer.made_up_run import Town, made_up_town
 
@@ -139,3 +141,11 @@ def test_the_shares_are_those_of_the_images_that_show_a_place() -> None:
     bare = replace(town.scene, points=around, colors=town.scene.colors[: len(around)])
     assert observed_coverage(places[:1], bare, 10.0) == 0 < observed_coverage(places[:1], bare, 15.0)
     assert observed_coverage(np.zeros((0, 2)), town.scene, 10.0).shape == (0,)
+
+
+def test_what_photographs_show_beyond_borders_is_told_where_it_was_measured(tmp_path: Path) -> None:
+    assert excess_text(tmp_path) == ""
+    write_json(tmp_path / "metrics.json", {"images": []})
+    assert excess_text(tmp_path) == ""
+    write_json(tmp_path / "metrics.json", {"seam_excess_db": 2.04, "seam_found": True})
+    assert excess_text(tmp_path) == "Photographs show the ground beyond borders +2.04 dB worse: a seam."

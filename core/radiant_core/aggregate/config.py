@@ -22,7 +22,7 @@ class AggregateConfig:
     """default: models fade where others own the place and are fitted; paper: all are retrained."""
     num_epochs: int = 5
     """How often the cloud shows each synthetic view (paper Sec. IV-B: 10)."""
-    edge_epochs: int = 8
+    edge_epochs: int = 10
     """The same of an edge: its model teaches the cloud (paper Sec. IV-B: 10)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""

@@ -139,7 +139,7 @@ def report_join_memory(memory: JoinMemory, limit_bytes: float, lift: str, report
 
 
 def check_decision(stage: str, check: Check) -> Decision:
-    """Whether the joined model is kept, by pictures that it was not shown."""
+    """Whether the joined model is kept, by some of the models' pictures."""
     kept, left = ("joined", "cut") if check.keeps_joined else ("cut", "joined")
     kept_db, left_db = sorted((check.joined_db, check.cut_db), reverse=True)
     return Decision(
@@ -148,7 +148,7 @@ def check_decision(stage: str, check: Check) -> Decision:
         choice=f"the {kept} model is kept",
         figure=kept_db - left_db,
         unit=f"dB over the {left} one",
-        reason=f"{kept_db:.2f} dB in {check.num_views} of the models' own pictures that were held back from joining",
+        reason=f"{kept_db:.2f} dB in {check.num_views} of the models' own pictures",
         changes_nothing=check.keeps_joined,
     )
 

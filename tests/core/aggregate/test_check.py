@@ -1,4 +1,4 @@
-"""Joined against cut, on pictures that were held back: the better of both is kept and said."""
+"""Joined against cut, on the models' own pictures: the better of both is kept and said."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import pytest
 
 from radiant_core.aggregate import join
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
-from radiant_core.aggregate.join import NUM_COMPARED, VIEWS_PER_CHECKED, Check, Joined, cut_at_borders, join_models
+from radiant_core.aggregate.join import NUM_COMPARED, Check, Joined, cut_at_borders, join_models
 from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.retrain import Retrained
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.cameras import Cameras
 from radiant_core.hierarchy.decisions import join_decisions
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset
@@ -21,11 +20,12 @@ from radiant_core.train.trainer import FitOptions
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
+NUM_VIEWS = 16
 CLAIMS = claims_of_cells(np.array([[-2.0, 0.0], [2.0, 0.0]]), np.zeros(2))
 TRAIN = replace(train_preset("draft"), long_side_px=48)
 
 
-def teachers(num_views: int = VIEWS_PER_CHECKED) -> list[Teacher]:
+def teachers(num_views: int = NUM_VIEWS) -> list[Teacher]:
     """Two halves of a ground, each grey beyond the middle, with so many views together."""
     truth, found = ground_splats(), []
     for sign in (-1, 1):
@@ -35,7 +35,7 @@ def teachers(num_views: int = VIEWS_PER_CHECKED) -> list[Teacher]:
     return found
 
 
-def joined(num_views: int = VIEWS_PER_CHECKED, num_tiles: int = 1, **settings: object) -> Joined:
+def joined(num_views: int = NUM_VIEWS, num_tiles: int = 1, **settings: object) -> Joined:
     config = AggregateConfig(**settings)  # type: ignore[arg-type]
     return join_models(teachers(num_views), TRAIN, config, FitOptions(backend="native"), CLAIMS, num_tiles)
 
@@ -65,7 +65,7 @@ def test_a_joined_model_that_is_worse_is_not_kept_and_the_decision_says_so(num_t
     assert result.check.cut_db > result.check.joined_db + 3 and decision.figure == pytest.approx(
         result.check.cut_db - result.check.joined_db
     )
-    assert f"{result.check.cut_db:.2f} dB in 1 of the models' own pictures" in decision.reason
+    assert f"{result.check.cut_db:.2f} dB in {NUM_COMPARED} of the models' own pictures" in decision.reason
 
 
 def test_a_joined_model_that_is_better_is_kept_and_the_decision_says_by_how_much() -> None:
@@ -76,32 +76,16 @@ def test_a_joined_model_that_is_better_is_kept_and_the_decision_says_by_how_much
     assert result.check.joined_db > result.check.cut_db and decision.figure == pytest.approx(result.check.joined_db - result.check.cut_db)
 
 
-@pytest.mark.parametrize(
-    ("num_views", "num_held_back"), [(2, 0), (VIEWS_PER_CHECKED - 2, 0), (VIEWS_PER_CHECKED, 1), (3 * VIEWS_PER_CHECKED, 3)]
-)
-def test_one_view_of_sixteen_is_held_back_and_not_trained_on(num_views: int, num_held_back: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    shown: list[Cameras] = []
-    whole = join.retrain_by_tiles
-    monkeypatch.setattr(
-        join, "retrain_by_tiles", lambda moving, views, *others: (shown.append(views.cameras), whole(moving, views, *others))[1]
-    )
+@pytest.mark.parametrize("num_views", [2, 3 * NUM_COMPARED])
+def test_every_view_is_shown_and_some_are_compared(num_views: int) -> None:
     result = joined(num_views, num_epochs=1)
-    assert len(shown[0]) == result.trained.num_steps == num_views - num_held_back
-    assert (result.check is None) == (num_held_back == 0) and (result.check is None or result.check.num_views == num_held_back)
-    assert len([one for one in join_decisions("cloud", AggregateConfig(), 2, result) if one.topic == "joined or cut"]) == min(
-        1, num_held_back
-    )
-
-
-def test_of_many_views_no_more_are_held_back_than_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(join, "VIEWS_PER_CHECKED", 1)
-    result = joined(3 * NUM_COMPARED, num_epochs=1)
-    assert result.check is not None and result.check.num_views == NUM_COMPARED
+    assert result.trained.num_steps == num_views
+    assert result.check is not None and result.check.num_views == min(NUM_COMPARED, num_views)
+    assert len([one for one in join_decisions("cloud", AggregateConfig(), 2, result) if one.topic == "joined or cut"]) == 1
 
 
 def test_the_figures_are_of_all_pixels_so_that_a_view_that_a_cut_leaves_alone_weighs_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """A view 60 dB well does not outweigh three of 20: a mean in dB would be 30."""
-    monkeypatch.setattr(join, "VIEWS_PER_CHECKED", 4)
     views_db = iter([[25.0], [30.0] * 4, [60.0, 20.0, 20.0, 20.0]])
     monkeypatch.setattr(join, "_psnr_db", lambda *_: next(views_db))
     result = joined(16, num_epochs=1)
@@ -116,4 +100,4 @@ def test_equal_figures_keep_the_joined_one() -> None:
 
 def test_the_paper_compares_nothing() -> None:
     result = join_models(teachers(), TRAIN, replace(aggregate_preset("paper"), num_epochs=1), FitOptions(backend="native"), CLAIMS)
-    assert result.check is None and result.trained.num_steps == VIEWS_PER_CHECKED
+    assert result.check is None and result.trained.num_steps == NUM_VIEWS

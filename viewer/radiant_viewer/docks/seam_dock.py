@@ -22,7 +22,7 @@ from radiant_viewer.layers.layer import Layer, LegendEntry
 from radiant_viewer.layers.palette import VERMILLION, WHITE
 from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
-from radiant_viewer.runs.seam_findings import observed_text, step_text
+from radiant_viewer.runs.seam_findings import excess_text, observed_text, step_text
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
 
 HEADINGS = ("", "Border", "Step (levels)", "Texture", "Median piece", "Worst piece", "Observed", "Verdict")
@@ -56,7 +56,9 @@ class SeamDock(QDockWidget):
         self.worst.clicked.connect(lambda: self.go(0))
         self.next.clicked.connect(lambda: self.step(1))
         self.previous.clicked.connect(lambda: self.step(-1))
-        self.text = QLabel("Colour steps where borders were observed, beyond the scene's own texture, in levels of 255.")
+        self.text = QLabel(
+            f"Colour steps where borders were observed, beyond the scene's own texture, in levels of 255. {excess_text(run.folder)}"
+        )
         self.text.setProperty("soft", "true")
         self.table = self._table()
         row = QHBoxLayout()

@@ -2,21 +2,24 @@
 
 A seam is found where the colour step exceeds the texture (`border_figures`), or where the step
 detector responds to colour, height, density or a gap on the observed part. No finding proves no
-absence: the detector misses grey steps below some 20/255 and plain cuts. O(N) for the steps, a
-second per examined border.
+absence: the detector misses grey steps below some 20/255 and plain cuts, which a run's photographs
+show (`excess_text`). O(N) for the steps, a second per examined border.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from radiant_core.evaluate.step_detector import Quantity, border_steps
+from radiant_core.io.run_store import read_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.measure import length_text
 from radiant_viewer.runs.border_figures import MIN_OBSERVED_SHARE, VISIBLE_LEVELS, BorderFigures, border_figures
+from radiant_viewer.runs.run_view import METRICS_NAME
 
 NUM_EXAMINED = 6
 MAX_EXAMINED_M = 2000.0
@@ -65,6 +68,16 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     observed = sum(figures.observed_length for figures in judged)
     total = sum(finding.figures.border.length_m for finding in findings)
     return f"{verdict}; observed: {observed_text(observed, total, unit)}   ·   largest: {judged[0].title}, {_beside_texture(judged[0])}"
+
+
+def excess_text(folder: Path) -> str:
+    """Return what photographs show beyond the borders of a run; "" where it was not measured."""
+    path = folder / METRICS_NAME
+    record = read_json(path) if path.is_file() else {}
+    excess_db, found = (record.get(key) if isinstance(record, dict) else None for key in ("seam_excess_db", "seam_found"))
+    if not isinstance(excess_db, int | float):
+        return ""
+    return f"Photographs show the ground beyond borders {excess_db:+.2f} dB worse: {'a seam' if found else 'no seam found'}."
 
 
 def step_text(figures: BorderFigures) -> str:
