@@ -10,7 +10,7 @@ import pytest
 
 from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, find_contradictions
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.join import join_models
+from radiant_core.aggregate.join import Check, join_models
 from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
@@ -118,7 +118,7 @@ def test_honest_regions_lose_less_than_a_tenth_of_a_decibel(attack: str, clean_d
 def test_undefended_the_same_attack_costs_every_honest_region_decibels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the test above would show nothing. A blanket alone costs 0.15 dB: training holds what
     fills whole images. Without the check, which keeps the cut here."""
-    monkeypatch.setattr(join.Check, "keeps_joined", True)
+    monkeypatch.setattr(Check, "keeps_joined", True)
     clean, scene = (joined(dict(enumerate(models))) for models in (HONEST, attacked("out of region")))
     assert min(interior_db(clean, device) - interior_db(scene, device) for device in (0, 1, 2, 3, 5)) > 10.0
 
