@@ -169,12 +169,16 @@ def test_a_finished_batch_is_not_begun_again_and_options_belong_into_the_file(
     assert summary(desk / "night") == before
 
 
+def slow_jobs(desk: Path) -> Path:
+    """A job file whose first job takes long."""
+    path = desk / "slow.toml"
+    path.write_text(f'[[job]]\nname = "slow"\nsource = "{HAMLET / "images"}"\n[[job]]\nname = "later"\nsource = "nothing"\n')
+    return path
+
+
 def test_ctrl_c_stops_the_running_job_and_names_the_rest(desk: Path) -> None:
     out = desk / "stopped"
-    (desk / "slow.toml").write_text(
-        f'[[job]]\nname = "slow"\nsource = "{HAMLET / "images"}"\n[[job]]\nname = "later"\nsource = "nothing"\n'
-    )
-    process = batch(desk / "slow.toml", "--out", out)
+    process = batch(slow_jobs(desk), "--out", out)
     job = job_of(process)
     worker = waited_for(lambda: next(iter(children_of(job)), None))
     waited_for((out / "slow" / "manifest.json").exists)
@@ -188,7 +192,7 @@ def test_ctrl_c_stops_the_running_job_and_names_the_rest(desk: Path) -> None:
 
 
 def test_a_killed_batch_takes_its_job_along(desk: Path) -> None:
-    process = batch(desk / "slow.toml", "--out", desk / "killed")
+    process = batch(slow_jobs(desk), "--out", desk / "killed")
     job = job_of(process)
     worker = waited_for(lambda: next(iter(children_of(job)), None))
     process.kill()
