@@ -4,7 +4,8 @@ does not grow with its views. Once per view to write, once per step to read.
     file: H W or H W 3 bytes per image, one after the other; it has no name, and goes when
           nobody uses it
 
-As they are: compressed without loss they take 0.6 of the bytes and twenty times as long to read.
+As they are: a render of 576 × 432 px as PNG has a third of the bytes and takes 13 times as long to
+read, 7.5 ms in place of 0.6 (a photograph-like one has 0.6 of the bytes: `io/view_file.py`).
 """
 
 from __future__ import annotations
