@@ -48,10 +48,8 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     if scene.splats is None:
         raise BadInput(f"no model of {run} can be joined: {'; '.join(scene.refused.values()) or 'no edge has one'}.")
     save_ply(out, scene.splats)
-    figures: dict[str, Any] = {"gaussians": len(scene.splats), "retrain_s": round(joined_s + scene.summary.get("train_s", 0.0), 2)}
-    if "num_filled" in scene.summary:
-        figures["filled"] = scene.summary["num_filled"]
-    return {**figures, "model": str(out)}
+    seconds = joined_s + scene.summary.get("train_s", 0.0)
+    return {"gaussians": len(scene.splats), "retrain_s": round(seconds, 2), "model": str(out)}
 
 
 def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tuple[SceneModel, float]:
@@ -68,7 +66,7 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
     joined_s = 0.0
     for edge, given in tasks.items():
         task = replace(given, aggregate=config, memory_bytes=None)
-        arrived = receive_device_models(run / "edges" / edge, task)
+        arrived = receive_device_models(run / "edges" / edge, task.devices)
         stage = f"edges/{edge}"
         with stage_bar(display, stage):
             model = join_edge(task, arrived, EventReporter(stage=stage, emit=display))

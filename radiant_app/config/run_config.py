@@ -29,8 +29,6 @@ Frames = Literal["shared", "gps", "known"]
 """shared: one owner pools and places the photographs; gps, known: every device places its own."""
 RunPreset = Literal["default", "paper"]
 """default: ours; paper: the paper's plan, training (20,000 steps) and joining, nothing skipped."""
-Teachers = Literal["early", "late"]
-"""early: views of a device are rendered when it has arrived; late: after the last. Same result."""
 ExecutorName = Literal["local", "ray"]
 """local: processes of this machine; ray: tasks of a Ray cluster of one owner's machines."""
 SIZES = ("long_side_px", "num_steps", "max_num_splats")
@@ -206,8 +204,6 @@ class ExecutionOptions:
     """local: processes here; ray: tasks of one owner's cluster."""
     address: str | None = None
     """ray: host:port of the cluster's head, or local."""
-    teachers: Teachers = "late"
-    """Render an edge's teachers as each device arrives, or after the last."""
     deadline_factor: Annotated[float, Option(min=0)] = 10.0
     """Give up who takes so many times its time; 0: never."""
     checkpoint_every_s: Annotated[float, Option(name="--checkpoint-every", parse=seconds_of, shown="10s")] = 10.0
@@ -269,11 +265,6 @@ class RunConfig:
     def system_file(self) -> Path | None:
         """The file of edges and devices, emulated or not."""
         return self.emulate or self.system
-
-    @property
-    def early_teachers(self) -> bool:
-        """Whether teachers are nodes of their own; not of edges that are emulated."""
-        return self.execution.teachers == "early" and not self.emulated
 
     @property
     def cell_m(self) -> float | None:

@@ -1,7 +1,7 @@
 """The fold of a tree under every executor: which node may start, is skipped, tried again, given up.
 
 A `Runner` starts the process of a node. Of the nodes that can run, devices come first, since edges
-and the cloud wait for them; teachers take the remaining workers. Runs once per run.
+and the cloud wait for them. Runs once per run.
 
     crashed      the process ended without reporting an error, or sent no heartbeat for `SILENT_S`:
                  started again from its checkpoint, at most `max_attempts` times in all
@@ -26,8 +26,8 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import disk_is_full, is_sealed
 
-URGENCY = {"device": 0, "edge": 1, "cloud": 2, "teacher": 3}
-"""Order in which nodes are started: the longest path first. A teacher only shortens its edge."""
+URGENCY = {"device": 0, "edge": 1, "cloud": 2}
+"""Order in which nodes are started: the longest path first."""
 SILENT_S = 300.0
 """Heartbeats come from a worker's own thread; without one for this long it is stopped as dead."""
 CHECK_INTERVAL_S = 1.0
@@ -142,8 +142,6 @@ class Fold:
     retry_policy: RetryPolicy
     running: dict[str, _Running] = field(default_factory=dict)
     times: dict[str, NodeTime] = field(default_factory=dict)
-    unneeded: set[str] = field(default_factory=set)
-    """Teachers whose edge has received all its devices."""
     num_tries: dict[str, int] = field(default_factory=dict)
     origin_s: float = 0.0
     checked_s: float = 0.0
@@ -152,18 +150,14 @@ class Fold:
     def run(self, tree: Tree) -> Mapping[str, NodeTime]:
         """Run every node; see `Executor.fold`."""
         waiting = sorted(tree, key=lambda node: URGENCY[node.tier])
-        edges = [node for node in tree if node.tier == "edge"]
         self.origin_s, self.checked_s = self.clock(), time.monotonic()
         try:
             while waiting or self.running:
                 while (node := self._next(waiting)) is not None:
                     waiting.remove(node)
                     self._begin(node)
-                    self._stop_unneeded_teachers(edges)
-                if self.running:
-                    if self._handle_messages():
-                        self._check_deadlines()
-                    self._stop_unneeded_teachers(edges)
+                if self.running and self._handle_messages():
+                    self._check_deadlines()
         finally:
             self.runner.stop_all()
         return self.times
@@ -191,20 +185,10 @@ class Fold:
         if self.retry_policy.deadlines is not None:
             self.retry_policy.deadlines.exclude_pause([running.node.id for running in started], seconds)
 
-    def _stop_unneeded_teachers(self, edges: list[Tree]) -> None:
-        """An edge that has all its devices renders what its teachers have not."""
-        for edge in edges:
-            if all(device.id in self.times for teacher in edge.children for device in teacher.children):
-                self.unneeded.update(child.id for child in edge.children if child.tier == "teacher")
-        for node_id in self.unneeded & self.running.keys():
-            self._give_up(self.running[node_id], NodeEnded())
-
     def _next(self, waiting: list[Tree]) -> Tree | None:
         if not self.runner.has_room():
             return None
-        ready = [node for node in waiting if all(child.id in self.times for child in node.children)]
-        # An unneeded teacher takes no worker, and its edge waits for it.
-        return next((node for node in ready if node.id in self.unneeded), ready[0] if ready else None)
+        return next((node for node in waiting if all(child.id in self.times for child in node.children)), None)
 
     def _now_s(self) -> float:
         return self.clock() - self.origin_s
@@ -218,9 +202,6 @@ class Fold:
         if is_sealed(task.folder, task.key):
             self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
             self.listen(StageSkipped(stage=task.stage))
-            return
-        if node.id in self.unneeded:
-            self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
             return
         self._start(node, task, now_s)
 

@@ -17,7 +17,7 @@ class NodeTask:
     settings."""
 
     kind: str
-    """Which worker runs it: sfm, device, teacher, edge, cloud or evaluate."""
+    """Which worker runs it: sfm, device, edge, cloud or evaluate."""
     stage: str
     """Name in events, the folder's path inside the run."""
     folder: Path
@@ -44,7 +44,6 @@ class Executor(Protocol):
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """Run every node once its children are done and return the times by node id.
 
-        A teacher runs only while its edge still waits for a device, and the edge renders the rest.
         A node whose folder is sealed with the task's key is skipped. Raises StageFailed (or
         BadInput, as the worker said) with the node's reason after the other running nodes were
         stopped; what is sealed stays and is skipped the next time.

@@ -5,7 +5,7 @@ over pipes. When the head of the cluster dies, Ray ends the process that is conn
 that is the driver, and the run can say what to do.
 
     place     a machine started with `--resources '{"device:north-1": 1}'` runs that device,
-              `edge:north` that edge and its teachers, `cloud` the cloud; others run anywhere
+              `edge:north` that edge, `cloud` the cloud; others run anywhere
     files     the run's folder lies on a file system that all machines see under the same path. A
               node reads its photographs there itself; through Ray go only its command, its events,
               and in the end the hash of its seal, which is compared with the file's
@@ -87,7 +87,7 @@ def require_cluster(address: str) -> None:
 
 
 def resource_of(node: Tree) -> str:
-    """The resource of a node's machine: an edge renders its teachers, a device scores too."""
+    """The resource of a node's machine: a device scores too."""
     parts = node.id.split("/")
     if len(parts) < 2:
         return node.id

@@ -147,7 +147,7 @@ def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
     rows = []
     nodes = {stage: times for stage, times in stages.items() if not stage.endswith(UPLINK)}
     for stage, times in sorted(nodes.items(), key=lambda item: item[1]["started_s"]):
-        kind = "evaluate" if stage.endswith("/score") else "render teachers" if "/teachers/" in stage else kinds[stage.split("/")[0]]
+        kind = "evaluate" if stage.endswith("/score") else kinds[stage.split("/")[0]]
         sending = stages.get(stage + UPLINK, {"started_s": times["ended_s"], "ended_s": times["ended_s"]})
         parts = ((kind, times["started_s"], sending["started_s"]), ("send", sending["started_s"], sending["ended_s"]))
         spans = tuple(
@@ -155,7 +155,7 @@ def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
             for name, start_s, stop_s in parts
             if name != "send" or stop_s > start_s
         )
-        rows.append(TimelineRow(name=stage, spans=spans, strong=not stage.startswith("devices/") and kind != "render teachers"))
+        rows.append(TimelineRow(name=stage, spans=spans, strong=not stage.startswith("devices/")))
     return rows
 
 

@@ -15,11 +15,11 @@ from typing import Any
 
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.photographs import Photographs
-from radiant_app.workers.delivering import DELIVERIES, exchange_keys, identify_teacher, sign_task
+from radiant_app.workers.delivering import DELIVERIES, exchange_keys, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
 from radiant_app.workers.nodes import unseal_cut_scene
 from radiant_app.workers.sources import masks_folder_of
-from radiant_app.workers.tasks import SIGNED, TeacherTask
+from radiant_app.workers.tasks import SIGNED
 from radiant_app.workers.training import MASKS
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
@@ -57,7 +57,7 @@ class Dealer:
         """Fill the node's folder and return its task; None if nothing arrived to be joined."""
         folder = self.run / node.id
         folder.mkdir(parents=True, exist_ok=True)
-        fills = {"device": self._fill_device, "teacher": self._fill_teacher, "edge": self._fill_edge, "cloud": self._fill_cloud}
+        fills = {"device": self._fill_device, "edge": self._fill_edge, "cloud": self._fill_cloud}
         filled = fills[node.tier](node, folder)
         if filled is None:
             return None
@@ -66,11 +66,7 @@ class Dealer:
         names = save_task(folder, task)
         inputs = [*(folder / name for name in names if name != TASK_NAME), *beside]
         key = content_key(__version__, task_key(task), *inputs)
-        # A teacher is a part of its edge: what it receives is logged once, for the edge.
-        if node.tier == "teacher":
-            _drop_other_views(folder, key)
-        else:
-            self._log_access(node, [*inputs, folder / DELIVERIES])
+        self._log_access(node, [*inputs, folder / DELIVERIES])
         kind = self.photographs.kind if node.tier == "device" else node.tier
         if kind in SIGNED:
             # Files in an inbox were signed by their senders.
@@ -88,10 +84,6 @@ class Dealer:
 
     def _exchange_keys(self, node: Tree) -> None:
         """Create a node's key and exchange keys with its parent."""
-        if node.tier == "teacher":
-            (device,) = node.children
-            identify_teacher(self.run, node.id, self._parent_of(device), device.name)
-            return
         exchange_keys(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.recipe.edge_plans])
         if node.tier == "cloud":
             return
@@ -108,22 +100,6 @@ class Dealer:
     def _fill_device(self, node: Tree, folder: Path) -> tuple[Any, list[Path]]:
         return self.photographs.fill(node.name, folder, self.recipe)
 
-    def _fill_teacher(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
-        """Copy the upload of the teacher's device."""
-        (device,) = node.children
-        if not self.has_model(device.id):
-            return None
-        shutil.rmtree(folder / "inbox", ignore_errors=True)
-        self._deliver(device.id, folder, folder / "inbox")
-        recipe = self.recipe
-        task = TeacherTask(
-            long_side_px=recipe.train.long_side_px,
-            backend=recipe.backend,
-            num_dealt=self.photographs.num_dealt(node.name),
-            checkpoint_every_s=recipe.checkpoint_every_s,
-        )
-        return task, [folder / "inbox"]
-
     def _fill_edge(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         """Copy the uploads of its devices."""
         num_dealt = {device: self.photographs.num_dealt(device) for device in self._delivered_devices(node)}
@@ -132,8 +108,7 @@ class Dealer:
             return None
         for device in num_dealt:
             self._deliver(f"devices/{device}", folder, folder / "inbox" / device)
-        teachers = [child.name for child in node.children if child.tier == "teacher"]
-        return self.recipe.edge_task(node.name, num_dealt, teachers), [folder / "inbox"]
+        return self.recipe.edge_task(node.name, num_dealt), [folder / "inbox"]
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         """Copy the uploads of the edges."""
@@ -161,8 +136,7 @@ class Dealer:
 
     def _delivered_devices(self, edge: Tree) -> list[str]:
         """The devices of an edge that are done and have a model."""
-        leaves = [next(iter(child)) for child in edge.children]
-        return [device.name for device in leaves if self.has_model(device.id)]
+        return [device.name for device in edge.children if self.has_model(device.id)]
 
     def has_model(self, node_id: str) -> bool:
         """Whether a node is done in this run and has a model: not if it refused all it received."""
@@ -205,12 +179,6 @@ class Dealer:
             if name in refused:
                 return f"{tier} refused {name}: {refused[name]}"
         return f"edges/{edge} delivered nothing."
-
-
-def _drop_other_views(teacher: Path, key: str) -> None:
-    """Remove a teacher's views of another model: its edge uses every view it finds."""
-    if not is_sealed(teacher, key):
-        shutil.rmtree(teacher / "views", ignore_errors=True)
 
 
 def deal_files(source: Path, names: Sequence[str], target: Path) -> None:

@@ -31,7 +31,6 @@ from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
     list_nodes,
-    list_stages,
     make_executor,
     make_time_left_listener,
     require_plan,
@@ -166,10 +165,12 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
         checkpoint_every_s=config.execution.checkpoint_every_s,
     )
     dealer = Dealer(run=config.out, recipe=recipe, photographs=photographs)
-    tree = tree_of_plan(plan.cloud, plan.edges, teachers=config.early_teachers)
+    tree = tree_of_plan(plan.cloud, plan.edges)
     before, after = photographs.stages(tree)
     progress.manifest.keep_stages({*before, *after, *(node.id for node in tree)})
-    progress.listen(Outlined(stages=(*(stage for stage in before if stage in progress.manifest.stages), *list_stages(tree), *after)))
+    progress.listen(
+        Outlined(stages=(*(stage for stage in before if stage in progress.manifest.stages), *(node.id for node in tree), *after))
+    )
     listen = make_time_left_listener(config, plan.system, plan.edges, progress)
     retry_policy = RetryPolicy(may_fail=photographs.may_fail, deadlines=listen)
     if photographs.positions is not None:

@@ -18,7 +18,6 @@ from radiant_app.run.predictions import planned_training, prediction_warnings, t
 from radiant_app.run.progress import Progress
 from radiant_app.run.time_left import TimeLeftListener
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import UploadFormat
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -46,11 +45,6 @@ REFERENCE_RETRAIN_STEPS = 100
 def list_nodes(system: System) -> tuple[str, ...]:
     """Ids of the nodes of a run before the plan: all of the system's, and the cloud."""
     return (*(f"devices/{device.id}" for device in system.devices), *(f"edges/{edge.id}" for edge in system.edges), "cloud")
-
-
-def list_stages(tree: Tree) -> tuple[str, ...]:
-    """Ids of the nodes that are stages of the run: all but teachers, which are parts of edges."""
-    return tuple(node.id for node in tree if node.tier != "teacher")
 
 
 def plan_stage(
@@ -134,16 +128,6 @@ def load_plan_before_capture(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...
 
 def make_executor(config: RunConfig, system: System, progress: Progress, retry_policy: RetryPolicy) -> Executor:
     """Return the executor of a run: local, emulated or a Ray cluster."""
-    if config.emulated and config.execution.teachers == "early":
-        decision = Decision(
-            stage="plan",
-            topic="teachers",
-            choice="rendered after the last device arrived",
-            figure=float(len(system.edges)),
-            unit="edges",
-            reason="an emulated edge renders them itself, at its own speed",
-        )
-        progress.listen(Decided(decision=decision))
     retry_policy = replace(retry_policy, max_attempts=ATTEMPTS)
     if config.execution.address is not None:
         from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor

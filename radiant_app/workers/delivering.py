@@ -72,13 +72,6 @@ def exchange_keys(run: Path, node: str, above: str | None, below: Iterable[str] 
         _register_key(run / above / IDENTITY / PUBLIC_NAME, identity / ABOVE_NAME)
 
 
-def identify_teacher(run: Path, teacher: str, edge: str, device: str) -> None:
-    """Let a teacher, a part of its edge, accept what its device addressed to the edge."""
-    _write_identity(run, teacher, edge, None)
-    (run / teacher / SENDERS).mkdir(exist_ok=True)
-    shutil.copyfile(run / edge / SENDERS / f"{device}.pub", run / teacher / SENDERS / f"{device}.pub")
-
-
 def identify_scoring(run: Path, scoring: str, device: str, edge: str) -> None:
     """Let the scoring, a part of its device, accept tasks addressed to the device."""
     identity = _write_identity(run, scoring, device, edge)

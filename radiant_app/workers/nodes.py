@@ -7,9 +7,7 @@ Each reads task.json, and beside it, below its folder:
              → scene.safetensors, result.json, undistorted/
     device   scene.safetensors, photos/, masks/
              → model.safetensors, upload.safetensors (unless float32), summary.json
-    teacher  inbox/{model,cameras}.safetensors
-             → views/<number>.safetensors
-    edge     inbox/<device>/{model,cameras}.safetensors, teachers/<device>/
+    edge     inbox/<device>/{model,cameras}.safetensors
              → as device, virtual_cameras.safetensors
     cloud    inbox/<edge>/{model,virtual_cameras}.safetensors
              → scene.ply, summary.json
@@ -28,10 +26,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from radiant_app.events import Decided, Event, Warned
-from radiant_app.workers.delivering import belongs_to_run, find_refusals, sign_upload
+from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.redaction import make_redactor
 from radiant_app.workers.reporting import Emit, EventReporter
-from radiant_app.workers.tasks import TASKS, SfmTask, TeacherTask, receive_task
+from radiant_app.workers.tasks import TASKS, SfmTask, receive_task
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints, save_signed_model, train_from_folder
 from radiant_core.errors import BadInput
 from radiant_core.io.records import save_scene
@@ -86,7 +84,7 @@ def _import_work(kind: str) -> Work:
         from radiant_app.workers.evaluation import run_score
 
         return run_score
-    return {"sfm": run_sfm, "device": run_device, "teacher": run_teacher, "edge": run_edge, "cloud": run_cloud}[kind]
+    return {"sfm": run_sfm, "device": run_device, "edge": run_edge, "cloud": run_cloud}[kind]
 
 
 def run_sfm(folder: Path, task: SfmTask, reporter: EventReporter) -> Sequence[str]:
@@ -111,41 +109,13 @@ def run_device(folder: Path, task: DeviceTask, reporter: EventReporter) -> Seque
     return save_signed_model(folder, task, model, reporter)
 
 
-def run_teacher(folder: Path, task: TeacherTask, reporter: EventReporter) -> Sequence[str]:
-    """Render one device's model at its cameras for the retraining of its edge; may be stopped at
-    any time.
-
-    A model that the edge refuses is not rendered; the edge reports why.
-    """
-    from radiant_app.workers.inbox import teacher_view_name
-    from radiant_core.aggregate.synthetic_views import views_in_bytes
-    from radiant_core.hierarchy.joining import model_problem
-    from radiant_core.hierarchy.messages import DeviceModel
-    from radiant_core.io.messages import load_device_model
-    from radiant_core.io.view_file import save_view
-
-    if belongs_to_run(folder) and find_refusals(folder, [folder.name], {folder.name: folder / "inbox"}):
-        return []
-    model = load_device_model(folder / "inbox")
-    if not isinstance(model, DeviceModel) or model_problem(model, task.num_dealt):
-        return []
-    cameras = model.cameras.scaled(task.long_side_px)
-    (folder / "views").mkdir(exist_ok=True)
-    names = []
-    for name, (image, weight) in zip(cameras.names, views_in_bytes(model.splats, cameras, task.backend), strict=True):
-        names.append(teacher_view_name(len(names)))
-        save_view(folder / names[-1], image, weight)
-        reporter.progress(len(names), len(cameras), name)
-    return names
-
-
 def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[str]:
     """Join the devices' models."""
     from radiant_app.workers.inbox import receive_device_models, save_joining
     from radiant_core.hierarchy.edge import join_edge
     from radiant_core.io.messages import save_edge_model
 
-    models = receive_device_models(folder, task)
+    models = receive_device_models(folder, task.devices)
     model = join_edge(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
     names = [
         *save_edge_model(folder, model, task.upload, reporter.warn),

@@ -8,13 +8,13 @@ path that leaves a folder. Folders without an identity, made by hand, hold unsig
     device, field   what to train   signed by its edge
     score           the scene       signed by its device's edge; not where the owner scores all
     edge            what to join    signed by the cloud
-    teacher, cloud  what to do      not signed: a teacher is a part of its edge, the cloud the root
+    cloud           what to join    not signed: the cloud is the root
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,8 +24,6 @@ from radiant_app.workers.delivering import accept_task, belongs_to_run
 from radiant_core.choices import LpipsNetwork, Matching, PlanMethod
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
-    CHECKPOINT_EVERY_S,
-    UNKEYED,
     CloudTask,
     Count,
     DeviceSettings,
@@ -113,16 +111,6 @@ class FieldTask(DeviceSettings):
     """Sizes and modification times of the photographs, which stand for their content."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TeacherTask:
-    """Render a device's model at its cameras."""
-
-    long_side_px: PixelCount
-    backend: Renderer
-    num_dealt: Count
-    checkpoint_every_s: Positive = field(default=CHECKPOINT_EVERY_S, metadata=UNKEYED)
-
-
 def _triple(row: Iterable[float]) -> Triple:
     x, y, z = (float(value) for value in row)
     return x, y, z
@@ -206,7 +194,6 @@ TASKS: dict[str, type[Any]] = {
     "regions": RegionsTask,
     "device": DeviceTask,
     "field": FieldTask,
-    "teacher": TeacherTask,
     "edge": EdgeTask,
     "cloud": CloudTask,
     "score": ScoreTask,

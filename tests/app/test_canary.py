@@ -18,10 +18,10 @@ import pytest
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import Cameras
+from radiant_core.io.array_file import save_arrays
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.records import save_cameras
-from radiant_core.io.view_file import save_view
 from radiant_core.sfm.world_frame.world import cameras_of
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, Canaries, Search, canaries_of, files_with, watermark
 
@@ -73,7 +73,7 @@ def test_what_our_own_writers_and_readers_would_leak_is_found(device: tuple[Path
     lat, lon, _ = next(place for place in photograph_positions(folder).values() if place is not None)
     save_cameras(tmp_path / "virtual_cameras.safetensors", replace(poses, names=("a", "b", "c")))
     save_cameras(tmp_path / "names.safetensors", virtual_cameras(poses, poses.centers - [0, 0, 40.0], np.random.default_rng(1)))
-    save_view(tmp_path / "view.safetensors", np.ascontiguousarray(photograph[..., ::-1]), np.full(photograph.shape[:2], 255, np.uint8))
+    save_arrays(tmp_path / "view.safetensors", "radiant.test", {"png": cv2.imencode(".png", photograph)[1].ravel()}, {})
     (tmp_path / "centers.json").write_text(json.dumps([[f"{value:.4f}" for value in center] for center in poses.centers]).replace('"', ""))
     (tmp_path / "centers.bin").write_bytes((poses.centers + 2e-4).astype("<f4").tobytes())
     (tmp_path / "place.json").write_text(json.dumps({"at": [round(lat, 6), round(lon, 6)]}))

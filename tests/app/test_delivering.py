@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.workers.delivering import deliver, exchange_keys, find_refusals, identify_teacher, run_number, sign_upload
+from radiant_app.workers.delivering import deliver, exchange_keys, find_refusals, run_number, sign_upload
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.delivery import MAX_ATTEMPT
 from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME
@@ -167,16 +167,6 @@ def test_a_wrong_upload_is_refused_with_its_reason_and_harms_no_other(run: Path,
     wrong(run)
     found = refused(run)
     assert list(found) == ["a"] and reason in found["a"]
-
-
-def test_a_teacher_takes_what_its_one_device_addresses_to_the_edge(run: Path) -> None:
-    identify_teacher(run, "teachers/a", EDGE, "a")
-    # Restarted, it is introduced again.
-    identify_teacher(run, "teachers/a", EDGE, "a")
-    for name in ("a", "b"):
-        arrived(run, f"devices/{name}", "teachers/a")
-    assert read_json(run / "teachers/a/identity/post.json") == {"run": run_number(run), "node": EDGE, "receiver": None}
-    assert list(refused(run, "teachers/a")) == ["b"]
 
 
 def test_what_goes_up_is_the_model_in_its_upload_format_with_its_cameras_and_an_uncertain_frame(run: Path) -> None:

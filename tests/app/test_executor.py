@@ -149,39 +149,6 @@ def test_the_injected_clock_decides_the_times(tmp_path: Path) -> None:
     assert times["devices/1"].started_s == 1.0 and times["cloud"].ended_s == 10.0
 
 
-TEACHERS = tuple(Tree(id=f"edges/a/teachers/{n}", tier="teacher", children=(Tree(id=f"devices/{n}", tier="device"),)) for n in "123")
-TAUGHT = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=TEACHERS),))
-
-
-def test_devices_come_before_teachers_and_a_teacher_that_nobody_waits_for_is_left_out(tmp_path: Path) -> None:
-    order: list[str] = []
-    events: list[Event] = []
-    times = executor({}, num_workers=1).fold(TAUGHT, preparer(tmp_path, order), events.append)
-    assert order[:3] == ["devices/1", "devices/2", "devices/3"] and order[-2:] == ["edges/a", "cloud"]
-    assert set(times) == {node.id for node in TAUGHT}
-    assert [event.stage for event in events if isinstance(event, StageStarted)] == [*order[:3], "edges/a", "cloud"]
-
-
-def test_a_teacher_runs_beside_the_last_device_and_is_stopped_by_it(tmp_path: Path) -> None:
-    slow = f"import time, pathlib\nwhile not pathlib.Path({str(tmp_path / 'taught')!r}).exists(): time.sleep(0.01)\n{SEAL}"
-    endless = f"import time, pathlib; pathlib.Path({str(tmp_path / 'taught')!r}).touch(); time.sleep(60)"
-    events: list[Event] = []
-    scripts = {"devices/3": slow, "edges/a/teachers/2": endless}
-    executor(scripts).fold(TAUGHT, preparer(tmp_path, []), events.append)
-    ends = [event.stage for event in events if isinstance(event, StageDone)]
-    assert ends[-4:] == ["devices/3", "edges/a/teachers/2", "edges/a", "cloud"] and "edges/a/teachers/3" not in ends
-    assert (tmp_path / "edges/a/teachers/1/done.json").exists() and not (tmp_path / "edges/a/teachers/2/done.json").exists()
-    again: list[Event] = []
-    executor({node.id: "raise SystemExit(1)" for node in TAUGHT}).fold(TAUGHT, preparer(tmp_path, []), again.append)
-    assert {type(event) for event in again} == {StageSkipped} and len(again) == 6, "what was stopped is not begun again"
-
-
-def test_a_teacher_that_fails_by_itself_fails_the_run(tmp_path: Path) -> None:
-    slow = "import time; time.sleep(60)"
-    with pytest.raises(StageFailed, match="edges/a/teachers/1: its process ended with code 3"):
-        executor({"devices/3": slow, "edges/a/teachers/1": "raise SystemExit(3)"}).fold(TAUGHT, preparer(tmp_path, []), lambda event: None)
-
-
 DECISION = Decision(stage="plan", topic="method", choice="paper", figure=None, unit="", reason="asked for", forced=True)
 
 

@@ -231,8 +231,8 @@ def test_a_run_says_how_many_of_its_stages_are_finished(tmp_path: Path) -> None:
         StageSkipped(stage="sfm"),
         Outlined(stages=("sfm", "devices/a", "cloud")),
         StageStarted(stage="devices/a"),
-        StageStarted(stage="edges/e/teachers/a"),
-        StageDone(stage="edges/e/teachers/a", seconds=0.2),
+        StageStarted(stage="devices/a/score"),
+        StageDone(stage="devices/a/score", seconds=0.2),
         StageDone(stage="devices/a", seconds=2.0),
     ]
     told = Told()
@@ -244,7 +244,7 @@ def test_a_run_says_how_many_of_its_stages_are_finished(tmp_path: Path) -> None:
         tell(StageProgress(stage="cloud", done=1, total=4, note="loss 0.5", phase="matching", step=3, num_steps=6))
     assert told.lines == [
         "skipped sfm: finished before; 1 of 4 stages finished",
-        "done edges/e/teachers/a in 0.2 s",
+        "done devices/a/score in 0.2 s",
         "done devices/a in 2.0 s; 2 of 3 stages finished",
     ]
     seen = read_progress(tmp_path)

@@ -28,7 +28,6 @@ from radiant_app.workers.tasks import (
     ScoreTask,
     SfmSettings,
     SfmTask,
-    TeacherTask,
     receive_task,
 )
 from radiant_core.aggregate.config import AggregateConfig
@@ -82,7 +81,6 @@ MESSAGES: dict[str, Any] = {
         ),
         changed=((10, 20),),
     ),
-    "teacher": TeacherTask(long_side_px=64, backend="native", num_dealt=2),
     "edge": EdgeTask(
         train=TRAIN,
         backend="native",

@@ -1,4 +1,4 @@
-"""Uploads and early teachers through dealing and nodes, on a made-up ground, every node in this process."""
+"""Uploads through dealing and nodes, on a made-up ground, every node in this process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Decided, Event, StageProgress, Warned
+from radiant_app.events import Event, Warned
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
 from radiant_app.run.dealing import Dealer
@@ -69,9 +69,9 @@ def dealt(tmp_path_factory: pytest.TempPathFactory) -> Dealer:
     return Dealer(run=folder / "run", recipe=recipe, photographs=photographs)
 
 
-def folded(dealer: Dealer, *, teachers: bool, listen: Note = lambda event: None, without: str = "") -> Tree:
+def folded(dealer: Dealer, *, listen: Note = lambda event: None, without: str = "") -> Tree:
     """Run every node but those of the tier `without` and what needs them, as an executor would, here."""
-    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, teachers=teachers)
+    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans)
     for node in tree:
         if without and (node.tier == without or any(child.tier == without for child in node)):
             continue
@@ -82,17 +82,9 @@ def folded(dealer: Dealer, *, teachers: bool, listen: Note = lambda event: None,
     return tree
 
 
-def teacher_choice(events: list[Event]) -> str:
-    return next(event.decision.choice for event in events if isinstance(event, Decided) and event.decision.topic == "teachers")
-
-
-def scene_bytes(dealer: Dealer) -> bytes:
-    return (dealer.run / "cloud" / "scene.ply").read_bytes()
-
-
 @pytest.fixture(scope="module")
 def late(dealt: Dealer) -> Dealer:
-    folded(dealt, teachers=False)
+    folded(dealt)
     return dealt
 
 
@@ -103,69 +95,10 @@ def with_devices_of(late: Dealer, folder: Path) -> Dealer:
     return replace(late, run=folder, access_log=[])
 
 
-def test_early_teachers_change_no_bit_of_the_scene(late: Dealer, tmp_path: Path) -> None:
-    early, events = with_devices_of(late, tmp_path), []
-    tree = folded(early, teachers=True, listen=events.append)
-    assert [node.tier for node in tree] == ["device", "teacher", "device", "teacher", "edge", "cloud"]
-    assert teacher_choice(events) == "5 of 5 views were rendered before the last device arrived"
-    assert sum(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in events) == 5
-    assert scene_bytes(early) == scene_bytes(late)
-    assert [row["tier"] for row in early.access_log] == ["device", "device", "edge", "cloud"], "what an edge is sent counts once"
-
-
-def test_a_teacher_that_was_killed_leaves_the_rest_to_its_edge(late: Dealer, tmp_path: Path) -> None:
-    early = with_devices_of(late, tmp_path)
-    tree = folded(early, teachers=True, without="edge")
-    for teacher in (node for node in tree if node.tier == "teacher"):
-        (tmp_path / teacher.id / "done.json").unlink()
-    # As an executor does: the first is prepared again and left, the second was stopped after a view
-    # and is not prepared any more.
-    first, second = (node for node in tree if node.tier == "teacher")
-    early.prepare(first)
-    assert not (tmp_path / first.id / "views").exists(), "what is not sealed may be of another model"
-    (tmp_path / second.id / "views" / "00001.safetensors").unlink()
-    events: list[Event] = []
-    for node in (node for node in tree if node.tier in ("edge", "cloud")):
-        task = early.prepare(node)
-        assert task is not None
-        seal(task.folder, task.key, run_node(task.kind, task.folder, task.stage, events.append))
-    num_left = len(late.recipe.edge_plans[0].cameras_of(second.name)) - 1
-    assert teacher_choice(events) == f"{num_left} of 5 views were rendered before the last device arrived"
-    assert scene_bytes(early) == scene_bytes(late)
-
-
-def test_resuming_after_a_kill_between_teacher_and_edge_takes_the_views(late: Dealer, tmp_path: Path) -> None:
-    early = with_devices_of(late, tmp_path)
-    folded(early, teachers=True, without="edge")
-    again: list[Event] = []
-    folded(replace(early, access_log=[]), teachers=True, listen=again.append)
-    assert not any(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in again), "no view is rendered twice"
-    assert teacher_choice(again).startswith("5 of 5")
-    assert scene_bytes(early) == scene_bytes(late)
-
-
-def test_views_of_another_run_are_not_taken_when_teachers_are_late(late: Dealer, tmp_path: Path) -> None:
-    early = with_devices_of(late, tmp_path)
-    folded(early, teachers=True, without="edge")
-    events: list[Event] = []
-    folded(early, teachers=False, listen=events.append)
-    assert teacher_choice(events).startswith("0 of 5")
-
-
-def test_other_models_make_teachers_render_anew(late: Dealer, tmp_path: Path) -> None:
-    early = with_devices_of(late, tmp_path)
-    folded(early, teachers=True)
-    seeded = replace(early, recipe=replace(early.recipe, train=replace(early.recipe.train, seed=5)), access_log=[])
-    events: list[Event] = []
-    folded(seeded, teachers=True, listen=events.append)
-    assert sum(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in events) == 5
-    assert scene_bytes(seeded) != scene_bytes(late)
-
-
 @pytest.mark.parametrize("upload", ["float16", "spz"])
 def test_a_run_with_compressed_uploads_keeps_its_models_and_sends_less(late: Dealer, tmp_path: Path, upload: UploadFormat) -> None:
     small = replace(late, run=tmp_path, recipe=replace(late.recipe, upload=upload), access_log=[])
-    tree = folded(small, teachers=True)
+    tree = folded(small)
     for node in tree:
         if node.tier == "device":
             kept, sent = load_splats(tmp_path / node.id / "model.safetensors"), load_upload(tmp_path / node.id / "upload.safetensors")
@@ -177,7 +110,7 @@ def test_a_run_with_compressed_uploads_keeps_its_models_and_sends_less(late: Dea
     assert received["edge"] < 0.75 * exact["edge"] and received["cloud"] < 0.6 * exact["cloud"]
     scene, same = load_ply(tmp_path / "cloud" / "scene.ply"), load_ply(late.run / "cloud" / "scene.ply")
     assert len(scene) == pytest.approx(len(same), rel=0.05)
-    folded(replace(small, access_log=[]), teachers=True, listen=lambda event: pytest.fail(f"a sealed node ran again: {event}"))
+    folded(replace(small, access_log=[]), listen=lambda event: pytest.fail(f"a sealed node ran again: {event}"))
 
 
 def test_a_model_that_the_format_cannot_hold_is_sent_as_float32_with_a_warning(late: Dealer, tmp_path: Path) -> None:
@@ -188,7 +121,7 @@ def test_a_model_that_the_format_cannot_hold_is_sent_as_float32_with_a_warning(l
     photographs = replace(late.photographs, scene=replace(scene, points=scattered))
     far = replace(late, run=tmp_path, recipe=replace(late.recipe, upload="spz"), photographs=photographs, access_log=[])
     events: list[Event] = []
-    folded(far, teachers=False, listen=events.append, without="edge")
+    folded(far, listen=events.append, without="edge")
     warned = [event for event in events if isinstance(event, Warned)]
     assert warned and all("uploaded as float32 instead of spz" in event.message for event in warned)
     device = warned[0].stage
@@ -204,14 +137,9 @@ def test_the_plan_counts_the_bytes_of_the_upload() -> None:
     np.testing.assert_allclose(saved_s, sending_s * (1 - BYTES_FACTORS["spz"]), rtol=1e-12)
 
 
-def test_single_devices_get_no_teacher(dealt: Dealer) -> None:
-    lonely = replace(dealt.recipe.edge_plans[0], device_of_camera=np.zeros(5, np.int64))
-    assert [node.tier for node in tree_of_plan(dealt.recipe.cloud_plan, [lonely], teachers=True)] == ["device", "edge", "cloud"]
-
-
 def prepared_edge(dealer: Dealer) -> tuple[NodeTask, list[str]]:
     """The edge of a run whose devices are done, before it runs, and its devices."""
-    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, teachers=False)
+    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans)
     tasks = {node.id: dealer.prepare(node) for node in tree if node.tier != "cloud"}
     (edge,) = (task for name, task in tasks.items() if name.startswith("edges/") and task is not None)
     return edge, sorted(Path(name).name for name in tasks if name.startswith("devices/"))
@@ -251,10 +179,10 @@ def test_a_renewed_key_makes_its_device_sign_anew(late: Dealer, tmp_path: Path) 
     dealer = with_devices_of(late, tmp_path)
     _, (first, second) = prepared_edge(dealer)
     shutil.rmtree(tmp_path / "devices" / first / "identity")
-    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, teachers=False)
+    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans)
     tasks = {Path(node.id).name: dealer.prepare(node) for node in tree if node.tier == "device"}
     sealed = {name: is_sealed(task.folder, task.key) for name, task in tasks.items() if task is not None}
     assert sealed == {first: False, second: True}
-    folded(dealer, teachers=False)
+    folded(dealer)
     assert read_json(tmp_path / "edges" / "edge-1" / "refused.json") == {}
     assert read_json(tmp_path / "devices" / first / "delivery.json")["attempt"] == 2

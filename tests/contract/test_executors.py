@@ -23,8 +23,7 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
 
 DEVICES = tuple(Tree(id=f"devices/{number}", tier="device") for number in "123")
-TEACHERS = tuple(Tree(id=f"edges/a/teachers/{device.name}", tier="teacher", children=(device,)) for device in DEVICES)
-TAUGHT = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=TEACHERS),))
+TREE = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=DEVICES),))
 SEAL = """
 import os
 from pathlib import Path
@@ -62,19 +61,17 @@ def preparer(run: Path, order: list[str]) -> Callable[[Tree], NodeTask]:
     return prepare
 
 
-def test_a_tree_is_folded_a_crash_is_tried_again_a_teacher_is_stopped_and_a_second_fold_skips_all(make: Make, tmp_path: Path) -> None:
+def test_a_tree_is_folded_a_crash_is_tried_again_and_a_second_fold_skips_all(make: Make, tmp_path: Path) -> None:
     scripts = {
         "devices/1": f"print({encode(PROGRESS)!r})\n{SEAL}",
         "devices/2": f"import os, pathlib, signal\nif not pathlib.Path('once').exists():\n"
         f"    pathlib.Path('once').touch()\n    os.kill(os.getpid(), 9)\n{SEAL}",
-        "devices/3": f"import time, pathlib\nwhile not pathlib.Path({str(tmp_path / 'taught')!r}).exists(): time.sleep(0.01)\n{SEAL}",
-        "edges/a/teachers/2": f"import time, pathlib; pathlib.Path({str(tmp_path / 'taught')!r}).touch(); time.sleep(60)",
     }
     order: list[str] = []
     events: list[Event] = []
-    times = make(scripts).fold(TAUGHT, preparer(tmp_path, order), events.append)
+    times = make(scripts).fold(TREE, preparer(tmp_path, order), events.append)
     assert (
-        set(times) == {node.id for node in TAUGHT} and order[:3] == [device.id for device in DEVICES] and order[-2:] == ["edges/a", "cloud"]
+        set(times) == {node.id for node in TREE} and order[:3] == [device.id for device in DEVICES] and order[-2:] == ["edges/a", "cloud"]
     )
     assert times["edges/a"].started_s >= max(times[device.id].ended_s for device in DEVICES)
     assert times["cloud"].started_s >= times["edges/a"].ended_s
@@ -83,10 +80,9 @@ def test_a_tree_is_folded_a_crash_is_tried_again_a_teacher_is_stopped_and_a_seco
     assert warning.stage == "devices/2" and "killed by signal 9" in warning.message and "tried again" in warning.message
     done = [event.stage for event in events if isinstance(event, StageDone)]
     assert done[-2:] == ["edges/a", "cloud"] and {device.id for device in DEVICES} <= set(done)
-    assert not (tmp_path / "edges/a/teachers/2/done.json").exists()
     assert {(tmp_path / name / "made").read_text() for name in ("devices/1", "edges/a", "cloud")} == {"1"}, "two CPUs, three leaves"
     again: list[Event] = []
-    make({node.id: "raise SystemExit(1)" for node in TAUGHT}).fold(TAUGHT, preparer(tmp_path, []), again.append)
+    make({node.id: "raise SystemExit(1)" for node in TREE}).fold(TREE, preparer(tmp_path, []), again.append)
     assert {type(event) for event in again} == {StageSkipped}
 
 
@@ -99,7 +95,7 @@ def test_a_failure_is_named_the_others_are_stopped_and_what_was_sealed_stays(mak
     }
     events: list[Event] = []
     with pytest.raises(BadInput, match=r"devices/2: no photographs: take some\."):
-        make(scripts).fold(TAUGHT, preparer(tmp_path, []), events.append)
+        make(scripts).fold(TREE, preparer(tmp_path, []), events.append)
     assert StageStarted not in {type(event) for event in events if getattr(event, "stage", "") == "edges/a"}
     deadline_s = time.monotonic() + 10
     while is_alive(int((tmp_path / "pid").read_text())) and time.monotonic() < deadline_s:
@@ -125,7 +121,7 @@ def test_a_cluster_of_this_machine_alone_gets_a_secret_of_its_own_each_time(monk
 
 
 def test_the_machines_of_nodes_are_named_by_what_they_are() -> None:
-    assert [resource_of(node) for node in TAUGHT] == ["device:1", "edge:a", "device:2", "edge:a", "device:3", "edge:a", "edge:a", "cloud"]
+    assert [resource_of(node) for node in TREE] == ["device:1", "device:2", "device:3", "edge:a", "cloud"]
     assert resource_of(Tree(id="devices/1/score", tier="device")) == "device:1"
 
 
@@ -134,7 +130,7 @@ def test_an_address_where_no_cluster_is_gets_one_sentence(address: str, said: st
     if find_spec("ray") is None:
         pytest.skip("Ray is not installed: the extra `cluster` brings it")
     with pytest.raises(BadInput, match=said):
-        RayExecutor(address=address, log=tmp_path / "ray.log").fold(TAUGHT, preparer(tmp_path, []), lambda event: None)
+        RayExecutor(address=address, log=tmp_path / "ray.log").fold(TREE, preparer(tmp_path, []), lambda event: None)
     # A run asks before it begins, not after structure from motion.
     execution = ExecutionOptions(executor="ray", address=address)
     config = RunConfig(source=sample_scenes_folder() / "hamlet" / "images", out=tmp_path / "run", execution=execution)

@@ -55,7 +55,7 @@ def street() -> Splats:
 
 def merged(second: Splats) -> Splats:
     """Two regions' models crop-merged at the border, the first one being the street itself."""
-    return crop_merge([street(), second], SITES, WEIGHTS, fill_blind_spots=False).splats
+    return crop_merge([street(), second], SITES, WEIGHTS)
 
 
 def steps_at_border(splats: Splats) -> BorderSteps:

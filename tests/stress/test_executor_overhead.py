@@ -38,7 +38,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Tree, dict[str, NodeT
     folder = tmp_path_factory.mktemp("overhead")
     hamlet_in(folder)
     training = TrainOptions(long_side_px=160, num_steps=2000, max_num_splats=3000)
-    execution = ExecutionOptions(teachers="late", max_workers=1)
+    execution = ExecutionOptions(max_workers=1)
     config = RunConfig(source=folder / "hamlet", out=folder / "run", train=training, execution=execution)
     radiant_app.run.pipeline.run(config)
     tree = tree_of_plan(*load_plan(config.out / "plan.json"))

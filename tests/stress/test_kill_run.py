@@ -66,7 +66,7 @@ def config_of(out: Path) -> RunConfig:
         out=out,
         system=out.parent / "system.toml",
         train=TrainOptions(long_side_px=96, num_steps=150, max_num_splats=1500),
-        execution=ExecutionOptions(teachers="late", max_workers=1, checkpoint_every_s=0.1),
+        execution=ExecutionOptions(max_workers=1, checkpoint_every_s=0.1),
     )
 
 
@@ -184,7 +184,7 @@ def test_a_run_whose_main_process_is_killed_again_and_again_resumes_with_the_sam
         shutil.rmtree(out / node)
     config = config_of(out)
     assert config.system is not None
-    options = [str(config.source), "--out", str(out), "--system", str(config.system), "--teachers", "late", "--workers", "1"]
+    options = [str(config.source), "--out", str(out), "--system", str(config.system), "--workers", "1"]
     sizes = ["--steps", "150", "--long-side-px", "96", "--max-splats", "1500", "--checkpoint-every", "0.1s"]
     command = [sys.executable, "-m", "radiant_app", "run", *options, *sizes, "--resume"]
     rng = np.random.default_rng(7)

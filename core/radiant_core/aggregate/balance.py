@@ -83,19 +83,11 @@ def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> 
 
 
 def balance_teachers(teachers: Sequence[Teacher], balance: Balance) -> list[Teacher]:
-    """The teachers as if all had been exposed alike: their models, and their rendered pictures."""
+    """The teachers as if all had been exposed alike."""
     if not balance.is_needed:
         return list(teachers)
-    return [_expose_teacher(*each) for each in zip(teachers, balance.gains, balance.offsets, strict=True)]
-
-
-def _expose_teacher(teacher: Teacher, gains: FloatArray, offsets: FloatArray) -> Teacher:
-    shown = {
-        # A picture is over black: where the model is transparent there is nothing to add to.
-        row: (np.clip(gains * image + offsets * weight[..., None], 0, 255).round().astype(np.uint8), weight)
-        for row, (image, weight) in teacher.rendered.items()
-    }
-    return replace(teacher, splats=expose_splats(teacher.splats, gains, offsets), rendered=shown)
+    exposed = zip(teachers, balance.gains, balance.offsets, strict=True)
+    return [replace(teacher, splats=expose_splats(teacher.splats, gains, offsets)) for teacher, gains, offsets in exposed]
 
 
 def expose_splats(splats: Splats, gains: FloatArray, offsets: FloatArray) -> Splats:

@@ -40,8 +40,6 @@ class AggregateConfig:
     cloud: Literal["crop_merge", "retrain"] = "retrain"
     """retrain: the cloud does as the edges, on views from virtual cameras, and cuts models at their
     borders where that would exceed its limits; crop_merge: it always cuts them there."""
-    fill_blind_spots: bool = False
-    """Whether crop-merge keeps a neighbour's Gaussian where the owner has nothing near it."""
 
     def __post_init__(self) -> None:
         if self.preset not in get_args(AggregatePreset):

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from shapely import Polygon, boundary, contains, distance, points, prepare
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.crop_merge import far_from
 from radiant_core.aggregate.join import fade, touched_cameras
 from radiant_core.aggregate.ownership import Ownership
 from radiant_core.aggregate.retrain import retrain
@@ -39,6 +39,8 @@ from radiant_core.train.views import TrainingViews
 
 OPAQUE = 0.5
 """A pixel shows a place of the new model where that covers so much of it, else of the scene."""
+BLIND_FACTOR = 1.5
+"""A replaced Gaussian stays where no new one is within this many times its own size."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,7 +109,7 @@ def extend_scene(
     if not (new_m > 0).any():
         raise BadInput(f"none of the {len(new_m)} new Gaussians lies in the region: check that both models are in one frame.")
     old_core = np.flatnonzero(old_m > region.margin_m)
-    filled = old_core[far_from(scene.select(old_core), addition.splats.means[new_m > 0])]
+    filled = old_core[_far_from(scene.select(old_core), addition.splats.means[new_m > 0])]
     kept = scene.select(old_m < -region.margin_m)
     added = addition.splats.select(new_m > region.margin_m)
     still = concatenate_splats([kept, scene.select(filled), added])
@@ -131,6 +133,14 @@ def extend_scene(
         num_fitted=len(joined),
         num_shown=0 if views is None else len(views),
     )
+
+
+def _far_from(splats: Splats, means: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) have none of `means` (M,3) m within `BLIND_FACTOR` times their size."""
+    if not len(means):
+        return np.ones(len(splats), bool)
+    distances, _ = KDTree(means).query(splats.means)
+    return distances > BLIND_FACTOR * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
 
 
 def _owners(owns: Sequence[NDArray[np.bool_]]) -> list[Ownership]:

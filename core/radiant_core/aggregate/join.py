@@ -156,7 +156,9 @@ def _join(
     cut = replace(cut, num_shown=int(sum(rows.sum() for rows in shown)), contested_share=float(contested.mean()) if len(contested) else 0.0)
     if not cut.num_shown:
         return cut
-    asked = [_select_cameras(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()]
+    asked = [
+        replace(one, cameras=one.cameras.select(np.flatnonzero(rows))) for one, rows in zip(teachers, shown, strict=True) if rows.any()
+    ]
     views = teacher_views(asked, train.long_side_px, options.scratch)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
@@ -206,16 +208,9 @@ def fade(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) ->
 
 
 def teacher_views(teachers: Sequence[Teacher], long_side_px: int, folder: Path | None = None) -> TrainingViews:
-    """Every teacher's views at its cameras, reduced to `long_side_px`; rendered ones are reused."""
-    parts = [synthetic_views(t.splats, t.cameras.scaled(long_side_px), rendered=t.rendered, folder=folder) for t in teachers]
+    """Every teacher's views at its cameras, reduced to `long_side_px`."""
+    parts = [synthetic_views(teacher.splats, teacher.cameras.scaled(long_side_px), folder=folder) for teacher in teachers]
     return concatenate_views(parts)
-
-
-def _select_cameras(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
-    """The teacher at some of its cameras."""
-    rows = np.flatnonzero(chosen).tolist()
-    rendered = {place: teacher.rendered[row] for place, row in enumerate(rows) if row in teacher.rendered}
-    return replace(teacher, cameras=teacher.cameras.select(rows), rendered=rendered)
 
 
 def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:

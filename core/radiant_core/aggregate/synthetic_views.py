@@ -3,8 +3,8 @@ III-D). Once per device and edge. Each pixel weighs as much as the model's alpha
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,34 +19,19 @@ from radiant_core.train.views import TrainingViews
 
 ViewBytes = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 """Image (H,W,3) and weight (H,W)."""
-Rendered = Mapping[int, ViewBytes]
-"""Views that were rendered before, by the index of their camera."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Teacher:
-    """A model, its cameras, and by index of the camera the views that are rendered already."""
+    """A model and the cameras that it is asked at."""
 
     splats: Splats
     cameras: Cameras
-    rendered: Rendered = field(default_factory=dict)
 
 
-_NONE_RENDERED: Rendered = {}
-
-
-def synthetic_views(
-    splats: Splats,
-    cameras: Cameras,
-    backend: Backend = "auto",
-    rendered: Rendered = _NONE_RENDERED,
-    folder: Path | None = None,
-) -> TrainingViews:
-    """Images and weights of `splats` at `cameras`, 8 bits; none in `rendered` is rendered again.
-    They lie in a file of `folder` where one is given."""
-    fresh = views_in_bytes(splats, cameras.select([index for index in range(len(cameras)) if index not in rendered]), backend)
-    views = (rendered[index] if index in rendered else next(fresh) for index in range(len(cameras)))
-    images, weights = store_views(views, folder)
+def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", folder: Path | None = None) -> TrainingViews:
+    """Images and weights of `splats` at `cameras`, 8 bits; in a file of `folder` if given."""
+    images, weights = store_views(views_in_bytes(splats, cameras, backend), folder)
     return TrainingViews(cameras=cameras, images=images, weights=weights)
 
 

@@ -1,8 +1,4 @@
-"""`Tree`: the whole computation, cloud over edges over devices, folded from the leaves up. Pure.
-
-Between an edge of several devices and each of them stands a teacher: the edge's rendering of that
-device's views, which can begin before the others have arrived.
-"""
+"""`Tree`: the whole computation, cloud over edges over devices, folded from the leaves up. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +9,7 @@ from typing import Literal, TypeVar
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
 Result = TypeVar("Result")
-Tier = Literal["cloud", "edge", "teacher", "device"]
+Tier = Literal["cloud", "edge", "device"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,16 +40,11 @@ class Tree:
         return replace(self, id=rename(self.id), children=tuple(child.map_ids(rename) for child in self.children))
 
 
-def tree_of_plan(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], *, teachers: bool = False) -> Tree:
-    """Cloud over edges and devices with cameras; `teachers`: one per device of a shared edge."""
+def tree_of_plan(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> Tree:
+    """Cloud over edges and devices with cameras."""
     edges = []
     for index, plan in enumerate(edge_plans):
         devices = tuple(Tree(id=f"devices/{device_id}", tier="device") for device_id in plan.device_ids if len(plan.cameras_of(device_id)))
-        edge_id = f"edges/{cloud_plan.edge_ids[index]}"
-        if teachers and len(devices) > 1:
-            devices = tuple(
-                replace(device, id=f"{edge_id}/teachers/{device.name}", tier="teacher", children=(device,)) for device in devices
-            )
         if devices:
-            edges.append(Tree(id=edge_id, tier="edge", children=devices))
+            edges.append(Tree(id=f"edges/{cloud_plan.edge_ids[index]}", tier="edge", children=devices))
     return Tree(id="cloud", tier="cloud", children=tuple(edges))

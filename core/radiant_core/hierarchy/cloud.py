@@ -21,7 +21,7 @@ from radiant_core.aggregate.join import Joined, cut_at_borders, join_models
 from radiant_core.aggregate.join_memory import JoinMemory, plan_join_memory
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN, blind_spots_decision, join_decisions, report_join_memory
+from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN, join_decisions, report_join_memory
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.joining import Arrivals, admit, join_key
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension, SceneModel
@@ -64,10 +64,9 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
             teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]
             joined = _join(task, teachers, claims_of_cells(sites, weights), options, choice, reporter)
             return SceneModel(splats=joined.splats, summary=training_summary(joined.trained), cut_for_memory=cut_for_memory, **found)
-    merged = crop_merge(arrivals.models, sites, weights, fill_blind_spots=task.aggregate.fill_blind_spots)
-    reporter.decide(blind_spots_decision(reporter.stage, merged, wanted=task.aggregate.fill_blind_spots))
-    counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
-    return SceneModel(splats=merged.splats, summary=counts, cut_for_memory=cut_for_memory, **found)
+    merged = crop_merge(arrivals.models, sites, weights)
+    counts = {"num_splats": len(merged), "num_dropped": sum(map(len, arrivals.models)) - len(merged)}
+    return SceneModel(splats=merged, summary=counts, cut_for_memory=cut_for_memory, **found)
 
 
 def _extend(
@@ -86,7 +85,7 @@ def _extend(
     addition = Teacher(splats=new.splats, cameras=new.cameras)
     options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
     extended = extend_scene(standing.splats, addition, region, task.train, task.aggregate, options)
-    return SceneModel(splats=extended.splats, summary=extended.counts())
+    return SceneModel(splats=extended.splats, summary={"num_splats": len(extended.splats), **extended.counts()})
 
 
 @dataclass(frozen=True, kw_only=True)

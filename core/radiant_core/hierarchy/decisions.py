@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 
 if TYPE_CHECKING:
@@ -13,7 +11,6 @@ if TYPE_CHECKING:
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.join import Check, Joined
     from radiant_core.aggregate.join_memory import JoinMemory
-    from radiant_core.aggregate.synthetic_views import Rendered
     from radiant_core.hierarchy.reporter import Reporter
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.shapes import ShapeCounts
@@ -55,20 +52,6 @@ def fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool)
     )
 
 
-def teachers_decision(stage: str, rendered: Sequence[Rendered], cameras: Sequence[Cameras]) -> Decision:
-    """How many views were rendered before the last device arrived."""
-    num_early, num_views = sum(map(len, rendered)), sum(map(len, cameras))
-    return Decision(
-        stage=stage,
-        topic="teachers",
-        choice=f"{num_early} of {num_views} views were rendered before the last device arrived",
-        figure=float(num_early),
-        unit="views",
-        reason="a device's views need no other device; the edge renders the rest itself",
-        changes_nothing=not num_early,
-    )
-
-
 def density_decision(stage: str, counts: Any, num_before: int, num_after: int) -> Decision:
     """What densification and pruning did."""
     pruned = f"{counts.num_pruned_transparent:,} transparent and {counts.num_pruned_large:,} large ones pruned"
@@ -98,20 +81,6 @@ def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Dec
         unit="Gaussians",
         reason=(f"beyond {limits}, a shape shows in views it was not fitted to; " if limits else "")
         + "an opacity below 1/255 is never drawn",
-    )
-
-
-def blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
-    """What crop-merge kept outside its owner's region and dropped."""
-    return Decision(
-        stage=stage,
-        topic="blind spots",
-        choice=f"kept {merged.num_filled:,} Gaussians outside their own region and dropped {merged.num_dropped:,}",
-        figure=100 * merged.num_filled / max(1, len(merged.splats)),
-        unit="% of the scene",
-        reason="the owner of that place has no Gaussian near it" if wanted else BY_PRESET,
-        forced=not wanted,
-        changes_nothing=not (merged.num_filled or merged.num_dropped),
     )
 
 

@@ -21,7 +21,7 @@ from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
-from radiant_core.hierarchy.decisions import JOIN_AGAIN, join_decisions, report_join_memory, teachers_decision
+from radiant_core.hierarchy.decisions import JOIN_AGAIN, join_decisions, report_join_memory
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.joining import admit, join_key, received_files
 from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel, EdgeTask
@@ -47,11 +47,7 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     arrivals = admit(models, task.num_dealt, reporter)
     if not arrivals.models:
         return EdgeModel(splats=None, corrections=arrivals.corrections, refused=arrivals.refused)
-    rendered = [_views_of(models[name]) for name in arrivals.senders]
-    if len(arrivals.models) > 1:
-        reporter.decide(teachers_decision(reporter.stage, rendered, arrivals.cameras))
-    asked = zip(arrivals.models, arrivals.cameras, rendered, strict=True)
-    teachers = [Teacher(splats=model, cameras=own, rendered=ready) for model, own, ready in asked]
+    teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]
     strips = [np.array(task.strips[task.devices.index(name)]).reshape(-1, 2) for name in arrivals.senders]
     options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
     joined = _join(task, teachers, strips, options, reporter)
@@ -69,11 +65,6 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
         refused=arrivals.refused,
         summary={**training_summary(joined.trained), "num_models": len(arrivals.models)},
     )
-
-
-def _views_of(model: DeviceModel | str) -> Mapping[int, Any]:
-    # A device's model shows the same at its own cameras wherever both were moved to.
-    return {} if isinstance(model, str) else model.rendered
 
 
 def _join(task: EdgeTask, teachers: list[Teacher], strips: Sequence[Any], options: FitOptions, reporter: Reporter) -> Joined:

@@ -85,8 +85,6 @@ class DeviceModel:
     cameras: Cameras = field(metadata=in_file("cameras.safetensors"))
     uncertainty: FrameUncertainty | None = None
     """How well its frame is known; None where the frame is exact."""
-    rendered: Mapping[int, Any] = field(default_factory=dict, metadata=LOCAL)
-    """Synthetic views at its cameras that a teacher process rendered already."""
     received: Mapping[str, str] = field(default_factory=dict, metadata=LOCAL)
     """SHA-256 of the files that it arrived as, which seed the edge's virtual cameras."""
     initial: Splats | None = field(default=None, metadata=LOCAL)
@@ -105,8 +103,6 @@ class EdgeTask(Training):
     aggregate: AggregateConfig
     upload: UploadFormat = "float32"
     memory_bytes: Positive | None = None
-    teachers: tuple[Id, ...] = field(default=(), metadata=UNKEYED)
-    """Devices whose views teacher processes render."""
 
     def __post_init__(self) -> None:
         if not len(self.devices) == len(self.num_dealt) == len(self.strips):

@@ -3,7 +3,7 @@ follows from it. Once per run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,7 +52,7 @@ class Recipe:
             memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),
         )
 
-    def edge_task(self, edge: str, num_dealt: Mapping[str, int], teachers: Sequence[str] = ()) -> EdgeTask:
+    def edge_task(self, edge: str, num_dealt: Mapping[str, int]) -> EdgeTask:
         """Join the models of the devices that delivered one; `num_dealt`: photographs of each."""
         plan = next(plan for plan in self.edge_plans if plan.edge_id == edge)
         strips = [plan.strips[plan.device_ids.index(device)].tolist() for device in num_dealt]
@@ -66,7 +66,6 @@ class Recipe:
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,
             memory_bytes=next(own.memory_bytes for own in self.system.edges if own.id == edge),
-            teachers=tuple(teachers),
         )
 
     def cloud_task(self, num_dealt: Mapping[str, int], joined: Mapping[str, Mapping[str, float | int]]) -> CloudTask:

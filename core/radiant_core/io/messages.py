@@ -76,9 +76,10 @@ def message_of(kind: type[Message], record: Mapping[str, Any], name: str = "mess
 
 
 def task_key(task: Any) -> dict[str, Any]:
-    """What of a task decides the bits of its result; its files count by their bytes, elsewhere."""
-    record = message_record(task)
-    return {field.name: record[field.name] for field in fields(task) if field.name in record and field.metadata.get("keyed", True)}
+    """What of a task decides the bits of its result; its files count by their bytes, elsewhere. A
+    setting that is None does not count, so that a new one leaves the keys of older runs valid."""
+    record, keyed = message_record(task), {field.name for field in fields(task) if field.metadata.get("keyed", True)}
+    return {name: value for name, value in record.items() if name in keyed and value is not None}
 
 
 def save_task(folder: Path, task: Any) -> list[str]:

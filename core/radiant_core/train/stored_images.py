@@ -5,7 +5,7 @@ does not grow with its views. Once per view to write, once per step to read.
           nobody uses it
 
 As they are: a render of 576 × 432 px as PNG has a third of the bytes and takes 13 times as long to
-read, 7.5 ms in place of 0.6 (a photograph-like one has 0.6 of the bytes: `io/view_file.py`).
+read, 7.5 ms in place of 0.6 (a photograph-like one has 0.6 of the bytes).
 """
 
 from __future__ import annotations

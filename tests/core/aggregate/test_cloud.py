@@ -140,7 +140,7 @@ class TestPaperAggregation:
     def test_the_preset_turns_every_skip_off(self) -> None:
         paper = aggregate_preset("paper")
         assert (paper.preset, paper.num_epochs, paper.max_num_steps, paper.cloud) == ("paper", 10, None, "retrain")
-        assert (paper.num_epochs, paper.retrain_single, paper.weight_by_alpha, paper.fill_blind_spots) == (10, True, False, False)
+        assert (paper.num_epochs, paper.retrain_single, paper.weight_by_alpha) == (10, True, False)
         assert aggregate_preset("default") == AggregateConfig()
         with pytest.raises(BadInput, match="default, paper"):
             aggregate_preset("papers")
@@ -180,6 +180,5 @@ class TestPaperAggregation:
     def test_a_plain_cut_keeps_nothing_outside_its_region(self) -> None:
         sites = np.array([[-2.0, 0.0], [2.0, 0.0]])
         blind = MODEL.select(MODEL.means[:, 0] > 2)
-        merged = crop_merge([MODEL, blind], sites, np.zeros(2), fill_blind_spots=False)
-        assert merged.num_filled == 0
-        assert len(merged.splats) == (MODEL.means[:, 0] <= 0).sum() + len(blind)
+        merged = crop_merge([MODEL, blind], sites, np.zeros(2))
+        assert len(merged) == (MODEL.means[:, 0] <= 0).sum() + len(blind)

@@ -131,17 +131,6 @@ def test_what_exceeds_an_edges_memory_by_little_is_joined_in_tiles(monkeypatch: 
     assert cut.summary["num_steps"] == 0 and choices(paper, "memory") == ["models are cut at their borders instead of retrained"]
 
 
-def test_views_that_a_teacher_rendered_change_no_bit() -> None:
-    from radiant_core.aggregate.synthetic_views import views_in_bytes
-
-    models = {name: device_models()[name] for name in "ab"}
-    ready = dict(enumerate(views_in_bytes(models["a"].splats, CAMERAS[0].scaled(48), "native")))
-    reporter = Recorder()
-    early = join_edge(edge_task("a", "b"), {**models, "a": replace(models["a"], rendered=ready)}, reporter)
-    assert choices(reporter, "teachers") == ["2 of 4 views were rendered before the last device arrived"]
-    assert_same(early.splats, join_edge(edge_task("a", "b"), models, Recorder()).splats)
-
-
 def test_no_field_of_the_config_is_needed_to_pass_a_lone_model() -> None:
     for config in (AggregateConfig(), replace(AGGREGATE, edge_epochs=1), replace(AGGREGATE, cloud="crop_merge")):
         found = join_edge(edge_task("c", aggregate=config), {"c": device_models()["c"]}, Recorder())

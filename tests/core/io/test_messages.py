@@ -55,7 +55,6 @@ EDGE = EdgeTask(
     train=TRAIN,
     aggregate=AGGREGATE,
     backend="native",
-    teachers=("a-1",),
 )
 CLOUD = CloudTask(
     edges=("a",),
@@ -103,7 +102,6 @@ edges = st.integers(1, 4).flatmap(
         strips=of_each(count, st.lists(pairs, max_size=4).map(tuple)),
         aggregate=aggregates,
         memory_bytes=st.none() | positive,
-        teachers=st.lists(ids, max_size=3).map(tuple),
     )
 )
 cloud_tasks = st.integers(1, 4).flatmap(
@@ -228,7 +226,6 @@ OTHERS: dict[str, Any] = {
     "limits": Cloud(),
     "edge_times_s": (5.5,),
     "cloud": None,
-    "teachers": (),
     "devices": ("b",),
     "edges": ("b",),
     "num_dealt": (3,),
@@ -242,7 +239,7 @@ OTHERS: dict[str, Any] = {
 def test_what_changes_no_bit_stands_in_no_key_and_everything_else_does(task: Any) -> None:
     names = {each.name for each in fields(task)} - {"extends"}
     unkeyed = {name for name in names if task_key(replace(task, **{name: OTHERS[name]})) == task_key(task)}
-    assert unkeyed == {"checkpoint_every_s"} | ({"teachers"} if isinstance(task, EdgeTask) else set())
+    assert unkeyed == {"checkpoint_every_s"}
     assert unkeyed.isdisjoint(task_key(task))
 
 
