@@ -1,10 +1,5 @@
-"""A merged model must not step at its border: strips from above by our own renderer, fails when a
-seam appears.
-
-The budget of a seamless merge, over 36 m of textured ground: grey 1/255, height 5 mm, density 10 %,
-opacity 0.5 %, and no score above its threshold. Open3D and pyvista pictures of the same border are
-checked for what stands where, not for pixels.
-"""
+"""A brighter region is seen on its own side of the border, by Open3D and by pyvista: checked for
+what stands where, not for pixels."""
 
 from __future__ import annotations
 
@@ -17,7 +12,6 @@ import pytest
 
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.cameras import Cameras
-from radiant_core.evaluate.step_detector import BorderSteps, Quantity, border_steps
 from radiant_core.io.ply import save_ply
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import SH_C0, Splats
@@ -31,7 +25,6 @@ SITES, WEIGHTS = np.array([[3.0, -12.0], [-3.0, 12.0]]), np.zeros(2)
 """The border runs through the origin, across the line between the sites; the second region is on its left."""
 ALONG = np.array([24.0, 6.0]) / np.hypot(24.0, 6.0)
 ENDS: FloatArray = np.stack([-18 * ALONG, 18 * ALONG])
-BUDGET: dict[Quantity, float] = {"colour": 1 / 255, "height": 0.005, "density": 0.1, "gap": 0.005}
 
 
 @cache
@@ -58,91 +51,8 @@ def merged(second: Splats) -> Splats:
     return crop_merge([street(), second], SITES, WEIGHTS)
 
 
-def steps_at_border(splats: Splats) -> BorderSteps:
-    return border_steps(splats, ENDS, backend="native")
-
-
 def brighter(levels: float) -> Splats:
     return replace(street(), sh0=street().sh0 + levels / 255 / SH_C0)
-
-
-def higher(step_m: float) -> Splats:
-    return replace(street(), means=street().means + np.array([0.0, 0.0, step_m]))
-
-
-def thinner(share: float) -> Splats:
-    return street().select(np.flatnonzero(np.random.default_rng(0).random(len(street())) >= share))
-
-
-def cut_short(width_m: float) -> Splats:
-    across = street().means[:, :2] @ [-ALONG[1], ALONG[0]]
-    return street().select(np.flatnonzero(across > width_m))
-
-
-def assert_seamless(steps: BorderSteps) -> None:
-    assert steps.found == ()
-    for quantity, budget in BUDGET.items():
-        assert abs(steps.steps[quantity]) <= budget, f"{quantity} steps by {steps.steps[quantity]:.4g}, more than {budget:.4g}"
-
-
-def test_models_that_agree_merge_without_a_seam() -> None:
-    assert_seamless(steps_at_border(merged(street())))
-
-
-@pytest.mark.parametrize(
-    ("second", "quantity", "step", "within"),
-    [
-        # Neighbours across the border blend, and the bands are narrow: of 10/255, 4.5/255 are left.
-        (lambda: brighter(10), "colour", 4.5 / 255, 0.25),
-        (lambda: brighter(-10), "colour", -4.5 / 255, 0.25),
-        (lambda: higher(0.05), "height", 0.05, 0.1),
-        (lambda: higher(-0.05), "height", -0.05, 0.1),
-        (lambda: thinner(0.4), "density", np.log(0.6), 0.25),
-    ],
-)
-def test_a_planted_step_is_found_with_its_sign_and_size(second: object, quantity: Quantity, step: float, within: float) -> None:
-    assert callable(second)
-    steps = steps_at_border(merged(second()))
-    assert quantity in steps.found
-    assert steps.steps[quantity] == pytest.approx(step, rel=within)
-    with pytest.raises(AssertionError):
-        assert_seamless(steps)
-
-
-def test_what_is_found_exceeds_the_limit_that_is_told_and_what_is_not_does_not() -> None:
-    for steps in (steps_at_border(merged(street())), steps_at_border(merged(higher(0.05)))):
-        # Of colour the limit is that of grey, and a difference of channels may be what was found.
-        for quantity in ("height", "density", "gap"):
-            assert (abs(steps.steps[quantity]) > steps.limits[quantity]) == (quantity in steps.found)
-    # Hills of 0.2 m and 1 cm of noise: a step of 5 cm is told, one of a tenth of a millimetre is
-    # not promised.
-    assert 1e-4 < steps.limits["height"] < 0.05
-
-
-def test_a_planted_gap_is_found() -> None:
-    steps = steps_at_border(merged(cut_short(0.8)))
-    assert "gap" in steps.found
-    assert steps.steps["gap"] > 0.03
-
-
-def test_the_seam_is_at_the_border_and_nowhere_else() -> None:
-    left = np.array([-ALONG[1], ALONG[0]])
-    steps = border_steps(merged(higher(0.05)), ENDS + 9 * left, backend="native")
-    assert "height" not in steps.found
-
-
-def test_the_same_picture_gives_the_same_figures() -> None:
-    first, second = (steps_at_border(merged(brighter(6))) for _ in range(2))
-    assert first.steps == second.steps
-    np.testing.assert_array_equal(first.strip.image, second.strip.image)
-
-
-def test_too_short_or_empty_a_border_has_no_figures() -> None:
-    short = border_steps(street(), ENDS / 36, backend="native")
-    assert np.isnan([short.scores["colour"], short.scores["height"]]).all()
-    away = border_steps(street(), ENDS + 1e6, backend="native")
-    assert away.found == ()
-    assert np.isnan([away.scores["height"], away.scores["density"]]).all()
 
 
 def camera_over_border() -> Cameras:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +61,6 @@ def test_a_planted_seam_is_found_at_its_borders_and_no_unplanted_one_anywhere() 
     assert [1 in (finding.figures.border.first, finding.figures.border.second) for finding in findings] == [True, True, False]
     assert [finding.found for finding in findings] == [True, True, False]
     assert [finding.figures.step_levels for finding in findings[:2]] == pytest.approx([40, 40], abs=6)
-    unscaled = replace(planted.scene, frame=replace(planted.scene.frame, kind="unscaled"))
-    assert [finding.found for finding in seam_findings(unscaled, planted.cloud_plan, planted.splats)] == [True, True, False]
     # The upper third of viridis, green to yellow, marks what is strong: without a seam it stands in
     # the colour bar alone.
     bar, with_seam = (int(is_strong(seams_of(town)).sum()) for town in (plain, planted))

@@ -17,7 +17,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
 from radiant_viewer.runs.border_figures import BorderFigures, border_figures
-from radiant_viewer.runs.seam_findings import excess_text, seam_findings, verdict_text
+from radiant_viewer.runs.seam_findings import excess_text, proven_excess_db, seam_findings, verdict_text
 from radiant_viewer.runs.seam_tour import seam_stops
 from tests.viewer.made_up_run import Town, made_up_town
 
@@ -96,7 +96,7 @@ def test_without_photographs_of_a_border_there_is_no_verdict(unseen: Callable[[S
 def test_nothing_found_says_how_little_was_looked_at_and_what_could_not_be_told() -> None:
     town = flown_over_the_west()
     plain = made_up_town()
-    text = verdict_text(seam_findings(town.scene, plain.cloud_plan, plain.splats, num_examined=0), "m")
+    text = verdict_text(seam_findings(town.scene, plain.cloud_plan, plain.splats), "m")
     assert text.startswith("No step of 10 levels of 255 or more could be told from texture; observed: ")
     found = re.search(r"observed: ([\d.]+) m of ([\d.]+) m", text)
     assert found is not None, text
@@ -149,3 +149,21 @@ def test_what_photographs_show_beyond_borders_is_told_where_it_was_measured(tmp_
     assert excess_text(tmp_path) == ""
     write_json(tmp_path / "metrics.json", {"seam_excess_db": 2.04, "seam_found": True})
     assert excess_text(tmp_path) == "Photographs show the ground beyond borders +2.04 dB worse: a seam."
+
+
+def test_a_seam_that_photographs_show_is_found_without_a_step(tmp_path: Path) -> None:
+    town = made_up_town()
+    assert proven_excess_db(tmp_path) == {}
+    rows = [
+        {"between": ["harbour", "north"], "seam_excess_db": 1.5, "seam_found": True},
+        {"between": ["harbour", "south"], "seam_excess_db": 0.1, "seam_found": False},
+        {"between": ["north", "south"], "seam_excess_db": None, "seam_found": None},
+    ]
+    write_json(tmp_path / "metrics.json", {"borders": rows})
+    proven = proven_excess_db(tmp_path)
+    assert proven == {frozenset({"north", "harbour"}): 1.5}
+    findings = seam_findings(town.scene, town.cloud_plan, town.splats, proven)
+    assert {finding.figures.names: finding.excess_db for finding in findings if finding.found} == {("north", "harbour"): 1.5}
+    assert verdict_text(findings, "m").startswith("Seam found at 1 of 3 borders")
+    hidden = seam_findings(without_cameras(town.scene), town.cloud_plan, town.splats, proven)
+    assert verdict_text(hidden, "m") == "Photographs show a seam at 1 of 3 borders"

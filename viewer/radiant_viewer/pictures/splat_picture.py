@@ -15,7 +15,6 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.border_strip import low_gaussians
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_viewer.layers.layer import Layer
@@ -23,6 +22,8 @@ from radiant_viewer.pictures.images import Drawing, Image
 from radiant_viewer.pictures.offscreen import draw_map, fit_distance
 
 ALTITUDE = 100.0
+CEILING = 40.0
+"""What stands higher over the middle ground than roofs and trees is sky or haze and left out."""
 DIRECTION_DEG = (205, 42)
 """Azimuth from north and elevation from which a whole model is seen."""
 KEPT_WHITE_PX = 7.5
@@ -84,7 +85,8 @@ def _render_from_above(splats: Splats, extent: tuple[float, float, float, float]
     half = np.array([x_max - x_min, y_max - y_min]) / 2
     inside = np.asarray((np.abs(splats.means[:, :2] - middle[:2]) <= half).all(axis=1))
     # Sky and haze above the scene would hide the ground.
-    low = splats.select(low_gaussians(splats, inside))
+    middle_m = float(np.median(splats.means[inside, 2])) if inside.any() else 0.0
+    low = splats.select(np.flatnonzero(splats.means[:, 2] < middle_m + CEILING))
     ground = float(np.median(low.means[:, 2])) if len(low) else 0.0
     altitude = ALTITUDE * 2 * float(half.max())
     pose = np.eye(4)

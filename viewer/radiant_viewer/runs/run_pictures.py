@@ -45,7 +45,7 @@ from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_vi
 from radiant_viewer.runs.border_figures import border_figures
 from radiant_viewer.runs.run_layers import figures_layer, ground_height, plan_layers
 from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, require_splats
-from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
+from radiant_viewer.runs.seam_findings import SeamFinding, proven_excess_db, seam_findings, verdict_text
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, scene_box
 
 SIZE_WH = (1280, 900)
@@ -76,7 +76,7 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
     if view == "cameras":
         return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh)
     if view == "seams":
-        return seams_picture(run.scene, run.cloud_plan, require_splats(run), size_wh)
+        return seams_picture(run.scene, run.cloud_plan, require_splats(run), size_wh, proven_excess_db(run.folder))
     if view == "splats":
         return splats_picture(run.scene, run.cloud_plan, require_splats(run), size_wh, camera)
     return comparisons_picture(run, size_wh[0], camera)
@@ -161,9 +161,16 @@ def cameras_picture(
     return render_view([*points, cameras], size_wh, PageText(title="Cameras", subtitle=subtitle, unit=scene.frame.unit))
 
 
-def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
-    """Return the map of the model with its borders coloured by their colour steps."""
-    findings = seam_findings(scene, cloud_plan, splats)
+def seams_picture(
+    scene: SfmScene,
+    cloud_plan: CloudPlan,
+    splats: Splats,
+    size_wh: tuple[int, int] = SIZE_WH,
+    proven_db: Mapping[frozenset[str], float] | None = None,
+) -> Image:
+    """Return the map of the model with its borders coloured by their colour steps; seams are named,
+    also those that photographs show (`proven_excess_db`)."""
+    findings = seam_findings(scene, cloud_plan, splats, proven_db)
     ground, unit = ground_height(scene), scene.frame.unit
     labels = tuple(_finding_label(finding, ground) for finding in findings if finding.found)
     # Labels of seams are placed before those of edges.
@@ -183,8 +190,9 @@ def worst_border(run: RunView) -> Border:
 
 def _finding_label(finding: SeamFinding, ground: float) -> Label:
     border = finding.figures.border
-    what = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.has_step else []
-    text = f"{finding.figures.title}\nseam: {', '.join([*what, *finding.quantities])}"
+    step = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.has_step else []
+    excess = [] if finding.excess_db is None else [f"{finding.excess_db:+.1f} dB of error beyond it"]
+    text = f"{finding.figures.title}\nseam: {', '.join([*step, *excess])}"
     # Beside the line, so that it does not hide it.
     beside = border.ends.mean(axis=0) + 0.15 * border.length_m * border.toward_first
     return Label(text=text, position=np.append(beside, ground), strong=True)

@@ -1,18 +1,18 @@
-"""Seams at the borders of a plan in a model: colour steps, and the detector at the largest.
+"""Seams at the borders of a plan: colour steps in the model, and what photographs show beyond them.
 
-A seam is found where the colour step exceeds the texture (`border_figures`), or where the step
-detector responds to colour, height, density or a gap on the observed part. No finding proves no
-absence: the detector misses grey steps below some 20/255 and plain cuts, which a run's photographs
-show (`excess_text`). O(N) for the steps, a second per examined border.
+A seam is found where the colour step exceeds the texture (`border_figures`), or where the run's own
+photographs show the ground beyond the border worse than the ground before it, by more than chance
+(`radiant_core.evaluate.seam_excess`, which a run writes into its metrics). No finding proves no
+absence. O(N) for the steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from radiant_core.evaluate.step_detector import Quantity, border_steps
 from radiant_core.io.run_store import read_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
@@ -21,44 +21,49 @@ from radiant_viewer.pictures.measure import length_text
 from radiant_viewer.runs.border_figures import MIN_OBSERVED_SHARE, VISIBLE_LEVELS, BorderFigures, border_figures
 from radiant_viewer.runs.run_view import METRICS_NAME
 
-NUM_EXAMINED = 6
-MAX_EXAMINED_M = 2000.0
-"""Longer borders get no step detector: their strip would have millions of pixels."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamFinding:
-    """The figures of a border, and the quantities in which the step detector found a step."""
+    """The figures of a border, and the excess error beyond it, in dB, where photographs prove it."""
 
     figures: BorderFigures
-    quantities: tuple[Quantity, ...]
+    excess_db: float | None = None
 
     @property
     def found(self) -> bool:
-        """Whether a seam was distinguished from the texture beside it."""
-        return self.figures.has_verdict and (bool(self.quantities) or self.figures.has_step)
+        """Whether colours step by more than texture, or photographs show the seam."""
+        return self.figures.has_step or self.excess_db is not None
 
 
-def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_examined: int = NUM_EXAMINED) -> list[SeamFinding]:
-    """Return all borders, those with a verdict and the largest step first; the first `num_examined`
-    also examined by the step detector if the scene is metric. Raises BadInput where the plan has
-    one region only."""
-    findings = []
-    for rank, figures in enumerate(border_figures(scene, cloud_plan, splats)):
-        can_be_examined = figures.has_verdict and scene.frame.unit == "m" and figures.border.length_m <= MAX_EXAMINED_M
-        examined = rank < num_examined and can_be_examined
-        quantities = border_steps(splats, figures.observed_ends).found if examined else ()
-        findings.append(SeamFinding(figures=figures, quantities=quantities))
-    return findings
+def seam_findings(
+    scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, proven_db: Mapping[frozenset[str], float] | None = None
+) -> list[SeamFinding]:
+    """Return all borders, those with a verdict and the largest step first, with the excess of those
+    in `proven_db` (`proven_excess_db`). Raises BadInput where the plan has one region only."""
+    proven = proven_db or {}
+    return [
+        SeamFinding(figures=figures, excess_db=proven.get(frozenset(figures.names)))
+        for figures in border_figures(scene, cloud_plan, splats)
+    ]
+
+
+def proven_excess_db(folder: Path) -> dict[frozenset[str], float]:
+    """Return the excess error of a run's borders at which its photographs show a seam, by the names
+    of both edges; empty where it was not measured."""
+    borders = _metrics(folder).get("borders")
+    rows = [row for row in borders if isinstance(row, dict) and row.get("seam_found")] if isinstance(borders, list) else []
+    return {frozenset(row["between"]): float(row["seam_excess_db"]) for row in rows}
 
 
 def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     """Return the verdict on all borders with their observed length, and the largest step beside its
     texture."""
     judged = [finding.figures for finding in findings if finding.figures.has_verdict]
-    if not judged:
-        return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
     found = sum(finding.found for finding in findings)
+    if not judged and not found:
+        return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
+    if not judged:
+        return f"Photographs show a seam at {found} of {len(findings)} border{'s' * (len(findings) != 1)}"
     limit = max(figures.detectable_levels for figures in judged)
     verdict = (
         f"Seam found at {found} of {len(findings)} border{'s' * (len(findings) != 1)}"
@@ -72,12 +77,17 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
 
 def excess_text(folder: Path) -> str:
     """Return what photographs show beyond the borders of a run; "" where it was not measured."""
-    path = folder / METRICS_NAME
-    record = read_json(path) if path.is_file() else {}
-    excess_db, found = (record.get(key) if isinstance(record, dict) else None for key in ("seam_excess_db", "seam_found"))
+    record = _metrics(folder)
+    excess_db, found = record.get("seam_excess_db"), record.get("seam_found")
     if not isinstance(excess_db, int | float):
         return ""
     return f"Photographs show the ground beyond borders {excess_db:+.2f} dB worse: {'a seam' if found else 'no seam found'}."
+
+
+def _metrics(folder: Path) -> dict[str, Any]:
+    path = folder / METRICS_NAME
+    record = read_json(path) if path.is_file() else {}
+    return record if isinstance(record, dict) else {}
 
 
 def step_text(figures: BorderFigures) -> str:
