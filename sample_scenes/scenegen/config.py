@@ -17,6 +17,9 @@ MAX_EXTENT_M = 2000.0
 MAX_KNOWN_POINTS = 200_000
 
 
+FLIGHTS = ("survey", "orbit", "street")
+
+
 def option(default: Any, help_text: str) -> Any:
     """A dataclass field whose sentence is also the help text of its command-line switch."""
     return field(default=default, metadata={"help": help_text})
@@ -27,6 +30,7 @@ class SceneConfig:
     """The switches of one generated scene; lengths in metres of the scene's own east-north-up
     frame."""
 
+    flight: str = option("survey", "survey: a drone over the area; orbit: around its middle block; street: a walk along its middle street.")
     num_cameras: int = option(60, "Photographs to take, nadir and oblique together.")
     extent_m: tuple[float, float] = option((120.0, 80.0), "Width (east) and height (north) of the area flown over.")
     width_px: int = option(640, "Width of a photograph.")
@@ -45,6 +49,8 @@ class SceneConfig:
     seed: int = option(0, "Number from which town, flight and noise follow.")
 
     def __post_init__(self) -> None:
+        if self.flight not in FLIGHTS:
+            raise BadInput(f"flight is {self.flight!r}, expected one of {', '.join(FLIGHTS)}")
         _check_range("num_cameras", self.num_cameras, 2, MAX_CAMERAS)
         if len(self.extent_m) != 2:
             raise BadInput(f"extent_m has {len(self.extent_m)} numbers; give a width and a height in metres, like 120x80")

@@ -1,7 +1,10 @@
-"""Where the drone was: a lawn-mower flight of nadir photographs, then obliques from a ring, with
-small errors of its own.
+"""Where the photographs were taken from, with small errors of their own.
 
-Once per scene. n nadir photographs over width x height make round(√(n · 3/4 · height / width))
+    survey  a drone's lawn-mower flight of nadir photographs, then obliques from a ring
+    orbit   two rings around the block in the middle, looking at it from all sides
+    street  a walk along the street in the middle at the height of a head, looking ahead and aside
+
+Once per scene. Of a survey, n nadir photographs over width x height make round(√(n · 3/4 · height / width))
 rows, so that spacing along : across = 3 : 4, as the image's sides; at 60 photographs over 120 x 80
 m neighbours share 78 % along and across. GPS positions are the true ones moved by at most
 `gps_error_m` in a random direction.
@@ -15,8 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.config import SceneConfig
+from scenegen.layout import BLOCK_U_M, BLOCK_V_M, Layout
 
 SECONDS_PER_PHOTO = 2.0
+ORBIT_HEIGHTS_M = (9.0, 17.0)
+EYE_HEIGHT_M = 1.8
+STREET_TURNS_DEG = (0.0, 45.0, -45.0, 20.0, -20.0)
 OBLIQUE_PITCHES_DEG = (48.0, 25.0, 40.0, 33.0)
 GOLDEN = 0.6180339887498949
 
@@ -41,8 +48,7 @@ class Shot:
 def plan_flight(config: SceneConfig) -> list[Shot]:
     """The photographs of one flight, in the order they were taken."""
     rng = np.random.default_rng([config.seed, 1])
-    num_oblique = round(config.num_cameras * config.oblique_fraction)
-    poses = _nadir_poses(config, config.num_cameras - num_oblique, rng) + _oblique_poses(config, num_oblique, rng)
+    poses = {"survey": _survey_poses, "orbit": _orbit_poses, "street": _street_poses}[config.flight](config, rng)
     errors = _gps_errors(config, rng)
     drift = _exposures_ev(config)
     return [
@@ -67,6 +73,39 @@ def look_pose(center: NDArray, forward: NDArray, up: NDArray) -> NDArray[np.floa
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
     return pose
+
+
+def _survey_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    num_oblique = round(config.num_cameras * config.oblique_fraction)
+    return _nadir_poses(config, config.num_cameras - num_oblique, rng) + _oblique_poses(config, num_oblique, rng)
+
+
+def _orbit_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    """Over the four streets around the block in the middle, from two heights in turn."""
+    layout = Layout(extent_m=config.extent_m, seed=config.seed)
+    middle = layout.world_from_town(BLOCK_U_M / 2, BLOCK_V_M / 2)
+    target = np.array([*middle, float(layout.height_m(*np.array(middle)[:, None])[0]) + 2.0])
+    poses = []
+    for k in range(config.num_cameras):
+        angle = 2.0 * np.pi * (k + rng.uniform(-0.2, 0.2)) / config.num_cameras
+        place = layout.world_from_town(BLOCK_U_M * (0.5 + 0.52 * np.cos(angle)), BLOCK_V_M * (0.5 + 0.52 * np.sin(angle)))
+        center = np.array([*place, target[2] + ORBIT_HEIGHTS_M[k % 2] + rng.uniform(-0.5, 0.5)])
+        poses.append(look_pose(center, target + rng.uniform(-1.0, 1.0, 3) - center, np.array([0.0, 0.0, 1.0])))
+    return poses
+
+
+def _street_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    """Along the width of the area, by turns ahead and to either side."""
+    layout = Layout(extent_m=config.extent_m, seed=config.seed)
+    poses = []
+    for k in range(config.num_cameras):
+        u, v = ((k + 0.5) / config.num_cameras - 0.5) * config.extent_m[0], rng.uniform(-1.0, 1.0)
+        x, y = layout.world_from_town(u, v)
+        z = float(layout.height_m(np.array([x]), np.array([y]))[0]) + EYE_HEIGHT_M + rng.uniform(-0.1, 0.1)
+        heading = layout.heading_rad(u, v) + np.deg2rad(STREET_TURNS_DEG[k % len(STREET_TURNS_DEG)] + rng.uniform(-4.0, 4.0))
+        forward = np.array([np.cos(heading), np.sin(heading), rng.uniform(-0.05, 0.12)])
+        poses.append(look_pose(np.array([x, y, z]), forward, np.array([0.0, 0.0, 1.0])))
+    return poses
 
 
 def _nadir_poses(config: SceneConfig, count: int, rng: np.random.Generator) -> list[NDArray[np.float64]]:

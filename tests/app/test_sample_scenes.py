@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -255,6 +256,7 @@ def test_command_line_switches_reach_the_config() -> None:
         {"extent_m": (float("nan"), 80.0)},
         {"extent_m": (120.0,)},
         {"extent_m": (0.0, 80.0)},
+        {"flight": "zigzag"},
         {"width_px": 0},
         {"altitude_m": float("inf")},
         {"oblique_fraction": -0.1},
@@ -268,7 +270,7 @@ def test_command_line_switches_reach_the_config() -> None:
         {"seed": -1},
     ],
 )
-def test_poison_config_is_refused_by_name(poison: dict[str, float]) -> None:
+def test_poison_config_is_refused_by_name(poison: dict[str, Any]) -> None:
     with pytest.raises(BadInput, match=next(iter(poison))):
         replace(SMALL, **poison)
 
@@ -282,3 +284,21 @@ def test_flight_has_the_number_of_photographs_asked_for_and_covers_the_area() ->
     # 1.1 half extents out.
     assert np.ptp(centers[:, 0]) > 480.0
     assert np.ptp(centers[:, 1]) > 230.0
+
+
+def test_an_orbit_looks_at_one_place_from_all_sides_and_a_walk_goes_along_a_street() -> None:
+    orbit = plan_flight(replace(SMALL, flight="orbit", num_cameras=40))
+    centers = np.array([shot.center_m for shot in orbit])
+    forward = np.array([shot.cam_from_world[2, :3] for shot in orbit])
+    middle = centers.mean(axis=0)
+    angles = np.sort(np.arctan2(*(centers - middle)[:, 1::-1].T))
+    assert np.diff(angles).max() < np.deg2rad(30)
+    nearest = centers + forward * ((middle - [0, 0, 11.0] - centers) * forward).sum(axis=1, keepdims=True)
+    assert np.linalg.norm(nearest - nearest.mean(axis=0), axis=1).max() < 4.0
+    walk = plan_flight(replace(SMALL, flight="street", num_cameras=40, extent_m=(120.0, 80.0)))
+    places = np.array([shot.center_m for shot in walk])
+    layout = Layout(extent_m=(120.0, 80.0), seed=SMALL.seed)
+    u, v = layout.town_from_world(places[:, 0], places[:, 1])
+    assert np.ptp(u) > 110 and np.abs(v).max() < 1.01
+    height_m = places[:, 2] - layout.height_m(places[:, 0], places[:, 1])
+    assert (np.abs(height_m - 1.8) < 0.2).all()
