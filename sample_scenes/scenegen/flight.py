@@ -4,9 +4,9 @@
     orbit   two rings around the block in the middle, looking at it from all sides
     street  a walk along the street in the middle at the height of a head, looking ahead and aside
 
-Once per scene. Of a survey, n nadir photographs over width x height make round(√(n · 3/4 · height / width))
-rows, so that spacing along : across = 3 : 4, as the image's sides; at 60 photographs over 120 x 80
-m neighbours share 78 % along and across. GPS positions are the true ones moved by at most
+Once per scene. Of a survey, n nadir photographs over width x height make round(√(n · 3/4 · height /
+width)) rows, so that spacing along : across = 3 : 4, as the image's sides; at 60 photographs over
+120 x 80 m neighbours share 78 % along and across. GPS positions are the true ones moved by at most
 `gps_error_m` in a random direction.
 """
 

@@ -61,7 +61,7 @@ def read_inbox(
         strips=((),) * len(senders),
         aggregate=AggregateConfig(),
     )
-    return admit(receive_device_models(folder, task), num_dealt, EventReporter(stage=stage, emit=listen))
+    return admit(receive_device_models(folder, task.devices), num_dealt, EventReporter(stage=stage, emit=listen))
 
 
 def saved(folder: Path, inbox: Arrivals) -> list[str]:

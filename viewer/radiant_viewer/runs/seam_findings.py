@@ -24,7 +24,7 @@ from radiant_viewer.runs.run_view import METRICS_NAME
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamFinding:
-    """The figures of a border, and the excess error beyond it, in dB, where photographs prove it."""
+    """A border's figures, and the excess error beyond it in dB where photographs prove it."""
 
     figures: BorderFigures
     excess_db: float | None = None
