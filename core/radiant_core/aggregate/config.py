@@ -24,6 +24,8 @@ class AggregateConfig:
     """How often the cloud shows each synthetic view (paper Sec. IV-B: 10)."""
     edge_epochs: int = 10
     """The same of an edge: its model teaches the cloud (paper Sec. IV-B: 10)."""
+    refine_epochs: int = 4
+    """How often a device shows each of its photographs to the joined scene; 0: not at all."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
@@ -52,6 +54,8 @@ class AggregateConfig:
             )
         if not 0 <= self.faint_opacity < 1:
             raise BadInput(f"faint_opacity is {self.faint_opacity}, expected at least 0 and less than 1.")
+        if self.refine_epochs < 0:
+            raise BadInput(f"refine_epochs is {self.refine_epochs}, expected 0 (the scene is not refined) or more.")
         if min(self.num_epochs, self.edge_epochs) < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
             raise BadInput("num_epochs, edge_epochs and max_num_steps of the aggregation must be at least 1.")
 
@@ -69,7 +73,7 @@ class AggregateConfig:
 def aggregate_preset(name: str) -> AggregateConfig:
     """The configuration of a preset; BadInput lists the names there are."""
     if name == "paper":
-        return AggregateConfig(preset="paper", num_epochs=10, edge_epochs=10, retrain_single=True, weight_by_alpha=False)
+        return AggregateConfig(preset="paper", num_epochs=10, edge_epochs=10, refine_epochs=0, retrain_single=True, weight_by_alpha=False)
     if name != "default":
         raise BadInput(f"aggregate preset {name!r} is unknown: use one of {', '.join(get_args(AggregatePreset))}.")
     return AggregateConfig()

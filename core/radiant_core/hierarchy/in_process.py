@@ -7,16 +7,20 @@ What crosses between two nodes passes through the codec, so that the bits are th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from radiant_core.aggregate.averaging import Refinement
+from radiant_core.frames import Sim3
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.device import train_device
 from radiant_core.hierarchy.edge import join_edge
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, EdgeModel, SceneModel, device_task
 from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.hierarchy.refine import join_refinements, refine_device, refine_scene
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
-from radiant_core.io.messages import passed_on
+from radiant_core.io.messages import passed_on, passed_refinement
 from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
 
 
@@ -59,5 +63,36 @@ def run_in_process(
         if edge.splats is not None:
             sent[plan.edge_id] = passed_on(edge, recipe.upload)
             num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
-    joined_scene = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
-    return InProcessRun(scene=joined_scene, edges=edges)
+    scene_model = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
+    refined = _refine(recipe, scene_model, edges, views, reporter_of)
+    return InProcessRun(scene=replace(scene_model, splats=refined), edges=edges)
+
+
+def _refine(
+    recipe: Recipe,
+    joined: SceneModel,
+    edges: Mapping[str, EdgeModel],
+    views: TrainingViews,
+    reporter_of: Callable[[str], Reporter],
+) -> Splats | None:
+    """The scene after the devices in it have refined it."""
+    splats = joined.splats
+    present = [devices_in(edges[edge].corrections) for edge in devices_in(joined.corrections)]
+    if splats is None or not recipe.aggregate.refine_epochs or sum(map(len, present)) < 2:
+        return splats
+    by_edge: list[Refinement] = []
+    for devices in present:
+        own = []
+        for device in devices:
+            shown = views.select(recipe.cameras_of(device))
+            refinement = refine_device(recipe.refine_task(device), splats, shown, reporter_of(f"devices/{device}/refine"))
+            own.append(passed_refinement(refinement, recipe.upload, splats))
+        mean = join_refinements(splats, [each for each in own if not isinstance(each, str)])
+        passed = passed_refinement(mean, recipe.upload, splats)
+        by_edge += [] if isinstance(passed, str) else [passed]
+    return refine_scene(splats, by_edge)
+
+
+def devices_in(corrections: Mapping[str, Sim3 | None]) -> list[str]:
+    """Those whose models were joined, in their order."""
+    return [device for device, move in corrections.items() if move is not None]

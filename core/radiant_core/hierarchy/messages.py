@@ -165,6 +165,16 @@ class CloudTask(Training):
             raise BadInput(f"a cloud task of {len(self.edges)} edges has {sorted(lengths)} entries: give one per edge.")
 
 
+@dataclass(frozen=True, kw_only=True)
+class RefineTask(Training):
+    """Fit the joined scene to a device's own photographs."""
+
+    epochs: Annotated[int, Field(ge=1)]
+    """How often each photograph is shown."""
+    memory_bytes: Positive | None = None
+    """What the process may hold; None: no limit."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SceneModel:
     """The scene, and what became of each edge's model."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudTask, DeviceSettings, EdgeTask, Renderer
+from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudTask, DeviceSettings, EdgeTask, RefineTask, Renderer
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
@@ -49,6 +49,16 @@ class Recipe:
             backend=self.backend,
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,
+            memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),
+        )
+
+    def refine_task(self, device: str) -> RefineTask:
+        """Fit the joined scene to a device's photographs."""
+        return RefineTask(
+            train=self.train,
+            backend=self.backend,
+            checkpoint_every_s=self.checkpoint_every_s,
+            epochs=self.aggregate.refine_epochs,
             memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),
         )
 

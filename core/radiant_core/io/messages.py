@@ -4,6 +4,7 @@
     DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json
                  where its frame is uncertain
     EdgeModel    the same with virtual_cameras.safetensors
+    Refinement   refined.safetensors in the format of the upload, rows.safetensors
 
 Types and unknown keys are refused by pydantic in its strict mode: no number as text, nothing
 infinite. Values are checked by the dataclasses themselves.
@@ -24,10 +25,12 @@ import numpy as np
 from pydantic import ValidationError, create_model
 
 from radiant_core.aggregate.arrival import MAX_SPLATS
+from radiant_core.aggregate.averaging import Refinement, refinement_problem
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel
+from radiant_core.io.array_file import load_arrays, save_arrays
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import MAX_JSON_BYTES, file_sha256, parse_json, read_bounded, read_json, write_json
 from radiant_core.io.strict import Strict, problem_sentence
@@ -39,6 +42,7 @@ Model = TypeVar("Model", DeviceModel, EdgeModel)
 TASK_NAME = "task.json"
 MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
 """What a node keeps, and what it sends where that differs; both arrive under the first name."""
+REFINED_NAME, ROWS_NAME, ROWS_SCHEMA = "refined.safetensors", "rows.safetensors", "radiant.rows"
 CAMERAS_NAME, FRAME_NAME, SUMMARY_NAME = "cameras.safetensors", "frame.json", "summary.json"
 VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
 NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
@@ -271,6 +275,39 @@ def passed_on(model: Model, upload: UploadFormat) -> Model | str:
             shutil.copyfile(path, receiver / file)
         arrived: Any = load_device_model(receiver) if isinstance(model, DeviceModel) else load_edge_model(receiver)
         return arrived
+
+
+def save_refinement(folder: Path, refinement: Refinement, upload: UploadFormat, warn: Callable[[str], None]) -> list[str]:
+    """Write a refinement into a node's folder, in 16 bits unless `upload` is exact; the names of
+    the files, all of which are sent."""
+    own: UploadFormat = "float32" if upload == "float32" else "float16"
+    problem = upload_problem(refinement.splats, own)
+    if problem is not None:
+        warn(f"the refinement is uploaded as float32 instead of {own}: {problem}")
+    save_upload(folder / REFINED_NAME, refinement.splats, own if problem is None else "float32")
+    save_arrays(folder / ROWS_NAME, ROWS_SCHEMA, {"rows": refinement.rows, "weights": refinement.weights}, {})
+    return [REFINED_NAME, ROWS_NAME]
+
+
+def load_refinement(place: Path, scene: Splats) -> Refinement | str:
+    """The refinement of `scene` that arrived in a folder, or why it cannot be used, one sentence."""
+    try:
+        if count_uploaded(place / REFINED_NAME) > len(scene):
+            return f"it refines more Gaussians than the scene's {len(scene):,}."
+        splats = load_upload(place / REFINED_NAME)
+        arrays, _ = load_arrays(place / ROWS_NAME, ROWS_SCHEMA, {"rows": "I64", "weights": "F32"})
+        refinement = Refinement(rows=arrays["rows"], splats=splats, weights=arrays["weights"])
+        problem = refinement_problem(refinement, scene)
+    except BadInput as error:
+        return str(error)
+    return problem or refinement
+
+
+def passed_refinement(refinement: Refinement, upload: UploadFormat, scene: Splats) -> Refinement | str:
+    """The refinement as its receiver reads it, after the same bytes that a delivery has."""
+    with TemporaryDirectory(prefix="radiant-message-") as name:
+        save_refinement(Path(name), refinement, upload, lambda message: None)
+        return load_refinement(Path(name), scene)
 
 
 def sim3_record(move: Sim3) -> dict[str, Any]:

@@ -1,0 +1,158 @@
+"""What follows joining: every device fits the finished scene to its own photographs, edges and the
+cloud average. Once per run.
+
+    scene, photographs ── refine_device ────→ Refinement          on each device
+    Refinements        ── join_refinements ─→ Refinement          at each edge
+    scene, Refinements ── refine_scene ─────→ scene               at the cloud
+
+Joining shows models only pictures of models, so that a scene is never sharper than those. Here the
+photographs speak once more, where they are; what travels is what a model is. Nothing is added or
+removed, so that a Gaussian keeps its row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.aggregate.averaging import Refinement, apply_refinement, average_refinements
+from radiant_core.aggregate.join_memory import plan_join_memory
+from radiant_core.aggregate.retrain import reached_by
+from radiant_core.decisions import Decision
+from radiant_core.hierarchy.messages import RefineTask
+from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
+from radiant_core.numerics import FloatArray
+from radiant_core.render.contract import Backend
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats
+from radiant_core.train.checkpoint import training_key
+from radiant_core.train.densify.policies import NoDensification
+from radiant_core.train.trainer import FitOptions, Steps, fit_splats
+from radiant_core.train.views import TrainingViews
+
+RATE, RATE_END = 0.4, 0.5
+"""Share of a training's rates, and what is left of them in the end: docs/experiments/aggregation.md."""
+MIN_GAIN = 8 / 128
+"""A device whose photographs are brighter or darker than the scene by this share at mid grey, as
+`balance.MIN_LEVELS`, refines by photographs in the scene's light."""
+NUM_COMPARED, OPAQUE = 8, 0.95
+
+
+def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporter: Reporter, machine: Machine = Machine()) -> Refinement:
+    """Fit the scene to a device's photographs.
+
+    Args:
+        task: settings and epochs.
+        scene: the joined model, which all devices were sent.
+        views: the device's training photographs; their cameras in the frame of the scene.
+        reporter: hears decisions and progress.
+        machine: checkpoints.
+
+    Returns:
+        The Gaussians that the photographs changed; none where the scene exceeds the memory.
+
+    Raises:
+        StageFailed: the fit diverges.
+    """
+    rows = np.flatnonzero(reached_by(scene, views.cameras))
+    start = scene.select(rows)
+    nothing = Refinement(rows=rows[:0], splats=start.select(rows[:0]), weights=np.zeros(0, np.float32))
+    bare = FitOptions(backend=task.backend, steps=_steps())
+    if task.memory_bytes is not None:
+        memory = plan_join_memory([start], [views.cameras], task.train.long_side_px, task.memory_bytes - machine.base_bytes, most_tiles=1)
+        if len(start) and not memory.fits:
+            reporter.decide(_skipped(reporter.stage, memory.needed_bytes, task.memory_bytes))
+            return nothing
+        bare = replace(bare, statistics_bytes=memory.statistics_bytes)
+    if not len(start):
+        return nothing
+    views = _in_light_of(start, views, task.backend, reporter)
+    config = replace(
+        task.train,
+        num_steps=task.epochs * len(views),
+        budget_s=None,
+        sh_degree=start.sh_degree,
+        sh_degree_every=0,
+        density=NoDensification(),
+        start_scale=1.0,
+        exposure="none",
+        background="black",
+        settle_epochs=None,
+    )
+    options = fit_options(task.backend, reporter, machine, lambda: training_key(start, views, config, bare))
+    fitted = fit_splats(start, views, config, replace(options, steps=bare.steps, statistics_bytes=bare.statistics_bytes)).splats
+    weights = _times_seen(start, views) * _changed(start, fitted)
+    kept = np.flatnonzero(weights)
+    return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=weights[kept].astype(np.float32))
+
+
+def join_refinements(scene: Splats, refinements: Sequence[Refinement]) -> Refinement:
+    """What an edge sends on: the mean of its devices' refinements."""
+    return average_refinements(refinements, scene)
+
+
+def refine_scene(scene: Splats, refinements: Sequence[Refinement]) -> Splats:
+    """The scene with the mean of the edges' refinements in place; without any it keeps its bits."""
+    return apply_refinement(scene, average_refinements(refinements, scene))
+
+
+def _steps() -> Steps:
+    rates = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"), RATE)
+    return Steps(**rates, end=RATE_END)
+
+
+def _times_seen(splats: Splats, views: TrainingViews) -> FloatArray:
+    """In how many photographs each Gaussian (N,) lies; at least a half, since large ones may show
+    with their centre outside."""
+    times = np.zeros(len(splats))
+    for index in range(len(views)):
+        times += views.cameras.select([index]).any_sees(splats.means)
+    return np.maximum(times, 0.5)
+
+
+def _changed(before: Splats, after: Splats) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) the photographs moved."""
+    pairs = zip(before.arrays().values(), after.arrays().values(), strict=True)
+    return np.any([(one != other).reshape(len(before), -1).any(axis=1) for one, other in pairs], axis=0)
+
+
+def _in_light_of(scene: Splats, views: TrainingViews, backend: Backend, reporter: Reporter) -> TrainingViews:
+    """The photographs as bright as the scene, where the device's as a whole are not."""
+    some = np.unique(np.linspace(0, len(views) - 1, NUM_COMPARED).astype(np.int64))
+    compared = views.select(some)
+    shown = np.zeros(3)
+    taken = np.zeros(3)
+    weights = [None] * len(compared) if compared.weights is None else compared.weights
+    for view, image, weight in zip(render_views(scene, compared.cameras, backend), compared.images, weights, strict=True):
+        opaque = (view.alpha > OPAQUE) & (True if weight is None else weight > 127)
+        shown += view.image[opaque].sum(axis=0)
+        taken += image[opaque].sum(axis=0) / 255
+    gains = np.where((taken > 0) & (shown > 0), shown / np.maximum(taken, 1e-12), 1.0)
+    if np.abs(gains - 1).max() < MIN_GAIN:
+        return views
+    reporter.decide(
+        Decision(
+            stage=reporter.stage,
+            topic="light of the photographs",
+            choice="photographs are fitted as bright as the scene is",
+            figure=100 * float(np.abs(gains - 1).max()),
+            unit="% brighter or darker in a channel",
+            reason=f"by more than {MIN_GAIN:.0%} the scene would change its light at borders",
+        )
+    )
+    images = tuple(np.clip(image * gains, 0, 255).round().astype(np.uint8) for image in views.images)
+    return replace(views, images=images)
+
+
+def _skipped(stage: str, needed_bytes: float, limit_bytes: float) -> Decision:
+    return Decision(
+        stage=stage,
+        topic="refinement",
+        choice="the scene is not refined by this device's photographs",
+        figure=needed_bytes / 1e9,
+        unit="GB needed",
+        reason=f"its memory_gb allows {limit_bytes / 1e9:.2f}",
+    )
