@@ -20,7 +20,7 @@ from typing import Any
 from radiant_app.events import Event, Listener, StageDone, StageSkipped, StageStarted
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
-from radiant_core.aggregate.tree import Tree
+from radiant_core.aggregate.tree import Tree, refined_at
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import Device, Edge, System
 
@@ -83,7 +83,8 @@ def emulated_figures(tree: Tree, emulated: Mapping[str, Mapping[str, float]]) ->
 def _machines(system: System) -> dict[str, Device | Edge]:
     """Node id → machine, in the order of the system."""
     edges = ((f"edges/{edge.id}", edge) for edge in system.edges)
-    return dict(chain(((f"devices/{device.id}", device) for device in system.devices), edges))
+    found = dict(chain(((f"devices/{device.id}", device) for device in system.devices), edges))
+    return found | {refined_at(node): machine for node, machine in found.items()}
 
 
 def _node_command(machine: Device | Edge, task: NodeTask, command: Sequence[str]) -> list[str]:

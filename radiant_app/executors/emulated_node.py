@@ -32,7 +32,7 @@ PERIOD_S = 0.1
 """One period of running and pausing: shorter costs wake-ups, longer distorts short nodes."""
 BUSY_SHARE = 0.85
 """A node that got less than this part of its share is reported: its time depends on the load."""
-PRODUCTS = ("upload.safetensors", "model.safetensors")
+PRODUCTS = ("upload.safetensors", "refined.safetensors", "model.safetensors")
 """The file that a node sends: the first of these in its folder."""
 PROGRESS_S = 0.5
 SHORTEST_S = 1e-3

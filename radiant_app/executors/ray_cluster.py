@@ -89,8 +89,8 @@ def require_cluster(address: str) -> None:
 def resource_of(node: Tree) -> str:
     """The resource of a node's machine: a device scores too."""
     parts = node.id.split("/")
-    if len(parts) < 2:
-        return node.id
+    if parts[0] == "cloud" or len(parts) < 2:
+        return parts[0]
     return f"{parts[0].removesuffix('s')}:{parts[1]}"
 
 

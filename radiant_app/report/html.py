@@ -95,9 +95,8 @@ def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> 
         own = [row for row in access_log if row["tier"] == tier]
         if own:
             sums = {key: sum(row[key] for row in own) for key in ("num_photographs", "photograph_bytes", "other_bytes")}
-            rows.append(
-                {"tier": tier, "num_nodes": len({row["node"].removesuffix("/score") for row in own}), **sums, "given": GIVEN[shared][tier]}
-            )
+            nodes = {"/".join(row["node"].split("/")[:2]) for row in own}
+            rows.append({"tier": tier, "num_nodes": len(nodes), **sums, "given": GIVEN[shared][tier]})
     return rows
 
 
@@ -147,7 +146,8 @@ def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
     rows = []
     nodes = {stage: times for stage, times in stages.items() if not stage.endswith(UPLINK)}
     for stage, times in sorted(nodes.items(), key=lambda item: item[1]["started_s"]):
-        kind = "evaluate" if stage.endswith("/score") else kinds[stage.split("/")[0]]
+        parts_of_nodes = {"score": "evaluate", "refine": "refine"}
+        kind = parts_of_nodes.get(stage.rsplit("/", 1)[-1]) or kinds[stage.split("/")[0]]
         sending = stages.get(stage + UPLINK, {"started_s": times["ended_s"], "ended_s": times["ended_s"]})
         parts = ((kind, times["started_s"], sending["started_s"]), ("send", sending["started_s"], sending["ended_s"]))
         spans = tuple(

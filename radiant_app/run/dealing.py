@@ -44,6 +44,8 @@ class Dealer:
     access_log: list[dict[str, Any]] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     """Node id → the key of its seal, so that only nodes that this run finished are used."""
+    refined: Path | None = None
+    """Where the refined scene.ply lies; None: the scene is as it was joined."""
 
     def __post_init__(self) -> None:
         self.photographs.use_recipe(self.recipe)
@@ -71,7 +73,7 @@ class Dealer:
         if kind in SIGNED:
             # Files in an inbox were signed by their senders.
             signed = [path.relative_to(folder).as_posix() for path in inputs if path.name != "inbox"]
-            sign_task(self.run, self._parent_of(node), node.id, SIGNED[kind], folder, [TASK_NAME, *signed])
+            sign_task(self.run, self.parent_of(node.id), node.id, SIGNED[kind], folder, [TASK_NAME, *signed])
         self.keys[node.id] = key
         return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
@@ -87,15 +89,16 @@ class Dealer:
         exchange_keys(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.recipe.edge_plans])
         if node.tier == "cloud":
             return
-        edge = node.id if node.tier == "edge" else self._parent_of(node)
+        edge = node.id if node.tier == "edge" else self.parent_of(node.id)
         devices = next(plan.device_ids for plan in self.recipe.edge_plans if f"edges/{plan.edge_id}" == edge)
         exchange_keys(self.run, edge, "cloud", [f"devices/{device}" for device in devices])
         if node.tier == "device":
             exchange_keys(self.run, node.id, edge)
 
-    def _parent_of(self, node: Tree) -> str:
+    def parent_of(self, node_id: str) -> str:
         """The node that signs the tasks of a device or edge."""
-        return "cloud" if node.tier == "edge" else f"edges/{self.recipe.plan_of(node.name).edge_id}"
+        tier, name = node_id.split("/")
+        return "cloud" if tier == "edges" else f"edges/{self.recipe.plan_of(name).edge_id}"
 
     def _fill_device(self, node: Tree, folder: Path) -> tuple[Any, list[Path]]:
         return self.photographs.fill(node.name, folder, self.recipe)
@@ -142,6 +145,11 @@ class Dealer:
         """Whether a node is done in this run and has a model: not if it refused all it received."""
         frame = self.run / node_id / FRAME_NAME
         return self.is_done(node_id) and (not frame.is_file() or read_json(frame, ("status",))["status"] == "placed")
+
+    @property
+    def scene_folder(self) -> Path:
+        """Where the finished scene.ply lies."""
+        return self.refined or self.run / "cloud"
 
     def is_done(self, node_id: str) -> bool:
         """Whether the node with this id is done in this run."""

@@ -37,7 +37,7 @@ def save_delivered(run: Path, dealer: Dealer, origin: FloatArray | None) -> None
             cameras = move_cameras(cameras, move)
         parts.append(cameras)
         owners += [device] * len(cameras)
-    splats = load_ply(run / "cloud" / "scene.ply")
+    splats = load_ply(dealer.scene_folder / "scene.ply")
     shown = np.random.default_rng(0).permutation(len(splats))[:MAX_SHOWN_POINTS]
     colors = np.clip(0.5 + SH_C0 * splats.sh0[shown, 0], 0, 1)
     scene = SfmScene(

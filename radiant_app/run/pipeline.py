@@ -28,6 +28,7 @@ from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
 from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
+from radiant_app.run.refining import Refining, will_refine
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
     list_nodes,
@@ -40,7 +41,7 @@ from radiant_app.run.stages import (
 from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
 from radiant_app.workers.sources import detect_source
-from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
 from radiant_core.hierarchy.recipe import Recipe
@@ -115,7 +116,7 @@ def run(
         photographs = _locate_photographs(config, system, progress)
         plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
         dealer, tree = _join(config, photographs, plan, progress)
-        deal_files(config.out / "cloud", ["scene.ply"], config.out)
+        deal_files(dealer.scene_folder, ["scene.ply"], config.out)
         emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe.cloud_plan, more)
@@ -167,10 +168,10 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     dealer = Dealer(run=config.out, recipe=recipe, photographs=photographs)
     tree = tree_of_plan(plan.cloud, plan.edges)
     before, after = photographs.stages(tree)
-    progress.manifest.keep_stages({*before, *after, *(node.id for node in tree)})
-    progress.listen(
-        Outlined(stages=(*(stage for stage in before if stage in progress.manifest.stages), *(node.id for node in tree), *after))
-    )
+    nodes = [node.id for node in tree]
+    refining = [refined_at(node) for node in nodes] if will_refine(recipe, tree) else []
+    progress.manifest.keep_stages({*before, *after, *nodes, *refining})
+    progress.listen(Outlined(stages=(*(stage for stage in before if stage in progress.manifest.stages), *nodes, *refining, *after)))
     listen = make_time_left_listener(config, plan.system, plan.edges, progress)
     retry_policy = RetryPolicy(may_fail=photographs.may_fail, deadlines=listen)
     if photographs.positions is not None:
@@ -181,8 +182,19 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     if not dealer.has_model("cloud"):
         reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
         raise StageFailed(f"no device delivered a model that could be used. {reasons}")
+    _refine(config, dealer, plan.system, progress)
     photographs.score(dealer, executor, progress)
     return dealer, tree
+
+
+def _refine(config: RunConfig, dealer: Dealer, system: System, progress: Progress) -> None:
+    """Refine the joined scene on the devices; it stays as it is where none of them can."""
+    refining = Refining(dealer=dealer, moves=dealer.load_moves())
+    if (tree := refining.tree) is None:
+        return
+    policy = RetryPolicy(may_fail=lambda node, error: node.tier != "cloud")
+    make_executor(config, system, progress, policy).fold(tree, refining.prepare, progress.listen)
+    dealer.refined = refining.scene_folder
 
 
 def _write_metrics(config: RunConfig, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:

@@ -136,7 +136,7 @@ class PooledPhotographs:
         files = [folder / name for name in (HELD_OUT_NAME, INITIAL_NAME, TRAINED_NAME)]
         given = [folder / "photos", *deal_masks(config.out, scene.cameras.names, folder), *files]
         machine = ScoringMachine(stage="evaluation", inputs=tuple(given))
-        scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine])
+        scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine], scene_folder=dealer.scene_folder)
         # Where the owner is, whatever runs the tree.
         write_json(folder / "result.json", scoring.run(LocalExecutor(num_workers=1, clock=progress.clock), progress))
         owner = {"node": "sfm", "tier": "owner", **count_received([self.images / name for name in scene.cameras.names])}

@@ -19,7 +19,7 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.dealing import count_received, deal_files
 from radiant_app.run.progress import Progress
-from radiant_app.workers.delivering import identify_scoring, sign_task
+from radiant_app.workers.delivering import identify_part, sign_task
 from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, SCORES_NAME, summarize_scores
 from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__
@@ -60,6 +60,8 @@ class Scoring:
     config: RunConfig
     recipe: Recipe
     machines: Sequence[ScoringMachine]
+    scene_folder: Path
+    """Where the finished scene.ply lies."""
     access_log: list[dict[str, Any]] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     """Stage → the key of its seal, so that figures of another scene are not used."""
@@ -89,7 +91,7 @@ class Scoring:
         run, lpips = self.config.out, lpips_network_of(self.config)
         folder, inbox = run / node.id, run / node.id / "inbox"
         shutil.rmtree(inbox, ignore_errors=True)
-        deal_files(run / "cloud", ["scene.ply"], inbox)
+        deal_files(self.scene_folder, ["scene.ply"], inbox)
         # The regions alone: a device receives no cameras, strips or devices of others.
         save_plan(inbox / "plan.json", replace(load_plan(run / "plan.json")[0], edge_of_camera=np.zeros(0, np.int64)), ())
         if lpips:
@@ -104,7 +106,7 @@ class Scoring:
         save_task(folder, task)
         if machine.edge is not None:
             device = node.id.removesuffix("/score")
-            identify_scoring(run, node.id, device, machine.edge)
+            identify_part(run, node.id, device, machine.edge)
             given = [f"inbox/{path.name}" for path in sorted(inbox.iterdir())]
             sign_task(run, machine.edge, device, "score_task", folder, [TASK_NAME, *given])
         self.access_log.append({"node": node.id, "tier": "device", **count_received([inbox])})

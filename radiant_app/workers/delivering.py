@@ -72,10 +72,11 @@ def exchange_keys(run: Path, node: str, above: str | None, below: Iterable[str] 
         _register_key(run / above / IDENTITY / PUBLIC_NAME, identity / ABOVE_NAME)
 
 
-def identify_scoring(run: Path, scoring: str, device: str, edge: str) -> None:
-    """Let the scoring, a part of its device, accept tasks addressed to the device."""
-    identity = _write_identity(run, scoring, device, edge)
-    shutil.copyfile(run / device / IDENTITY / ABOVE_NAME, identity / ABOVE_NAME)
+def identify_part(run: Path, part: str, node: str, above: str | None) -> None:
+    """Let the folder `part` inside that of a node accept what is addressed to the node."""
+    identity = _write_identity(run, part, node, above)
+    if above is not None:
+        shutil.copyfile(run / node / IDENTITY / ABOVE_NAME, identity / ABOVE_NAME)
 
 
 def _write_identity(run: Path, place: str, node: str, above: str | None) -> Path:
@@ -141,19 +142,20 @@ def _key_of_above(folder: Path) -> str:
     return content_key(folder / IDENTITY / ABOVE_NAME)
 
 
-def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
+def deliver(folder: Path, paths: Mapping[str, Path], kind: Kind | None = None, home: Path | None = None) -> list[str]:
     """Sign the files that a node sends, `paths`: name in the receiver's inbox → file; returns the
-    names of record and signature."""
+    names of record and signature. A part of the node in `home` sends things of another kind than
+    models."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
     delivery = Delivery(
         run=post["run"],
         sender=post["node"],
         receiver=post["receiver"],
-        kind=_KINDS[post["node"].split("/")[0]],
+        kind=kind or _KINDS[post["node"].split("/")[0]],
         attempt=_last_attempt(folder) + 1,
         files=describe_files(paths),
     )
-    return save_delivery(folder, delivery, folder / IDENTITY)
+    return save_delivery(folder, delivery, (home or folder) / IDENTITY)
 
 
 def belongs_to_run(folder: Path) -> bool:
@@ -167,19 +169,23 @@ def sign_upload(folder: Path) -> list[str]:
     return deliver(folder, model_files(folder)) if belongs_to_run(folder) else []
 
 
-def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:
+def find_refusals(
+    folder: Path, senders: Sequence[str], places: Mapping[str, Path], kind: Kind | None = None, home: Path | None = None
+) -> dict[str, str]:
     """Sender → why the node in `folder` refuses its upload in `places`: not signed by its
-    registered key, other bytes than signed, of another run, for another node, or a second one."""
+    registered key, other bytes than signed, of another run, for another node, or a second one. A
+    part of the node in `home` takes things of another kind than models."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node"), MAX_RECORD_BYTES)
     tier = "edges" if post["node"] == "cloud" else "devices"
     expected = {sender: f"{tier}/{sender}" for sender in senders}
+    wanted = kind or _KINDS[tier]
     acceptance = Acceptance(run=post["run"], receiver=post["node"], senders=expected)
     found = {}
     for sender in senders:
         try:
-            delivery = _load_signed(folder / DELIVERIES / sender, folder / SENDERS / f"{sender}.pub", expected[sender])
-            if delivery.kind != _KINDS[tier]:
-                raise BadInput(f"it sent {delivery.kind!r}, expected {_KINDS[tier]!r}.")
+            delivery = _load_signed(folder / DELIVERIES / sender, (home or folder) / SENDERS / f"{sender}.pub", expected[sender])
+            if delivery.kind != wanted:
+                raise BadInput(f"it sent {delivery.kind!r}, expected {wanted!r}.")
             check_files(delivery, places[sender])
         except BadInput as error:
             found[sender] = str(error)

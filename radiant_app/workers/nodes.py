@@ -11,6 +11,12 @@ Each reads task.json, and beside it, below its folder:
              → as device, virtual_cameras.safetensors
     cloud    inbox/<edge>/{model,virtual_cameras}.safetensors
              → scene.ply, summary.json
+    refine   scene.ply; in the folder above scene.safetensors, model.safetensors, photos/, masks/
+             → refined.safetensors, rows.safetensors
+    average  scene.ply, inbox/<device>/{refined,rows}.safetensors
+             → as refine
+    finish   scene.ply, inbox/<edge>/{refined,rows}.safetensors
+             → refined/scene.ply
     score    inbox/{scene.ply,plan.json}, {held_out,initial}.safetensors, own.json, photos/, masks/,
              of a device all but the inbox in the folder above
              → scores.json, renders/, photographs/, differences/
@@ -80,6 +86,10 @@ def _import_work(kind: str) -> Work:
         from radiant_app.workers.regions import run_regions
 
         return run_regions
+    if kind in ("refine", "average", "finish"):
+        from radiant_app.workers.refining import run_average, run_finish, run_refine
+
+        return {"refine": run_refine, "average": run_average, "finish": run_finish}[kind]
     if kind == "score":
         from radiant_app.workers.evaluation import run_score
 

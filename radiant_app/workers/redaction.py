@@ -77,9 +77,9 @@ class Redactor:
 
 def make_redactor(kind: str, folder: Path) -> Redactor:
     """The redactor of a node, for kinds of node that open a device's own photographs."""
-    place = folder.parent if kind == "score" else folder
+    place = folder.parent if kind in ("score", "refine") else folder
     notes = place / NOTES_NAME
-    if kind not in ("positions", "field", "score"):
+    if kind not in ("positions", "field", "score", "refine"):
         return Redactor(notes=notes)
     try:
         task = read_json(place / "task.json")

@@ -8,7 +8,9 @@ path that leaves a folder. Folders without an identity, made by hand, hold unsig
     device, field   what to train   signed by its edge
     score           the scene       signed by its device's edge; not where the owner scores all
     edge            what to join    signed by the cloud
-    cloud           what to join    not signed: the cloud is the root
+    refine          the scene       signed by its device's edge
+    average         the scene       signed by the cloud
+    cloud, finish   what to join    not signed: the cloud is the root
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from radiant_app.workers.delivering import accept_task, belongs_to_run
-from radiant_core.choices import LpipsNetwork, Matching, PlanMethod
+from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, UploadFormat
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
     CloudTask,
@@ -29,8 +31,10 @@ from radiant_core.hierarchy.messages import (
     DeviceSettings,
     DeviceTask,
     EdgeTask,
+    Id,
     Pair,
     Positive,
+    RefineTask,
     Renderer,
 )
 from radiant_core.io.messages import load_task, sim3_of
@@ -158,6 +162,28 @@ class ScoreTask:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RefineNodeTask(RefineTask):
+    """Refine the scene beside it by the photographs of the device in the folder above."""
+
+    corrections: tuple[Move, ...]
+    """As of a `ScoreTask`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinishTask:
+    """Put the mean of the refinements in inbox/ into the scene beside it."""
+
+    senders: tuple[Id, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AverageTask(FinishTask):
+    """Send on the mean of the refinements in inbox/ of the scene beside it."""
+
+    upload: UploadFormat
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlannedEdge:
     """What the cloud receives of an edge to plan."""
 
@@ -197,9 +223,19 @@ TASKS: dict[str, type[Any]] = {
     "edge": EdgeTask,
     "cloud": CloudTask,
     "score": ScoreTask,
+    "refine": RefineNodeTask,
+    "average": AverageTask,
+    "finish": FinishTask,
     "run": JobTask,
 }
-SIGNED: dict[str, Kind] = {"device": "device_task", "field": "field_task", "edge": "edge_task", "score": "score_task"}
+SIGNED: dict[str, Kind] = {
+    "device": "device_task",
+    "field": "field_task",
+    "edge": "edge_task",
+    "score": "score_task",
+    "refine": "refine_task",
+    "average": "average_task",
+}
 """Kind of worker whose task is signed by another node → kind of delivery."""
 
 

@@ -40,6 +40,11 @@ class Tree:
         return replace(self, id=rename(self.id), children=tuple(child.map_ids(rename) for child in self.children))
 
 
+def refined_at(node_id: str) -> str:
+    """The id of the node at which a device, edge or the cloud refines the joined scene."""
+    return f"{node_id}/refine"
+
+
 def tree_of_plan(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> Tree:
     """Cloud over edges and devices with cameras."""
     edges = []

@@ -171,6 +171,9 @@ class RefineTask(Training):
 
     epochs: Annotated[int, Field(ge=1)]
     """How often each photograph is shown."""
+    max_num_steps: Annotated[int, Field(ge=1)] | None = None
+    """Upper limit of steps, as of a join; None for none."""
+    upload: UploadFormat = "float32"
     memory_bytes: Positive | None = None
     """What the process may hold; None: no limit."""
 

@@ -59,6 +59,8 @@ class Recipe:
             backend=self.backend,
             checkpoint_every_s=self.checkpoint_every_s,
             epochs=self.aggregate.refine_epochs,
+            max_num_steps=self.aggregate.max_num_steps,
+            upload=self.upload,
             memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),
         )
 

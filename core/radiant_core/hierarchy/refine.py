@@ -70,9 +70,10 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     if not len(start):
         return nothing
     views = _in_light_of(start, views, task.backend, reporter)
+    num_steps = task.epochs * len(views)
     config = replace(
         task.train,
-        num_steps=task.epochs * len(views),
+        num_steps=num_steps if task.max_num_steps is None else min(num_steps, task.max_num_steps),
         budget_s=None,
         sh_degree=start.sh_degree,
         sh_degree_every=0,

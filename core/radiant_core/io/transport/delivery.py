@@ -11,6 +11,9 @@ edge_task     task.json                                                         
 device_task   task.json, scene.safetensors, photos/, (masks/)                       edge → device
 field_task    task.json, (poses.safetensors), (poses/)                              edge → device
 score_task    task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)          edge → device
+refine_task   task.json, scene.ply                                                  edge → device
+average_task  task.json, scene.ply                                                  cloud → edge
+refinement    refined.safetensors, rows.safetensors                     device → edge → cloud
 
 The signature covers run, receiver and attempt, so that a delivery is worth nothing in another run
 or elsewhere; which attempt counts is decided by `acceptance.py`. A folder counts as one file: the
@@ -41,7 +44,9 @@ MAX_RECORD_BYTES = 16384
 MAX_FILE_BYTES, MAX_FOLDER_BYTES = 2 * 10**9, 10**13
 MAX_ATTEMPT = 10**6
 
-Kind = Literal["device_model", "edge_model", "edge_task", "device_task", "field_task", "score_task"]
+Kind = Literal[
+    "device_model", "edge_model", "edge_task", "device_task", "field_task", "score_task", "refine_task", "average_task", "refinement"
+]
 FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "device_model": (frozenset({"model.safetensors", "cameras.safetensors"}), frozenset({"frame.json"})),
     "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "frame.json"})),
@@ -49,6 +54,9 @@ FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "device_task": (frozenset({"task.json", "scene.safetensors", "photos"}), frozenset({"masks"})),
     "field_task": (frozenset({"task.json"}), frozenset({"poses.safetensors", "poses"})),
     "score_task": (frozenset({"task.json", "inbox/scene.ply", "inbox/plan.json"}), frozenset({"inbox/lpips.safetensors"})),
+    "refine_task": (frozenset({"task.json", "scene.ply"}), frozenset()),
+    "average_task": (frozenset({"task.json", "scene.ply"}), frozenset()),
+    "refinement": (frozenset({"refined.safetensors", "rows.safetensors"}), frozenset()),
 }
 """Files that a delivery has to have, and those it may have."""
 FOLDERS = frozenset({"poses", "photos", "masks"})

@@ -1,0 +1,119 @@
+"""Refines a joined scene where its photographs are. Once per run, between joining and scoring.
+
+The tree of the run is folded a second time, in refine/ of every node: each device whose model is in
+the scene fits that to its own photographs, edges average, the cloud puts the mean into the scene.
+A machine that fails here costs its part of the refinement, not the scene.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.run.dealing import Dealer, count_received, deal_files
+from radiant_app.workers.delivering import DELIVERIES, identify_part, sign_task
+from radiant_app.workers.refining import REFINED_SCENE
+from radiant_app.workers.tasks import SIGNED, AverageTask, FinishTask, Move, RefineNodeTask
+from radiant_core import __version__
+from radiant_core.aggregate.tree import Tree, refined_at
+from radiant_core.frames import Sim3
+from radiant_core.hierarchy.messages import RefineTask
+from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.io.messages import MODEL_NAME, REFINED_NAME, ROWS_NAME, TASK_NAME, save_task, task_key
+from radiant_core.io.run_store import content_key, is_sealed
+from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
+
+SCENE_NAME = "scene.ply"
+
+
+def will_refine(recipe: Recipe, tree: Tree) -> bool:
+    """Whether the scene of this tree is refined: the settings ask for it, and devices differ."""
+    return recipe.aggregate.refine_epochs > 0 and sum(node.tier == "device" for node in tree) > 1
+
+
+@dataclass(kw_only=True)
+class Refining:
+    """The refinement of one run's scene."""
+
+    dealer: Dealer
+    moves: Mapping[str, Sequence[Sim3]]
+    """Device with a model in the scene → similarities from its frame to that."""
+    keys: dict[str, str] = field(default_factory=dict)
+    """Node id → the key of its seal."""
+
+    @property
+    def tree(self) -> Tree | None:
+        """The nodes that refine; None where the settings ask for none, or one device knows all."""
+        if not self.dealer.recipe.aggregate.refine_epochs or len(self.moves) < 2:
+            return None
+        edges = []
+        for plan in self.dealer.recipe.edge_plans:
+            devices = tuple(Tree(id=refined_at(f"devices/{name}"), tier="device") for name in plan.device_ids if name in self.moves)
+            if devices:
+                edges.append(Tree(id=refined_at(f"edges/{plan.edge_id}"), tier="edge", children=devices))
+        return Tree(id=refined_at("cloud"), tier="cloud", children=tuple(edges))
+
+    @property
+    def scene_folder(self) -> Path | None:
+        """Where the refined scene lies; None before it is made."""
+        node = refined_at("cloud")
+        made = node in self.keys and is_sealed(self.dealer.run / node, self.keys[node])
+        return (self.dealer.run / node / REFINED_SCENE).parent if made else None
+
+    def prepare(self, node: Tree) -> NodeTask | None:
+        """Fill the node's folder and return its task; None if nothing arrived to be averaged."""
+        run, folder = self.dealer.run, self.dealer.run / node.id
+        owner = node.id.removesuffix(refined_at(""))
+        folder.mkdir(parents=True, exist_ok=True)
+        fills: dict[str, Callable[[Tree, Path], tuple[Any, list[Path]] | None]] = {
+            "device": self._fill_device,
+            "edge": self._fill_edge,
+            "cloud": self._fill_cloud,
+        }
+        filled = fills[node.tier](node, folder)
+        if filled is None:
+            return None
+        task, inputs = filled
+        deal_files(run / "cloud", [SCENE_NAME], folder)
+        save_task(folder, task)
+        above = None if node.tier == "cloud" else self.dealer.parent_of(owner)
+        identify_part(run, node.id, owner, above)
+        kind = {"device": "refine", "edge": "average", "cloud": "finish"}[node.tier]
+        if above is not None:
+            sign_task(run, above, owner, SIGNED[kind], folder, [TASK_NAME, SCENE_NAME])
+        received = [folder / SCENE_NAME, *(path for path in (folder / "inbox", folder / DELIVERIES) if path.is_dir())]
+        self.dealer.access_log.append({"node": node.id, "tier": node.tier, **count_received(received)})
+        key = self.keys[node.id] = content_key(__version__, task_key(task), folder / SCENE_NAME, *inputs)
+        return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
+
+    def _fill_device(self, node: Tree, folder: Path) -> tuple[Any, list[Path]]:
+        del folder
+        own = self.dealer.run / node.id.removesuffix(refined_at(""))
+        settings = self.dealer.recipe.refine_task(own.name)
+        common = {each.name: getattr(settings, each.name) for each in fields(RefineTask)}
+        # Its own model stands for the photographs, which it was made from.
+        return RefineNodeTask(corrections=tuple(map(Move.of, self.moves[own.name])), **common), [own / MODEL_NAME]
+
+    def _fill_edge(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
+        senders = self._receive(node, folder)
+        return (AverageTask(senders=senders, upload=self.dealer.recipe.upload), [folder / "inbox"]) if senders else None
+
+    def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
+        senders = self._receive(node, folder)
+        return (FinishTask(senders=senders), [folder / "inbox"]) if senders else None
+
+    def _receive(self, node: Tree, folder: Path) -> tuple[str, ...]:
+        """Copy the refinements of a node's children that have one; the names of these."""
+        for place in ("inbox", DELIVERIES):
+            shutil.rmtree(folder / place, ignore_errors=True)
+        senders = []
+        for child in node.children:
+            if child.id in self.keys and is_sealed(self.dealer.run / child.id, self.keys[child.id]):
+                senders.append(Path(child.id).parent.name)
+                deal_files(self.dealer.run / child.id, [REFINED_NAME, ROWS_NAME], folder / "inbox" / senders[-1])
+                deal_files(self.dealer.run / child.id, [RECORD_NAME, SIGNATURE_NAME], folder / DELIVERIES / senders[-1])
+        return tuple(senders)

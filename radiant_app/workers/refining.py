@@ -1,0 +1,106 @@
+"""Workers that refine a joined scene: on a device by its photographs, on an edge and at the cloud
+by averaging. Once per node.
+
+Each works in refine/ inside its node's folder, signs with the key of that node and takes the
+uploads of the senders that are registered there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from radiant_app.workers.delivering import belongs_to_run, deliver, find_refusals
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefineNodeTask
+from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
+from radiant_core.aggregate.averaging import Refinement
+from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
+from radiant_core.hierarchy.joining import move_cameras
+from radiant_core.hierarchy.refine import join_refinements, refine_device, refine_scene
+from radiant_core.io.messages import load_refinement, save_refinement
+from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.io.records import load_scene
+from radiant_core.io.run_store import read_json
+from radiant_core.io.transport.upload import UploadFormat
+from radiant_core.splats import Splats
+from radiant_core.train.photographs import load_training_views
+
+REFINED_SCENE = "refined/scene.ply"
+"""The scene that the cloud writes, in its refine/."""
+
+
+def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> Sequence[str]:
+    """Fit the scene to the photographs that the device trained on."""
+    own, scene = folder.parent, load_ply(folder / "scene.ply")
+    cameras = load_scene(own / "scene.safetensors").cameras.scaled(task.train.long_side_px)
+    views = load_training_views(photographs_of(own), cameras, own / MASKS)
+    views = replace(views, cameras=correct_cameras(cameras, task.corrections))
+    machine = make_machine(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
+    refinement = refine_device(task, scene, views, reporter, machine)
+    names = _save_and_sign(folder, refinement, task.upload, reporter)
+    remove_checkpoints(folder)
+    return names
+
+
+def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Sequence[str]:
+    """Average what an edge's devices refined."""
+    scene = load_ply(folder / "scene.ply")
+    refinement = join_refinements(scene, _receive(folder, task.senders, scene, reporter))
+    return _save_and_sign(folder, refinement, task.upload, reporter)
+
+
+def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Sequence[str]:
+    """Put the mean of what the edges sent into the scene."""
+    scene = load_ply(folder / "scene.ply")
+    refinements = _receive(folder, task.senders, scene, reporter)
+    num_refined = sum(len(each.rows) for each in refinements)
+    reporter.decide(
+        Decision(
+            stage=reporter.stage,
+            topic="refinement",
+            choice=f"the scene is refined by the photographs below {len(refinements)} edges",
+            figure=float(num_refined),
+            unit=f"refined Gaussians arrived, of {len(scene):,}",
+            reason="joining shows models only pictures of models; devices show it their photographs",
+            changes_nothing=not num_refined,
+        )
+    )
+    (folder / REFINED_SCENE).parent.mkdir(exist_ok=True)
+    save_ply(folder / REFINED_SCENE, refine_scene(scene, refinements))
+    return [REFINED_SCENE]
+
+
+def photographs_of(own: Path) -> Path:
+    """The folder of the photographs that the device in the folder `own` trained on."""
+    return Path(read_json(own / OWN_NAME, ("images",))["images"]) if (own / OWN_NAME).is_file() else own / "photos"
+
+
+def correct_cameras(cameras: Cameras, corrections: Sequence[Move]) -> Cameras:
+    """A machine's cameras in the frame of the scene."""
+    for move in corrections:
+        cameras = move_cameras(cameras, move.sim3)
+    return cameras
+
+
+def _receive(folder: Path, senders: Sequence[str], scene: Splats, reporter: EventReporter) -> list[Refinement]:
+    """The refinements that can be used, in the order of their senders."""
+    places = {name: folder / "inbox" / name for name in senders}
+    rejected = find_refusals(folder, senders, places, "refinement", folder.parent) if belongs_to_run(folder) else {}
+    found = []
+    for name, place in places.items():
+        refinement = rejected.get(name) or load_refinement(place, scene)
+        if isinstance(refinement, str):
+            reporter.warn(f"the refinement of {name} is left out: {refinement}")
+        else:
+            found.append(refinement)
+    return found
+
+
+def _save_and_sign(folder: Path, refinement: Refinement, upload: UploadFormat, reporter: EventReporter) -> list[str]:
+    names = save_refinement(folder, refinement, upload, reporter.warn)
+    if not belongs_to_run(folder):
+        return names
+    return [*names, *deliver(folder, {name: folder / name for name in names}, "refinement", folder.parent)]
