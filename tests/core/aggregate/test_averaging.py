@@ -1,0 +1,90 @@
+"""Averages of refinements: the weighted mean Gaussian by Gaussian, associative, refused where they do not fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiant_core.aggregate.averaging import Refinement, apply_refinement, average_refinements, refinement_problem
+from radiant_core.errors import BadInput
+from radiant_core.splats import Splats
+from tests.core.scenes import ground_splats
+
+SCENE = ground_splats(200)
+
+
+def refined(rows: list[int], brighter: float, weight: float = 1.0) -> Refinement:
+    """Some of the scene's Gaussians, brighter."""
+    chosen = np.array(rows, np.int64)
+    part = SCENE.select(chosen)
+    return Refinement(rows=chosen, splats=replace(part, sh0=part.sh0 + brighter), weights=np.full(len(rows), weight, np.float32))
+
+
+def test_the_mean_is_weighted_per_gaussian_and_the_rest_keeps_its_bits() -> None:
+    mean = average_refinements([refined([1, 5, 9], 0.4, 1.0), refined([5, 7], 0.1, 3.0)], SCENE)
+    assert mean.rows.tolist() == [1, 5, 7, 9] and mean.weights.tolist() == [1, 4, 3, 1]
+    made = apply_refinement(SCENE, mean)
+    change = (made.sh0 - SCENE.sh0)[:, 0, 0]
+    np.testing.assert_allclose(change[[1, 5, 7, 9]], [0.4, (0.4 + 3 * 0.1) / 4, 0.1, 0.4], atol=1e-6)
+    others = np.setdiff1d(np.arange(len(SCENE)), [1, 5, 7, 9])
+    for name, array in SCENE.select(others).arrays().items():
+        np.testing.assert_array_equal(made.select(others).arrays()[name], array)
+
+
+def test_means_of_means_are_the_mean_of_all() -> None:
+    rng = np.random.default_rng(0)
+    parts = [
+        refined(sorted(rng.choice(len(SCENE), 60, replace=False).tolist()), float(rng.normal()), float(rng.uniform(0.5, 20)))
+        for _ in range(5)
+    ]
+    whole = average_refinements(parts, SCENE)
+    by_edge = average_refinements([average_refinements(parts[:2], SCENE), average_refinements(parts[2:], SCENE)], SCENE)
+    assert whole.rows.tolist() == by_edge.rows.tolist()
+    for name, array in whole.splats.arrays().items():
+        np.testing.assert_allclose(by_edge.splats.arrays()[name], array, atol=2e-6)
+
+
+def test_nothing_refined_is_the_scene_itself() -> None:
+    nothing = refined([], 0.0)
+    for mean in (average_refinements([], SCENE), average_refinements([nothing], SCENE)):
+        assert not len(mean.rows)
+        made = apply_refinement(SCENE, mean)
+        assert all((made.arrays()[name] == array).all() for name, array in SCENE.arrays().items())
+
+
+def moved(far: float) -> Splats:
+    part = SCENE.select([3])
+    return replace(part, means=part.means + np.float32(far))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "problem"),
+    [
+        (refined([len(SCENE)][:0], 0.0), None),
+        (replace(refined([3], 0.0), rows=np.array([len(SCENE)])), "names Gaussian 200 of a scene of 200"),
+        (replace(refined([3], 0.0), splats=moved(1e4)), "it refines another scene"),
+        (
+            replace(refined([3], 0.0), splats=replace(SCENE.select([3]), log_scales=SCENE.select([3]).log_scales + 9)),
+            "it refines another scene",
+        ),
+        (replace(refined([3], 0.0), splats=replace(SCENE.select([3]), sh0=SCENE.select([3]).sh0 + 1e6)), "a value of its sh0"),
+        (replace(refined([3], 0.0), splats=replace(SCENE.select([3]), shN=np.zeros((1, 15, 3), np.float32))), "harmonics of degree 3"),
+    ],
+)
+def test_what_does_not_fit_to_the_scene_is_refused_in_a_sentence(wrong: Refinement, problem: str | None) -> None:
+    found = refinement_problem(wrong, SCENE)
+    assert (found is None) if problem is None else (found is not None and problem in found)
+    if problem is not None:
+        with pytest.raises(BadInput):
+            average_refinements([wrong], SCENE)
+
+
+@pytest.mark.parametrize(
+    ("rows", "weights"),
+    [([3, 3], [1, 1]), ([5, 3], [1, 1]), ([-1, 3], [1, 1]), ([3, 5], [1, 0]), ([3, 5], [1, np.nan]), ([3], [1, 1]), ([3, 5], [1])],
+)
+def test_rows_and_weights_are_checked(rows: list[int], weights: list[float]) -> None:
+    with pytest.raises(BadInput):
+        Refinement(rows=np.array(rows, np.int64), splats=SCENE.select([3, 5]), weights=np.array(weights, np.float32))

@@ -1,0 +1,84 @@
+"""Refining a joined scene: devices' photographs speak, nothing is added, light and memory are kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.hierarchy.messages import RefineTask
+from radiant_core.hierarchy.refine import join_refinements, refine_device, refine_scene
+from radiant_core.hierarchy.reporter import Recorder
+from radiant_core.io.messages import load_refinement, passed_refinement, save_refinement
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats
+from radiant_core.train.config import train_preset
+from radiant_core.train.views import TrainingViews
+from tests.core.scenes import cameras_above, ground_splats
+
+TRUTH = ground_splats(1500)
+BLURRED = replace(TRUTH, sh0=TRUTH.sh0 + np.random.default_rng(0).normal(0, 0.3, TRUTH.sh0.shape).astype(np.float32))
+CAMERAS = [cameras_above([(x, y) for y in (-1.0, 0.0, 1.0)], size_wh=(64, 48)) for x in (-2.0, 2.0)]
+TASK = RefineTask(train=replace(train_preset("draft"), long_side_px=64), backend="native", epochs=4)
+
+
+def photographs(cameras_of: int, gain: float = 1.0) -> TrainingViews:
+    cameras = CAMERAS[cameras_of]
+    images = [np.clip(view.image * 255 * gain, 0, 255).round().astype(np.uint8) for view in render_views(TRUTH, cameras, "native")]
+    return TrainingViews(cameras=cameras, images=tuple(images))
+
+
+def error_db(scene: Splats) -> float:
+    shown = [view.image for cameras in CAMERAS for view in render_views(scene, cameras, "native")]
+    taken = [image / 255 for which in (0, 1) for image in photographs(which).images]
+    return float(np.mean([psnr_db(render, photograph) for render, photograph in zip(shown, taken, strict=True)]))
+
+
+def test_a_blurred_scene_gains_from_photographs_of_two_devices_and_keeps_its_rows() -> None:
+    refinements = [refine_device(TASK, BLURRED, photographs(which), Recorder()) for which in (0, 1)]
+    for one in refinements:
+        assert 0 < len(one.rows) < len(BLURRED) and one.splats.sh_degree == BLURRED.sh_degree
+    passed = [passed_refinement(one, "float16", BLURRED) for one in refinements]
+    kept = [one for one in passed if not isinstance(one, str)]
+    assert len(kept) == 2
+    refined = refine_scene(BLURRED, [join_refinements(BLURRED, kept)])
+    assert len(refined) == len(BLURRED)
+    assert error_db(refined) > error_db(BLURRED) + 1.0
+    seen = np.union1d(refinements[0].rows, refinements[1].rows)
+    others = np.setdiff1d(np.arange(len(BLURRED)), seen)
+    np.testing.assert_array_equal(refined.sh0[others], BLURRED.sh0[others])
+    again = refine_device(TASK, BLURRED, photographs(0), Recorder())
+    np.testing.assert_array_equal(again.splats.means, refinements[0].splats.means)
+
+
+def test_a_device_whose_photographs_are_darker_does_not_darken_the_scene() -> None:
+    reporter = Recorder()
+    refinement = refine_device(TASK, BLURRED, photographs(0, gain=0.7), reporter)
+    (decision,) = reporter.decisions
+    assert decision.topic == "light of the photographs" and decision.figure == pytest.approx(100 * (1 / 0.7 - 1), abs=8)
+    lit = refine_scene(BLURRED, [refinement])
+    assert error_db(lit) > error_db(BLURRED) + 0.3
+
+
+def test_too_little_memory_or_nothing_in_sight_refines_nothing_and_says_so() -> None:
+    reporter = Recorder()
+    nothing = refine_device(replace(TASK, memory_bytes=1e6), BLURRED, photographs(0), reporter)
+    assert not len(nothing.rows) and [decision.topic for decision in reporter.decisions] == ["refinement"]
+    away = replace(BLURRED, means=BLURRED.means + np.float32(1e4))
+    assert not len(refine_device(TASK, away, photographs(0), Recorder()).rows)
+    same = refine_scene(BLURRED, [nothing])
+    assert all((same.arrays()[name] == array).all() for name, array in BLURRED.arrays().items())
+
+
+def test_an_empty_refinement_and_a_broken_file_arrive_as_what_they_are(tmp_path: Path) -> None:
+    nothing = refine_device(replace(TASK, memory_bytes=1e6), BLURRED, photographs(0), Recorder())
+    save_refinement(tmp_path, nothing, "spz", lambda message: None)
+    arrived = load_refinement(tmp_path, BLURRED)
+    assert not isinstance(arrived, str) and not len(arrived.rows)
+    (tmp_path / "rows.safetensors").write_bytes(b"no arrays")
+    assert isinstance(load_refinement(tmp_path, BLURRED), str)
+    (tmp_path / "rows.safetensors").unlink()
+    assert isinstance(load_refinement(tmp_path, BLURRED), str)
