@@ -15,18 +15,16 @@ from radiant_app.workers.delivering import belongs_to_run, deliver, find_refusal
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
-from radiant_core.aggregate.averaging import Refinement
+from radiant_core.aggregate.averaging import Refinement, average_refinements, refine_scene
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.joining import move_cameras
-from radiant_core.hierarchy.refine import join_refinements, refine_device, refine_scene
 from radiant_core.io.messages import load_refinement, save_refinement
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.splats import Splats
-from radiant_core.train.photographs import load_training_views
 
 REFINED_SCENE = "refined/scene.ply"
 """The scene that the cloud writes, in its refine/."""
@@ -34,6 +32,10 @@ REFINED_SCENE = "refined/scene.ply"
 
 def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> Sequence[str]:
     """Fit the scene to the photographs that the device trained on."""
+    # Averaging needs no torch.
+    from radiant_core.hierarchy.refine import refine_device
+    from radiant_core.train.photographs import load_training_views
+
     own, scene = folder.parent, load_ply(folder / "scene.ply")
     cameras = load_scene(own / "scene.safetensors").cameras.scaled(task.train.long_side_px)
     views = load_training_views(photographs_of(own), cameras, own / MASKS)
@@ -48,7 +50,7 @@ def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> S
 def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Sequence[str]:
     """Average what an edge's devices refined."""
     scene = load_ply(folder / "scene.ply")
-    refinement = join_refinements(scene, _receive(folder, task.senders, scene, reporter))
+    refinement = average_refinements(_receive(folder, task.senders, scene, reporter), scene)
     return _save_and_sign(folder, refinement, task.upload, reporter)
 
 

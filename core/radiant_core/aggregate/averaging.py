@@ -46,7 +46,7 @@ class Refinement:
 
 
 def average_refinements(refinements: Sequence[Refinement], scene: Splats) -> Refinement:
-    """The weighted mean of refinements of `scene` (N): Gaussians that any of them has. Raises
+    """What an edge sends on: the weighted mean of refinements of `scene` (N): Gaussians that any of them has. Raises
     BadInput for one with a `refinement_problem`."""
     total = np.zeros(len(scene))
     sums = {name: np.zeros(array.shape) for name, array in scene.arrays().items()}
@@ -81,8 +81,9 @@ def refinement_problem(refinement: Refinement, scene: Splats) -> str | None:
     return None if (found := check_splats(splats, NO_CAMERAS)) is None else found
 
 
-def apply_refinement(scene: Splats, refinement: Refinement) -> Splats:
-    """`scene` with its refined Gaussians in place; the others keep their bits."""
+def refine_scene(scene: Splats, refinements: Sequence[Refinement]) -> Splats:
+    """`scene` with the mean of its refinements in place; other Gaussians keep their bits."""
+    refinement = average_refinements(refinements, scene)
     arrays = {name: array.copy() for name, array in scene.arrays().items()}
     for name, array in refinement.splats.arrays().items():
         arrays[name][refinement.rows] = array

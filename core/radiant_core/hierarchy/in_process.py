@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from radiant_core.aggregate.averaging import Refinement
+from radiant_core.aggregate.averaging import Refinement, average_refinements, refine_scene
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.device import train_device
 from radiant_core.hierarchy.edge import join_edge
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, EdgeModel, SceneModel, device_task
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.hierarchy.refine import join_refinements, refine_device, refine_scene
+from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
 from radiant_core.scene import SfmScene
@@ -87,7 +87,7 @@ def _refine(
             shown = views.select(recipe.cameras_of(device))
             refinement = refine_device(recipe.refine_task(device), splats, shown, reporter_of(f"devices/{device}/refine"))
             own.append(passed_refinement(refinement, recipe.upload, splats))
-        mean = join_refinements(splats, [each for each in own if not isinstance(each, str)])
+        mean = average_refinements([each for each in own if not isinstance(each, str)], splats)
         passed = passed_refinement(mean, recipe.upload, splats)
         by_edge += [] if isinstance(passed, str) else [passed]
     return refine_scene(splats, by_edge)

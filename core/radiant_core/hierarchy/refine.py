@@ -1,9 +1,9 @@
 """What follows joining: every device fits the finished scene to its own photographs, edges and the
 cloud average. Once per run.
 
-    scene, photographs ── refine_device ────→ Refinement          on each device
-    Refinements        ── join_refinements ─→ Refinement          at each edge
-    scene, Refinements ── refine_scene ─────→ scene               at the cloud
+    scene, photographs ── refine_device ───────→ Refinement       on each device
+    scene, Refinements ── average_refinements ─→ Refinement       at each edge
+    scene, Refinements ── refine_scene ────────→ scene            at the cloud (`averaging.py`)
 
 Joining shows models only pictures of models, so that a scene is never sharper than those. Here the
 photographs speak once more, where they are; what travels is what a model is. Nothing is added or
@@ -12,13 +12,12 @@ removed, so that a Gaussian keeps its row.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.averaging import Refinement, apply_refinement, average_refinements
+from radiant_core.aggregate.averaging import Refinement
 from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.aggregate.retrain import reached_by
 from radiant_core.decisions import Decision
@@ -88,16 +87,6 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     weights = _times_seen(start, views) * _changed(start, fitted)
     kept = np.flatnonzero(weights)
     return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=weights[kept].astype(np.float32))
-
-
-def join_refinements(scene: Splats, refinements: Sequence[Refinement]) -> Refinement:
-    """What an edge sends on: the mean of its devices' refinements."""
-    return average_refinements(refinements, scene)
-
-
-def refine_scene(scene: Splats, refinements: Sequence[Refinement]) -> Splats:
-    """The scene with the mean of the edges' refinements in place; without any it keeps its bits."""
-    return apply_refinement(scene, average_refinements(refinements, scene))
 
 
 def _steps() -> Steps:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.averaging import Refinement, apply_refinement, average_refinements, refinement_problem
+from radiant_core.aggregate.averaging import Refinement, average_refinements, refine_scene, refinement_problem
 from radiant_core.errors import BadInput
 from radiant_core.splats import Splats
 from tests.core.scenes import ground_splats
@@ -25,7 +25,7 @@ def refined(rows: list[int], brighter: float, weight: float = 1.0) -> Refinement
 def test_the_mean_is_weighted_per_gaussian_and_the_rest_keeps_its_bits() -> None:
     mean = average_refinements([refined([1, 5, 9], 0.4, 1.0), refined([5, 7], 0.1, 3.0)], SCENE)
     assert mean.rows.tolist() == [1, 5, 7, 9] and mean.weights.tolist() == [1, 4, 3, 1]
-    made = apply_refinement(SCENE, mean)
+    made = refine_scene(SCENE, [mean])
     change = (made.sh0 - SCENE.sh0)[:, 0, 0]
     np.testing.assert_allclose(change[[1, 5, 7, 9]], [0.4, (0.4 + 3 * 0.1) / 4, 0.1, 0.4], atol=1e-6)
     others = np.setdiff1d(np.arange(len(SCENE)), [1, 5, 7, 9])
@@ -50,7 +50,7 @@ def test_nothing_refined_is_the_scene_itself() -> None:
     nothing = refined([], 0.0)
     for mean in (average_refinements([], SCENE), average_refinements([nothing], SCENE)):
         assert not len(mean.rows)
-        made = apply_refinement(SCENE, mean)
+        made = refine_scene(SCENE, [mean])
         assert all((made.arrays()[name] == array).all() for name, array in SCENE.arrays().items())
 
 

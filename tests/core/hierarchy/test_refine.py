@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from radiant_core.aggregate.averaging import average_refinements, refine_scene
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.messages import RefineTask
-from radiant_core.hierarchy.refine import join_refinements, refine_device, refine_scene
+from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.io.messages import load_refinement, passed_refinement, save_refinement
 from radiant_core.render.rendered_view import render_views
@@ -44,7 +45,7 @@ def test_a_blurred_scene_gains_from_photographs_of_two_devices_and_keeps_its_row
     passed = [passed_refinement(one, "float16", BLURRED) for one in refinements]
     kept = [one for one in passed if not isinstance(one, str)]
     assert len(kept) == 2
-    refined = refine_scene(BLURRED, [join_refinements(BLURRED, kept)])
+    refined = refine_scene(BLURRED, [average_refinements(kept, BLURRED)])
     assert len(refined) == len(BLURRED)
     assert error_db(refined) > error_db(BLURRED) + 1.0
     seen = np.union1d(refinements[0].rows, refinements[1].rows)
