@@ -76,7 +76,7 @@ def _make_plan(config: RunConfig, system: System, positions: FloatArray, progres
     if config.cell_m is not None:
         regions = plan_at_cloud(config, config.cell_m, system, positions, progress)
         return regions, split_edges(positions, regions, system)
-    cloud_plan = plan_regions(positions, system, method=config.plan.method)
+    cloud_plan = plan_regions(positions, system, method=config.plan.method, paper=config.plan.paper)
     if isinstance(cloud_plan, PlanInfeasible):
         raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system_file} and add --resume.")
     return cloud_plan, split_edges(positions, cloud_plan, system)
