@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
-from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, UploadFormat
+from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
@@ -44,6 +44,7 @@ RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
         "sfm.matching": "exhaustive",
         "plan.method": "paper",
         "train.preset": "paper",
+        "train.step_policy": "fixed",
         "aggregate.preset": "paper",
         "upload": "float32",
     },
@@ -157,9 +158,12 @@ class TrainOptions:
     long_side_px: Annotated[int | None, Option(min=16)] = None
     """Long side of the training images."""
     num_steps: Annotated[int | None, Option(name="--steps", min=1)] = None
-    """Training steps of a device."""
+    """Training steps of a device; of several, their mean."""
     max_num_splats: Annotated[int | None, Option(name="--max-splats", min=100)] = None
     """Upper limit of Gaussians of a device."""
+    step_policy: StepPolicy = "per_photograph"
+    """per_photograph: each device's steps follow its photographs, --steps being the mean of all
+    devices; fixed: each takes as many."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=setting_types, fixed=(*SIZES, "seed"))] = field(default_factory=dict)
     """Path of a field of `TrainConfig` → its value."""
 
