@@ -37,7 +37,14 @@ from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster, raster_decision
-from radiant_app.run.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
+from radiant_app.run.predictions import (
+    depends_on_training,
+    planned_training,
+    prediction_warnings,
+    training_key_of,
+    with_camera_limits,
+    with_step_law,
+)
 from radiant_app.workers.regions import plan_from_raster
 from radiant_app.workers.sources import load_scene_of
 from radiant_core.choices import PlanMethod
@@ -237,6 +244,7 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
         training = training_key_of(train, request.train_preset)
+        system = with_step_law(system, train, len(positions))
         system, _, warnings = with_camera_limits(system, train, len(positions))
     given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
     start, constraints = (None, None) if given is None else (given.start, given.constraints)

@@ -48,10 +48,11 @@ class StepLaw:
 
     def cost(self, of_fixed: CostCurve, num_steps: int, num_photographs: int) -> CostCurve:
         """The cost of training by this law for up to `num_photographs`, of a curve that holds for
-        `num_steps` whatever the number of photographs."""
+        `num_steps` whatever the number of photographs. The bend at the least steps is left out: a
+        cost curve has none."""
 
         def seconds(counts: FloatArray) -> FloatArray:
-            return of_fixed(counts) * np.array([self.steps(int(count)) for count in counts]) / num_steps
+            return of_fixed(counts) * self.per_photograph * counts / num_steps
 
         return curve_through(seconds, num_photographs)
 
