@@ -6,8 +6,8 @@
     cloud (2c)      a cloud node of the two, as two edges' models    → a + b · views
     own frames (c)  structure from motion of a few counts            → seconds beside G
 
-The two devices have the first and the last c photographs along the scene's long side. Nodes run
-`num_workers` at a time with their share of the cores, as in a run: side by side they are slower
+The two devices have the c photographs on either side of the middle of the scene's long side. Nodes
+run `num_workers` at a time with their share of the cores, as in a run: side by side they are slower
 than alone. Where the time does not allow all the steps that a run takes, all trainings get the same
 smaller number and their seconds are multiplied: every schedule of a preset follows the share of its
 steps, and density control gets as many rounds.
@@ -58,7 +58,7 @@ _RETRAIN_STEP_COST = 2.0
 UPLOAD = "float16"
 NUM_MODELS = 2
 """Of each count of photographs: an edge joins them."""
-MAX_PLACED = 24
+MAX_PLACED = 12
 """Of an own structure from motion, whose cost may rise with the square of the photographs."""
 Task = DeviceTask | EdgeTask | CloudTask | SfmTask
 
@@ -200,7 +200,7 @@ class Measuring:
         return self.clock() - self._begun_s
 
     def _device(self, count: int, num_steps: int) -> DeviceSample:
-        """Train on the first and on the last photographs along the scene's long side, as strips."""
+        """Train on two neighbouring strips of so many photographs."""
         tasks: dict[Path, Task] = {}
         for index, rows in enumerate(self._shares(count)):
             folder = self._folder(f"devices/{count}-{num_steps}-{index}")
@@ -288,8 +288,11 @@ class Measuring:
         return float(np.mean(seconds)) + float(np.mean(trained)) * (factor - 1)
 
     def _shares(self, count: int) -> tuple[NDArray[np.int64], ...]:
-        """The first and the last so many cameras along the scene's long side."""
-        return np.sort(self._order[:count]), np.sort(self._order[len(self._order) - count :])
+        """So many cameras on either side of the middle of the scene's long side: neighbours, since
+        models that do not meet are not retrained. Beyond half of all, the first and the last."""
+        order, middle = self._order, len(self._order) // 2
+        left, right = max(0, middle - count), min(len(order) - count, middle)
+        return np.sort(order[left : left + count]), np.sort(order[right : right + count])
 
     @property
     def _order(self) -> NDArray[np.int64]:
