@@ -44,7 +44,9 @@ ASKED: dict[str, Any] = {
     "upload": "float32",
     "sfm": SfmOptions(matching="exhaustive"),
     "plan": PlanOptions(method="voronoi"),
-    "train": TrainOptions(preset="paper", num_steps=300, settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}),
+    "train": TrainOptions(
+        preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}
+    ),
     "aggregate": AggregateOptions(preset="paper", settings={"num_epochs": 2}),
     "execution": ExecutionOptions(checkpoint_every_s=90.0),
 }
