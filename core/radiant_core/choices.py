@@ -7,8 +7,13 @@ from typing import Literal
 Matching = Literal["auto", "spatial", "exhaustive"]
 """auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each
 with its GPS neighbours; exhaustive: every pair."""
-PlanMethod = Literal["exact", "paper", "voronoi", "even"]
-"""exact: least makespan; paper: the paper's Alg. 1; voronoi: nearest edge; even: equal counts."""
+PlanMethod = Literal["exact", "paper", "paper-literal", "even", "voronoi", "kd"]
+"""exact: least makespan; paper: the paper's Alg. 1 on power cells; paper-literal: Alg. 1 as
+written, with half-planes; even: equal counts per device; voronoi: nearest edge; kd: halves of equal
+counts."""
+StepPolicy = Literal["per_photograph", "fixed"]
+"""per_photograph: a device's steps follow its photographs, so that all together take as many as
+with a fixed number each; fixed: every device takes the same number."""
 UploadFormat = Literal["float32", "float16", "spz"]
 """float32: exact; float16: half the bytes, centres in 21 bits; spz: about a fifth, by Open3D."""
 LpipsNetwork = Literal["vgg", "alex"]

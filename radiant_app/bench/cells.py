@@ -18,6 +18,7 @@ import numpy as np
 from shapely import MultiPoint, Point
 
 from radiant_app.bench.options import OF_RUN
+from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.run.prediction_error import SYSTEM_NAME
 from radiant_app.workers.sources import load_scored_scene, masks_folder_of
@@ -300,6 +301,7 @@ def run_cell(run: Path, cache: ModelCache) -> Cell:
         aggregate=tasks[0].aggregate,
         backend=tasks[0].backend,
         upload=tasks[0].upload,
+        step_policy=read_manifest(run).config["train"].get("step_policy", "fixed"),
     )
     edges = recipe.system.edges
     layout = Layout(num_edges=len(edges), num_devices=max(len(edge.devices) for edge in edges))

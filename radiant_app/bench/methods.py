@@ -9,6 +9,7 @@ placement, seed).
     paper once      the same by the paper's preset: one tier in place of two
     ours edges      as ours, the cloud only cuts
     even            ours on even counts of photographs
+    fixed steps     ours where every device takes as many steps, whatever its photographs
     photographs     device models retrained on the photographs: the paper's upper bound
     vastgaussian    its own cells, cameras and crop, its own models
     fed3dgs         its sequential server on our device models
@@ -60,7 +61,7 @@ TWO_BY_TWO = Layout(num_edges=2, num_devices=2)
 
 @dataclass(frozen=True, kw_only=True)
 class MethodBench:
-    """What to compare. `num_steps` of a device's training."""
+    """What to compare. `num_steps` of a device's training, the mean of all devices."""
 
     scene: Path
     out: Path
@@ -228,6 +229,7 @@ METHODS: Mapping[str, Arm] = {
         _paper_arm("paper once", _join_at_once),
         _own_arm("ours edges", cloud="crop_merge"),
         Arm(name="even", make=join, recipe=lambda cell: cell.even),
+        Arm(name="fixed steps", make=join, recipe=lambda cell: replace(cell.recipe, step_policy="fixed")),
         Arm(name="photographs", make=_on_photographs),
         Arm(name="vastgaussian", make=_vast_gaussian),
         Arm(name="fed3dgs", make=_fed3dgs),

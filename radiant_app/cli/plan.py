@@ -32,6 +32,9 @@ def plan(
     long_side_px: options.LongSide = None,
     steps: options.NumSteps = None,
     max_splats: options.MaxSplats = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="d and T_thres of Alg. 1: plan.boundary_step=0.02, plan.threshold=0.1; repeatable.")
+    ] = None,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
 ) -> None:
@@ -40,14 +43,17 @@ def plan(
     from radiant_app.commands.plan import plan as make_plan
     from radiant_app.commands.plan_content import content_request
     from radiant_app.commands.plan_tables import plan_tables
+    from radiant_app.config.fields import plan_options, with_settings
     from radiant_app.report.progress import terminal_display
     from radiant_core.train.needs import Overrides
 
+    typed = {"plan.method": plan_method, "plan.raster_cell_m": raster_cell_m, "plan.file": None}
     request = PlanRequest(
         source=source,
         out=out,
         system=system,
         method=plan_method,
+        paper=plan_options(with_settings(typed, settings or (), "plan.")).paper,
         seed=seed,
         compare=compare,
         slack=slack,

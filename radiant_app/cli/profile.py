@@ -21,7 +21,8 @@ def profile(
     from_run: Annotated[Path | None, typer.Option("--from", help="Take the stage times of this finished run instead of measuring.")] = None,
     list_known: Annotated[bool, typer.Option("--list", help="Show the library's machines, each with its source.")] = False,
     time: Annotated[str, typer.Option(help="Time of measuring; structure from motion comes on top.")] = "4m",
-    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of a training; all cores without it.")] = None,
+    workers: Annotated[int, typer.Option(min=0, help="Processes side by side, as by `radiant run`; 0: one per core.")] = 0,
+    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of a process; its share of the cores without it.")] = None,
     machine: Annotated[str | None, typer.Option(help="Name of this machine; else processor and threads.")] = None,
     train_preset: Annotated[Preset, typer.Option(help="Training that the curves are to hold for.")] = "default",
     long_side_px: LongSide = None,
@@ -42,6 +43,7 @@ def profile(
             raise BadInput("--from takes the times of a run that is done: leave out the photographs.")
         result = profile_command.profile_of_run(from_run, out, machine)
     else:
+        from radiant_app.config.run_config import ExecutionOptions
         from radiant_app.quantities import seconds_of
         from radiant_app.report.progress import terminal_display
         from radiant_core.train.needs import Overrides
@@ -52,6 +54,7 @@ def profile(
             preset=train_preset,
             overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
             time_s=seconds_of(time),
+            num_workers=ExecutionOptions(max_workers=workers).num_workers,
             num_threads=threads,
             machine=machine,
         )

@@ -37,7 +37,14 @@ from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster, raster_decision
-from radiant_app.run.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
+from radiant_app.run.predictions import (
+    depends_on_training,
+    planned_training,
+    prediction_warnings,
+    training_key_of,
+    with_camera_limits,
+    with_step_law,
+)
 from radiant_app.workers.regions import plan_from_raster
 from radiant_app.workers.sources import load_scene_of
 from radiant_core.choices import PlanMethod
@@ -52,6 +59,7 @@ from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
@@ -82,6 +90,8 @@ class PlanRequest:
     system: Path | None
     method: PlanMethod
     seed: int
+    paper: PaperConfig | None = None
+    """Knobs of Alg. 1, of the plan and of what it is compared with; None: by default."""
     compare: bool = False
     """Whether all other methods are measured on the same positions."""
     train_preset: Preset = "default"
@@ -234,19 +244,28 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
         training = training_key_of(train, request.train_preset)
+        system = with_step_law(system, train, len(positions))
         system, _, warnings = with_camera_limits(system, train, len(positions))
     given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
     start, constraints = (None, None) if given is None else (given.start, given.constraints)
     if request.raster_cell_m is not None:
         if request.slack is not None or constraints is not None:
             raise BadInput("--slack and --constraints need positions and --raster-cell-m plans without them: choose one.")
-        cloud = plan_from_raster(system, positions, request.raster_cell_m, request.method)
+        cloud = plan_from_raster(system, positions, request.raster_cell_m, request.method, request.paper)
         warnings = (*warnings, _raster_note(request.raster_cell_m, cloud))
     else:
-        cloud = plan_regions(positions, system, method=request.method, slack=request.slack, constraints=constraints, start=start)
+        cloud = plan_regions(
+            positions,
+            system,
+            method=request.method,
+            paper=request.paper,
+            slack=request.slack,
+            constraints=constraints,
+            start=start,
+        )
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
-    compared = compare(positions, system, content=cameras.content) if request.compare else ()
+    compared = compare(positions, system, content=cameras.content, paper=request.paper) if request.compare else ()
     curve: tuple[SlackPoint, ...] = ()
     if request.slack_curve:
         curve = slack_curve(positions, system, progress=lambda share: report(1 + share, len(PHASES), PHASES[1]))

@@ -12,7 +12,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ import numpy as np
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.profiling import STAGE, DeviceSample, EdgeSample, Measured, Measuring
 from radiant_app.commands.steps import require_file_to_be, require_run, training_part
+from radiant_app.config.run_config import ExecutionOptions
 from radiant_app.events import Listener, StageDone, StageStarted
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
@@ -56,16 +57,20 @@ class ProfileRequest:
     overrides: Overrides = Overrides()
     time_s: float = DEFAULT_TIME_S
     """Seconds of measuring; structure from motion, where there is no scene yet, comes on top."""
+    num_workers: int = field(default_factory=lambda: ExecutionOptions().num_workers)
+    """Processes side by side, as in the runs to be planned; of a device that works alone: 1."""
     num_threads: int | None = None
-    """Threads of a process, as a run shares out the cores among its workers; None: all cores."""
+    """Threads of a process; None: as a run shares out the cores among its workers."""
     machine: str | None = None
-    """Its name in warnings; None: processor, GPU and threads."""
+    """Its name in warnings; None: processor, GPU, threads and processes."""
 
     def __post_init__(self) -> None:
         if not 0 < self.time_s < np.inf:
             raise BadInput(f"--time is {self.time_s}, expected a positive number of seconds.")
         if self.num_threads is not None and self.num_threads < 1:
             raise BadInput(f"--threads is {self.num_threads}, expected at least 1.")
+        if self.num_workers < 1:
+            raise BadInput(f"--workers is {self.num_workers}, expected at least 1.")
         _require_place(self.out)
 
 
@@ -88,6 +93,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
             images=images,
             train=train,
             backend=backend,
+            num_workers=request.num_workers,
             num_threads=request.num_threads,
             listen=listen,
             clock=clock,
@@ -99,7 +105,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
     joining = f"{measured.num_epochs} epochs of retraining at edges"
     source = f"radiant profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
-    machine = request.machine or machine_label(request.num_threads)
+    machine = request.machine or machine_label(request.num_threads, request.num_workers)
     return _write_profile(request.out, measured, key, machine, source)
 
 
@@ -114,7 +120,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     if manifest.config["emulate"]:
         raise BadInput(f"{run} was emulated, its devices' times are played: give a run without --emulate.")
     stages, config = manifest.stages, manifest.config
-    devices, edges, train = [], [], {}
+    devices, edges, train, steps = [], [], {}, []
     for plan in load_plan(run / "plan.json")[1]:
         counts = {name: len(plan.cameras_of(name)) for name in plan.device_ids}
         for name, count in counts.items():
@@ -123,21 +129,27 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
                 continue
             summary = read_json(folder / "summary.json", ("train_s", "model_bytes"))
             train = task_setting(folder, "train")
-            init_s = seconds - summary["train_s"]
-            devices.append(
-                DeviceSample(num_cameras=count, init_s=init_s, train_s=summary["train_s"], model_bytes=float(summary["model_bytes"]))
-            )
+            train_s, init_s = summary["train_s"], seconds - summary["train_s"]
+            model_bytes = float(summary["model_bytes"])
+            steps.append(int(train["num_steps"]))
+            devices.append(DeviceSample(num_cameras=count, init_s=init_s, train_s=train_s / steps[-1], model_bytes=model_bytes))
         seconds = _seconds(stages, f"edges/{plan.edge_id}")
         if seconds:
             working = sum(1 for count in counts.values() if count)
             edges.append(EdgeSample(num_cameras=sum(counts.values()), num_devices=working, seconds=seconds))
     if not devices:
         raise BadInput(f"{run} keeps no times of a device's training: give the folder of a run with its devices/ and edges/.")
-    sizes = {name: int(train[name]) for name in ("num_steps", "long_side_px", "max_num_splats")}
-    key = ProfileKey(preset=config["train"]["preset"], aggregate_preset=config["aggregate"]["preset"], **sizes)
+    # Of the mean device: each trained as many steps as its photographs asked for.
+    num_steps = round(float(np.mean(steps)))
+    devices = [replace(sample, train_s=sample.train_s * num_steps) for sample in devices]
+    sizes = {name: int(train[name]) for name in ("long_side_px", "max_num_splats")}
+    key = ProfileKey(preset=config["train"]["preset"], num_steps=num_steps, aggregate_preset=config["aggregate"]["preset"], **sizes)
     distinct = sorted({sample.num_cameras for sample in devices})
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
-    measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out)
+    seconds = _seconds(stages, "cloud")
+    num_cameras = sum(sample.num_cameras for sample in edges)
+    merges = (EdgeSample(num_cameras=num_cameras, num_devices=len(edges), seconds=seconds),) if seconds and num_cameras else ()
+    measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out, merges=merges)
     source = f"stage times of a run, {len(devices)} devices and {len(edges)} edges, run side by side as it did"
     return _write_profile(out, measured, key, machine or machine_label(None), source)
 
@@ -163,8 +175,8 @@ def check_table(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def machine_label(num_threads: int | None) -> str:
-    """Processor, GPU where there is one, and threads."""
+def machine_label(num_threads: int | None, num_workers: int = 1) -> str:
+    """Processor, GPU where there is one, threads of a process, and processes side by side."""
     import torch
 
     info = Path("/proc/cpuinfo")
@@ -173,8 +185,9 @@ def machine_label(num_threads: int | None) -> str:
     parts = [models[0] if models else platform.processor() or platform.machine()]
     if torch.cuda.is_available():
         parts.append(torch.cuda.get_device_name(0))
-    threads = num_threads or os.cpu_count() or 1
-    return ", ".join([*parts, f"{threads} thread{'s' * (threads > 1)}"])
+    threads = num_threads or max(1, (os.cpu_count() or 1) // num_workers)
+    together = [f"{num_workers} processes side by side"] if num_workers > 1 else []
+    return ", ".join([*parts, f"{threads} thread{'s' * (threads > 1)}", *together])
 
 
 def _require_place(out: Path) -> None:
@@ -218,10 +231,16 @@ def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str,
         model_bytes=_device_curve(measured.devices, "model_bytes"),
         aggregate_s=_edge_curve(joined) if joined else None,
         aggregate_alone_s=_edge_curve(alone) if alone and joined else None,
+        merge_s=_edge_curve(measured.merges) if measured.merges else None,
+        sfm_s=fit_curve(*zip(*measured.sfm, strict=True), may_fall=True) if measured.sfm else None,
         measured_steps=measured.num_steps,
     )
     save_profile(out, made)
-    fitted = {name: curve for name in (*_DEVICE_CURVES, "aggregate_s", "aggregate_alone_s") if (curve := getattr(made, name)) is not None}
+    fitted = {
+        name: curve
+        for name in (*_DEVICE_CURVES, "aggregate_s", "aggregate_alone_s", "merge_s", "sfm_s")
+        if (curve := getattr(made, name)) is not None
+    }
     return {
         "machine": made.machine,
         "training": str(key),
@@ -264,10 +283,12 @@ def _check(measured: Measured, joined: Sequence[EdgeSample]) -> list[dict[str, A
         _row("device", "s", count, predicted["init_s"] + predicted["train_s"], mean["init_s"] + mean["train_s"]),
         _row("model", "MB", count, predicted["model_bytes"] / 1e6, mean["model_bytes"] / 1e6),
     ]
-    held_edges = [sample.seconds for sample in joined if sample.num_cameras == count]
-    others = [sample for sample in joined if sample.num_cameras != count]
-    if held_edges and others:
-        rows.append(_row("aggregation", "s", count, float(_edge_curve(others).curve(count)), float(np.mean(held_edges))))
+    # Two devices with that many photographs each.
+    for quantity, samples in (("aggregation", joined), ("cloud", measured.merges)):
+        held_joins = [sample.seconds for sample in samples if sample.num_cameras == 2 * count]
+        others = [sample for sample in samples if sample.num_cameras != 2 * count]
+        if held_joins and others:
+            rows.append(_row(quantity, "s", 2 * count, float(_edge_curve(others).curve(2 * count)), float(np.mean(held_joins))))
     return rows
 
 

@@ -1,40 +1,47 @@
 """Measures what this machine takes to train and to join, by nodes of a real run. Once per profile.
 
     pilot           the largest count of photographs, a few steps    → how many steps are possible
-    G, F_n, H (c)   a device node per count                          → start-up, steps, bytes
-    F_m (c)         an edge node per count with two devices' models  → a + b · views; and with one's
+    G, F_n, H (c)   two device nodes per count                       → start-up, steps, bytes
+    F_m (2c)        an edge node of their two models, and of one's   → a + b · views
+    cloud (2c)      a cloud node of the two, as two edges' models    → a + b · views
+    own frames (c)  structure from motion of a few counts            → seconds beside G
 
-An edge does what it does in a run: it joins its devices' models.
-
-Where the time does not allow all the steps that a run takes, all trainings get the same smaller
-number and their seconds are multiplied: every schedule of a preset follows the share of its steps,
-and density control gets as many rounds. An edge's two models are one, each with half the cameras.
+The two devices have the c photographs on either side of the middle of the scene's long side. Nodes
+run `num_workers` at a time with their share of the cores, as in a run: side by side they are slower
+than alone. Where the time does not allow all the steps that a run takes, all trainings get the same
+smaller number and their seconds are multiplied: every schedule of a preset follows the share of its
+steps, and density control gets as many rounds.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.events import Event, Listener, StageProgress
+from radiant_app.events import Event, Listener, StageProgress, Warned
 from radiant_app.executors.local import LocalExecutor, worker_command
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import deal_files
+from radiant_app.workers.sources import sfm_task
+from radiant_app.workers.tasks import SfmTask
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
-from radiant_core.errors import BadInput
-from radiant_core.hierarchy.messages import DeviceTask, EdgeTask, Renderer
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.hierarchy.messages import CloudTask, DeviceTask, EdgeTask, Renderer
 from radiant_core.io.messages import save_task
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json
 from radiant_core.plan.devices.device_split import long_axis
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import NoDensification
 
@@ -49,6 +56,11 @@ _TRAINING_SHARE = 0.7
 _RETRAIN_STEP_COST = 2.0
 """A step of retraining against one of training, a guess that only divides the time."""
 UPLOAD = "float16"
+NUM_MODELS = 2
+"""Of each count of photographs: an edge joins them."""
+MAX_PLACED = 12
+"""Of an own structure from motion, whose cost may rise with the square of the photographs."""
+Task = DeviceTask | EdgeTask | CloudTask | SfmTask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +76,7 @@ class DeviceSample:
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeSample:
-    """An edge's aggregation of some photographs' devices."""
+    """A join of some photographs' devices at an edge, or of their edges at the cloud."""
 
     num_cameras: int
     num_devices: int
@@ -81,7 +93,11 @@ class Measured:
     num_epochs: int
     """Of an edge's retraining; 0 if unknown."""
     held_out: int | None
-    """Count of photographs that a check leaves out of the fit."""
+    """Count of a device's photographs that a check leaves out of the fit."""
+    merges: tuple[EdgeSample, ...] = ()
+    """Joins at the cloud; `num_devices` is the number of edges."""
+    sfm: tuple[tuple[int, float], ...] = ()
+    """Photographs, and seconds of a device's own structure from motion."""
 
 
 def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
@@ -115,7 +131,10 @@ class Measuring:
     images: Path
     train: TrainConfig
     backend: Renderer
+    num_workers: int
+    """Nodes side by side, as in the runs that are to be planned."""
     num_threads: int | None
+    """Of each node; None: its share of the cores."""
     listen: Listener
     clock: Callable[[], float] = time.monotonic
     left_s: list[float] = field(default_factory=list)
@@ -127,83 +146,153 @@ class Measuring:
         """Samples in about `time_s`; StageFailed when a node fails."""
         self._begun_s = self.clock()
         counts, held_out = choose_counts(len(self.scene.cameras))
-        check = [] if held_out is None else [held_out]
-        sizes, joined = sorted(counts + check), sorted({counts[0], *check, counts[-1]})
+        sizes = sorted(counts + ([] if held_out is None else [held_out]))
+        joined = [count for count in sizes if 2 * count <= counts[-1]] or sizes[:1]
         steps = min(PILOT_STEPS, self.train.num_steps)
         self.left_s, self.note = [time_s], f"pilot on {counts[-1]} photographs"
         pilot, seconds = self._device(counts[-1], steps), self._elapsed_s
-        step_s = pilot.train_s / self.train.num_steps
-        start_s = seconds - step_s * steps
-        free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + len(joined) + 2))
+        rounds = -(-NUM_MODELS // self.num_workers)
+        step_s = rounds * pilot.train_s / self.train.num_steps
+        start_s = max(0.0, seconds - step_s * steps)
+        num_joins = 2 * len(joined) + 2
+        free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + num_joins))
         num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
-        retrain_s = _RETRAIN_STEP_COST * step_s * sum(joined)
-        all_epochs = aggregate_preset("default").edge_epochs
+        view_s = _RETRAIN_STEP_COST * step_s
+        aggregate = aggregate_preset("default")
+        epoch_s = view_s * 2 * sum(joined) * (1 + aggregate.num_epochs / aggregate.edge_epochs)
 
         def epochs_in(seconds: float) -> int:
-            return int(np.clip(seconds / retrain_s, 1, all_epochs))
+            return int(np.clip(seconds / epoch_s, 1, aggregate.edge_epochs))
 
         num_epochs = epochs_in((1 - _TRAINING_SHARE) * free_s)
         self.left_s = [start_s + step_s * num_steps] * len(sizes)
-        self.left_s += [start_s + _RETRAIN_STEP_COST * step_s * num_epochs * count for count in joined] + [start_s] * 2
-        devices, edges = [], []
+        self.left_s += [start_s + view_s * num_epochs * 2 * count for count in joined] + [start_s] * (num_joins - len(joined))
+        devices, edges, merges = [], [], []
         for count in sizes:
             self.note = f"{count} photographs, {num_steps:,} steps"
             # What was run in full needs no second run.
             is_done = (count, num_steps) == (counts[-1], steps)
             devices.append(pilot if is_done else self._device(count, num_steps))
         # The trainings may have taken longer than the pilot promised, or less.
-        num_epochs = epochs_in(time_s - self._elapsed_s - start_s * (len(joined) + 2))
-        for count, num_devices in [*((count, 2) for count in joined), (counts[0], 1), (counts[-1], 1)]:
-            self.note = f"joining {num_devices} of {count} photographs"
+        num_epochs = epochs_in(time_s - self._elapsed_s - start_s * num_joins)
+        for count, num_devices in [*((count, 2) for count in joined), (joined[0], 1), (counts[-1], 1)]:
+            self.note = f"joining {num_devices} of {count} photographs at an edge"
             edges.append(self._edge(count, num_steps, num_devices, num_epochs))
-        return Measured(devices=tuple(devices), edges=tuple(edges), num_steps=num_steps, num_epochs=num_epochs, held_out=held_out)
+        for count in joined:
+            self.note = f"joining 2 of {count} photographs at the cloud"
+            merges.append(self._cloud(count, num_steps, max(1, num_epochs * aggregate.num_epochs // aggregate.edge_epochs)))
+        placed = [count for count in sizes if MIN_PHOTOGRAPHS <= count <= MAX_PLACED]
+        start_s = min((edge.seconds for edge in edges if edge.num_devices == 1), default=0.0)
+        sfm = [(count, self._place(count, start_s)) for count in dict.fromkeys([*placed[:1], *placed[-1:]])]
+        sfm = [(count, seconds) for count, seconds in sfm if seconds is not None]
+        return Measured(
+            devices=tuple(devices),
+            edges=tuple(edges),
+            num_steps=num_steps,
+            num_epochs=num_epochs,
+            held_out=held_out,
+            merges=tuple(merges),
+            sfm=tuple(sfm),
+        )
 
     @property
     def _elapsed_s(self) -> float:
         return self.clock() - self._begun_s
 
     def _device(self, count: int, num_steps: int) -> DeviceSample:
-        """Train on the first photographs along the scene's long side, as one of several strips."""
-        folder = self._folder(f"devices/{count}-{num_steps}")
-        own = self.scene.restricted_to(np.sort(self._order[:count]))
-        deal_files(self.images, own.cameras.names, folder / "photos")
-        task = DeviceTask(train=shorten_training(self.train, num_steps), backend=self.backend, upload=UPLOAD, scene=own)
-        seconds = self._run("device", folder, task)
-        summary = read_json(folder / "summary.json", ("train_s", "model_bytes"))
+        """Train on two neighbouring strips of so many photographs."""
+        tasks: dict[Path, Task] = {}
+        for index, rows in enumerate(self._shares(count)):
+            folder = self._folder(f"devices/{count}-{num_steps}-{index}")
+            own = self.scene.restricted_to(rows)
+            deal_files(self.images, own.cameras.names, folder / "photos")
+            tasks[folder] = DeviceTask(train=shorten_training(self.train, num_steps), backend=self.backend, upload=UPLOAD, scene=own)
+        seconds = self._run("device", tasks)
+        summaries = [read_json(folder / "summary.json", ("train_s", "model_bytes")) for folder in tasks]
+        train_s, model_bytes = (float(np.mean([summary[name] for summary in summaries])) for name in ("train_s", "model_bytes"))
         return DeviceSample(
             num_cameras=count,
-            init_s=seconds - summary["train_s"],
-            train_s=summary["train_s"] * self.train.num_steps / num_steps,
-            model_bytes=float(summary["model_bytes"]),
+            init_s=float(np.mean(seconds)) - train_s,
+            train_s=train_s * self.train.num_steps / num_steps,
+            model_bytes=model_bytes,
         )
 
     def _edge(self, count: int, num_steps: int, num_devices: int, num_epochs: int) -> EdgeSample:
-        """Join the model of so many photographs with itself, half the cameras each, or take it as
-        it is: one device has nothing to join."""
-        folder = self._folder(f"edges/{count}-{num_devices}")
-        cameras = self.scene.cameras
-        names = [f"device-{index + 1}" for index in range(num_devices)]
-        shares = np.array_split(self._order[:count], num_devices)
-        for name, rows in zip(names, shares, strict=True):
+        """Join two models of so many photographs, as many times side by side as a run has workers,
+        or take one as it is: one device has nothing to join."""
+        # Models that agree are only cut: here they are retrained all the same.
+        aggregate = replace(aggregate_preset("default"), edge_epochs=num_epochs, agreement_db=None)
+        tasks: dict[Path, Task] = {}
+        for copy in range(min(self.num_workers, NUM_MODELS)):
+            folder = self._folder(f"edges/{num_devices * count}-{num_devices}-{copy}")
+            names = self._fill_inbox(folder, count, num_steps, num_devices, "cameras.safetensors")
+            tasks[folder] = EdgeTask(
+                devices=names,
+                num_dealt=(count,) * num_devices,
+                strips=((),) * num_devices,
+                train=self.train,
+                aggregate=aggregate,
+                backend=self.backend,
+                upload=UPLOAD,
+            )
+        seconds = self._in_all_epochs("edge", tasks, aggregate_preset("default").edge_epochs / num_epochs)
+        return EdgeSample(num_cameras=num_devices * count, num_devices=num_devices, seconds=seconds)
+
+    def _cloud(self, count: int, num_steps: int, num_epochs: int) -> EdgeSample:
+        """Join two models of so many photographs as those of two edges, alone as in a run."""
+        aggregate = replace(aggregate_preset("default"), num_epochs=num_epochs, agreement_db=None)
+        folder = self._folder(f"cloud/{2 * count}")
+        names = self._fill_inbox(folder, count, num_steps, 2, "virtual_cameras.safetensors")
+        middles = [self.scene.cameras.centers[rows, :2].mean(axis=0) for rows in self._shares(count)]
+        task = CloudTask(
+            edges=names,
+            num_dealt=(count, count),
+            sites=tuple((float(x), float(y)) for x, y in middles),
+            weights=(0.0, 0.0),
+            train=self.train,
+            aggregate=aggregate,
+            backend=self.backend,
+        )
+        seconds = self._in_all_epochs("cloud", {folder: task}, aggregate_preset("default").num_epochs / num_epochs)
+        return EdgeSample(num_cameras=2 * count, num_devices=2, seconds=seconds)
+
+    def _place(self, count: int, start_s: float) -> float | None:
+        """Seconds of structure from motion of so many photographs beside the `start_s` of a
+        process, of which training has its own; None where they cannot be placed."""
+        self.note = f"structure from motion of {count} photographs"
+        tasks: dict[Path, Task] = {}
+        for index, rows in enumerate(self._shares(count)):
+            folder = self._folder(f"sfm/{count}-{index}")
+            deal_files(self.images, self.scene.cameras.select(rows).names, folder / "photos")
+            tasks[folder] = sfm_task(folder / "photos", SfmConfig(two_view_points=True), None, Placement())
+        try:
+            return max(float(np.mean(self._run("sfm", tasks))) - start_s, 0.1)
+        except (BadInput, StageFailed) as error:
+            self.listen(Warned(stage=STAGE, message=f"{self.note} is not measured: {error}"))
+            return None
+
+    def _fill_inbox(self, folder: Path, count: int, num_steps: int, num_models: int, cameras_name: str) -> tuple[str, ...]:
+        """Copy trained models and their cameras; the names of their senders."""
+        names = [f"model-{index + 1}" for index in range(num_models)]
+        for index, (name, rows) in enumerate(zip(names, self._shares(count), strict=False)):
             place = folder / "inbox" / name
             place.mkdir(parents=True)
-            shutil.copyfile(self.work / f"devices/{count}-{num_steps}" / "model.safetensors", place / "model.safetensors")
-            save_cameras(place / "cameras.safetensors", cameras.select(np.sort(rows)))
-        aggregate = aggregate_preset("default")
-        # A model agrees with itself: it is retrained all the same.
-        task = EdgeTask(
-            devices=tuple(names),
-            num_dealt=tuple(map(len, shares)),
-            strips=((),) * num_devices,
-            train=self.train,
-            aggregate=replace(aggregate, edge_epochs=num_epochs, agreement_db=None),
-            backend=self.backend,
-            upload=UPLOAD,
-        )
-        seconds = self._run("edge", folder, task)
-        train_s = read_json(folder / "summary.json", ("train_s",))["train_s"]
-        left_s = train_s * (aggregate.edge_epochs / num_epochs - 1)
-        return EdgeSample(num_cameras=count, num_devices=num_devices, seconds=seconds + left_s)
+            shutil.copyfile(self.work / f"devices/{count}-{num_steps}-{index}" / "model.safetensors", place / "model.safetensors")
+            save_cameras(place / cameras_name, self.scene.cameras.select(rows))
+        return tuple(names)
+
+    def _in_all_epochs(self, kind: str, tasks: Mapping[Path, Task], factor: float) -> float:
+        """Mean seconds of joins whose retraining is to be `factor` times as long."""
+        seconds = self._run(kind, tasks)
+        trained = [read_json(folder / "summary.json").get("train_s", 0.0) for folder in tasks]
+        return float(np.mean(seconds)) + float(np.mean(trained)) * (factor - 1)
+
+    def _shares(self, count: int) -> tuple[NDArray[np.int64], ...]:
+        """So many cameras on either side of the middle of the scene's long side: neighbours, since
+        models that do not meet are not retrained. Beyond half of all, the first and the last."""
+        order, middle = self._order, len(self._order) // 2
+        left, right = max(0, middle - count), min(len(order) - count, middle)
+        return np.sort(order[left : left + count]), np.sort(order[right : right + count])
 
     @property
     def _order(self) -> NDArray[np.int64]:
@@ -216,12 +305,15 @@ class Measuring:
         folder.mkdir(parents=True)
         return folder
 
-    def _run(self, kind: str, folder: Path, task: DeviceTask | EdgeTask) -> float:
-        """Run one node as a run would; its seconds, the start of its process among them."""
-        save_task(folder, task)
-        stage = str(folder.relative_to(self.work))
-        node = NodeTask(kind=kind, stage=stage, folder=folder, key=stage)
-        executor = LocalExecutor(num_workers=1, clock=self.clock, command=self._command)
+    def _run(self, kind: str, tasks: Mapping[Path, Task]) -> list[float]:
+        """Run nodes side by side as a run would; the seconds of each, the start of its process
+        among them."""
+        nodes: dict[str, NodeTask] = {}
+        for folder, task in tasks.items():
+            save_task(folder, task)
+            stage = str(folder.relative_to(self.work))
+            nodes[stage] = NodeTask(kind=kind, stage=stage, folder=folder, key=stage)
+        executor = LocalExecutor(num_workers=self.num_workers, clock=self.clock, command=self._command)
         expected_s = self.left_s.pop(0) if self.left_s else 0.0
         begun_s = self._elapsed_s
 
@@ -230,13 +322,14 @@ class Measuring:
                 self._report_progress(max(0.0, expected_s - (self._elapsed_s - begun_s)))
 
         self._report_progress(expected_s)
-        seen = executor.fold(Tree(id=stage, tier="cloud"), lambda _: node, listen)[stage]
-        return seen.ended_s - seen.started_s
+        leaves = tuple(Tree(id=stage, tier="device") for stage in nodes)
+        seen = executor.fold(Tree(id=STAGE, tier="cloud", children=leaves), lambda node: nodes.get(node.id), listen)
+        return [seen[stage].ended_s - seen[stage].started_s for stage in nodes]
 
     def _report_progress(self, node_left_s: float) -> None:
         done = self._elapsed_s
         self.listen(StageProgress(stage=STAGE, done=done, total=done + node_left_s + sum(self.left_s), note=self.note))
 
     def _command(self, task: NodeTask) -> list[str]:
-        command = worker_command(task)
-        return command if self.num_threads is None else ["env", f"OMP_NUM_THREADS={self.num_threads}", *command]
+        threads = self.num_threads or max(1, (os.cpu_count() or 1) // self.num_workers)
+        return ["env", f"OMP_NUM_THREADS={threads}", *worker_command(task)]

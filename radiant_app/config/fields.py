@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from radiant_app.config import run_config as config_module
-from radiant_app.config.run_config import RUN_PRESETS, Option, RunConfig, RunPreset, SettingsOf, TrainOptions
+from radiant_app.config.run_config import RUN_PRESETS, Option, PlanOptions, RunConfig, RunPreset, SettingsOf, TrainOptions
 from radiant_core.errors import BadInput
 
 PRESET = "preset"
@@ -144,6 +144,11 @@ def config_of(values: Mapping[str, Any]) -> RunConfig:
 def train_options(values: Mapping[str, Any]) -> TrainOptions:
     """The training that values of paths in the section train ask for; BadInput as `config_of`."""
     return _arguments(values)["train"]
+
+
+def plan_options(values: Mapping[str, Any]) -> PlanOptions:
+    """The plan that values of paths in the section plan ask for; BadInput as `config_of`."""
+    return _arguments(values)["plan"]
 
 
 def _arguments(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
-from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, UploadFormat
+from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
 from radiant_core.errors import BadInput
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
         "sfm.matching": "exhaustive",
         "plan.method": "paper",
         "train.preset": "paper",
+        "train.step_policy": "fixed",
         "aggregate.preset": "paper",
         "upload": "float32",
     },
@@ -116,13 +118,26 @@ class PlanOptions:
     """Which edge and device takes which photographs."""
 
     method: Annotated[PlanMethod, Option(name="--plan-method")] = "exact"
-    """exact: least makespan; paper: Alg. 1; voronoi; even."""
+    """exact: least makespan; paper: Alg. 1 on power cells, paper-literal: as written; even;
+    voronoi; kd: halves of equal counts."""
     file: Annotated[Path | None, Option(name="--plan")] = None
     """Plan made by `radiant plan` before capture; else what was captured is planned."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
     """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(
+        default_factory=dict
+    )
+    """Field of `PaperConfig`, d and T_thres of Alg. 1 → its value."""
+
+    @property
+    def paper(self) -> PaperConfig | None:
+        """The knobs of Alg. 1; None: as they are by default."""
+        return PaperConfig(**self.settings) if self.settings else None
 
     def __post_init__(self) -> None:
+        if self.paper is not None and not self.method.startswith("paper"):
+            names = " and ".join(f"plan.{name}" for name in self.settings)
+            raise BadInput(f"{names} is for Alg. 1 and the plan's method is {self.method}: use paper or paper-literal, or leave it out.")
         if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:
             raise BadInput(f"raster_cell_m is {self.raster_cell_m}, expected a side in metres, or 0 to plan from positions.")
         if self.file is not None and self.method != "exact":
@@ -143,9 +158,12 @@ class TrainOptions:
     long_side_px: Annotated[int | None, Option(min=16)] = None
     """Long side of the training images."""
     num_steps: Annotated[int | None, Option(name="--steps", min=1)] = None
-    """Training steps of a device."""
+    """Training steps of a device; of several, their mean."""
     max_num_splats: Annotated[int | None, Option(name="--max-splats", min=100)] = None
     """Upper limit of Gaussians of a device."""
+    step_policy: StepPolicy = "per_photograph"
+    """per_photograph: each device's steps follow its photographs, --steps being the mean of all
+    devices; fixed: each takes as many."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=setting_types, fixed=(*SIZES, "seed"))] = field(default_factory=dict)
     """Path of a field of `TrainConfig` → its value."""
 

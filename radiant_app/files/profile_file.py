@@ -12,7 +12,8 @@
     max_num_splats = 200000              # left out: not known
 
     [init_s]                             # G; also [train_s], [model_bytes]; of edges [aggregate_s],
-                                         # [aggregate_alone_s]
+                                         # [aggregate_alone_s]; of the cloud [merge_s]; [sfm_s], of
+                                         # devices that place their own photographs
     constant = 4.0
     linear = 0.1
     range = [7, 53]                      # counts it was fitted on: extrapolated beyond twice 53
@@ -44,7 +45,7 @@ KIND = "curve file"
 SUFFIXES = (".toml", ".json")
 LIBRARY = Path(__file__).parents[1] / "profiles"
 _BYTES_PER_GB = 1e9
-_CURVES = ("init_s", "train_s", "model_bytes", "aggregate_s", "aggregate_alone_s")
+_CURVES = ("init_s", "train_s", "model_bytes", "aggregate_s", "aggregate_alone_s", "merge_s", "sfm_s")
 
 _NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 _Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -94,6 +95,8 @@ class _File(Strict):
     model_bytes: _Fitted
     aggregate_s: _Fitted | None = None
     aggregate_alone_s: _Fitted | None = None
+    merge_s: _Fitted | None = None
+    sfm_s: _Fitted | None = None
 
     def build(self, name: str) -> Profile:
         given: dict[str, _Fitted | None] = {curve: getattr(self, curve) for curve in _CURVES}

@@ -27,13 +27,15 @@ both has relative_speed and speed 0.5.
     memory_gb = 16.0                     # left out: four fifths of what is free
     time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000
+    merge_s = { linear = 0.5 }           # of joining there; left out: not predicted
 
-In place of costs, a device or edge may have profile = "rtx-3090" of the library (`radiant profile
---list`) or profile = "mine.toml", a curve file of `radiant profile` relative to this one: its costs
-and, where the file says none, its memory come from there. An edge may also have aggregate_alone_s:
-what it costs where one device has all its cameras, so that nothing is retrained. Where a run or
-plan writes its system, the costs stand there as numbers, and costs_from names their profile:
-"measured mine.toml", "estimate rtx-3090".
+In place of costs, a device, an edge or the cloud may have profile = "rtx-3090" of the library
+(`radiant profile --list`) or profile = "mine.toml", a curve file of `radiant profile` relative to
+this one: its costs and, where the file says none, its memory come from there. A profile's training
+is taken at the steps that a run gives so many photographs; `train_s` that stands here is believed
+as it is. An edge may also have aggregate_alone_s: what it costs where one device has all its
+cameras, so that nothing is retrained. Where a run or plan writes its system, the costs stand there
+as numbers, and costs_from names their profile: "measured mine.toml", "estimate rtx-3090".
 
 For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model
 sent) and `max_cameras` in place of devices, uplink and aggregate_s: the cloud plans its region, and
@@ -180,7 +182,7 @@ class _Edge(Strict):
         )
 
 
-def _profile_of(table: _Device | _Edge, owner: str, costs: tuple[str, ...], folder: Path) -> Profile | None:
+def _profile_of(table: _Device | _Edge | _Cloud, owner: str, costs: tuple[str, ...], folder: Path) -> Profile | None:
     if table.profile is None:
         return None
     beside = [name for name in (*costs, "costs_from") if name in table.model_fields_set]
@@ -196,10 +198,18 @@ class _Cloud(Strict):
     memory_gb: _NonNegative | None = None
     time_s: _NonNegative | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
+    profile: str | None = None
+    merge_s: _Curve | None = None
 
-    def build(self) -> Cloud:
+    def build(self, folder: Path) -> Cloud:
         memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
-        return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras)
+        merge_s = None if self.merge_s is None else self.merge_s.scaled(1.0)
+        profile = _profile_of(self, "cloud", ("merge_s",), folder)
+        if profile is not None:
+            if profile.merge_s is None:
+                raise BadInput(f"cloud: profile {self.profile!r} has no merge_s: measure it, or give merge_s here.")
+            merge_s = profile.merge_s.curve
+        return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras, merge_s=merge_s)
 
 
 class _File(Strict):
@@ -213,7 +223,7 @@ def load_system(path: Path, *, curves: bool = False) -> System:
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
-        system = System(edges=tuple(edge.build(path.parent) for edge in file.edge), cloud=file.cloud.build())
+        system = System(edges=tuple(edge.build(path.parent) for edge in file.edge), cloud=file.cloud.build(path.parent))
         unknown = [edge.id for edge in system.edges if not edge.devices]
         if unknown and not curves:
             raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
@@ -279,6 +289,7 @@ def _cloud_lines(cloud: Cloud) -> list[str]:
         "max_cameras": cloud.max_cameras,
     }
     lines = [f"{name} = {limit}" for name, limit in limits.items() if limit is not None]
+    lines += [] if cloud.merge_s is None else [f"merge_s = {_inline(cloud.merge_s, 1.0)}"]
     return ["[cloud]", *lines] if lines else []
 
 

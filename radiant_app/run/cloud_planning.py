@@ -32,7 +32,7 @@ def plan_at_cloud(config: RunConfig, cell_m: float, system: System, positions: F
     """Plan at the cloud, which receives only the raster, in planning/."""
     folder = config.out / STAGE
     folder.mkdir(exist_ok=True)
-    task = regions_task(count_raster(positions, cell_m), system, config.plan.method)
+    task = regions_task(count_raster(positions, cell_m), system, config.plan.method, config.plan.paper)
     save_task(folder, task)
     node = NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task_key(task)))
     run_task(node, progress.listen, progress.clock)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Listener, Outlined, Warned
+from radiant_app.events import Decided, Listener, Outlined, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.ray_cluster import require_cluster
@@ -44,6 +44,7 @@ from radiant_app.workers.sources import detect_source
 from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
+from radiant_core.hierarchy.decisions import step_decision
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
@@ -164,7 +165,10 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
         backend=backend,
         upload=config.upload,
         checkpoint_every_s=config.execution.checkpoint_every_s,
+        step_policy=config.train.step_policy,
     )
+    if (decision := step_decision(recipe)) is not None:
+        progress.listen(Decided(decision=decision))
     dealer = Dealer(run=config.out, recipe=recipe, photographs=photographs)
     tree = tree_of_plan(plan.cloud, plan.edges)
     before, after = photographs.stages(tree)

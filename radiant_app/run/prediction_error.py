@@ -65,13 +65,13 @@ def measured_seconds(run: Path, manifest: Manifest) -> dict[tuple[str, str], flo
     for node, span in times.items():
         kind = node.split("/")[0]
         seconds = span["ended_s"] - span["started_s"]
-        if kind not in ("devices", "edges") or node.count("/") != 1 or seconds <= 0:
+        if kind not in ("devices", "edges", "cloud") or node.count("/") != (kind != "cloud") or seconds <= 0:
             continue
         if (sending := times.get(node + UPLINK)) is not None:
             found[node, "send"] = sending["ended_s"] - sending["started_s"]
             seconds -= found[node, "send"]
-        if kind == "edges":
-            found[node, "aggregate"] = seconds
+        if kind != "devices":
+            found[node, "aggregate" if kind == "edges" else "merge"] = seconds
         elif (summary := run / node / "summary.json").is_file():
             train_s = min(seconds, float(read_json(summary, ("train_s",))["train_s"]))
             found[node, "initialise"], found[node, "train"] = seconds - train_s, train_s
@@ -128,8 +128,9 @@ def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None 
             own = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get(node, ()))
             if own or node in bars:
                 rows.append(GanttRow(name=node, predicted=own, measured=bars.get(node, ()), strong=node.startswith("edges/")))
-    if "cloud" in bars:
-        rows.insert(0, GanttRow(name="cloud", measured=bars["cloud"], strong=True))
+    own = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get("cloud", ()))
+    if own or "cloud" in bars:
+        rows.insert(0, GanttRow(name="cloud", predicted=own, measured=bars.get("cloud", ()), strong=True))
     return rows
 
 
@@ -140,7 +141,7 @@ def _measured_bars(run: Path, manifest: Manifest) -> dict[str, tuple[Any, ...]]:
     times: Mapping[str, Mapping[str, float]] = {**manifest.stages, **manifest.emulated}
     began_s = min((times[node]["started_s"] for node, _ in measured if node.startswith("devices/")), default=0.0)
     bars: dict[str, tuple[Any, ...]] = {}
-    for node in dict.fromkeys(node for node, _ in measured):
+    for node in dict.fromkeys(node for node, _ in measured if node != "cloud"):
         at_s = max(0.0, times[node]["started_s"] - began_s)
         spans: list[Any] = []
         for stage in ("initialise", "train", "aggregate", "send"):

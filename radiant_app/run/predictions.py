@@ -15,10 +15,11 @@ from radiant_core.plan.counts.wide_deadline import system_capacity
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.profiles.profile import ProfileKey
 from radiant_core.plan.profiles.profile_warnings import profile_warnings
+from radiant_core.plan.profiles.step_law import curve_through
 from radiant_core.plan.system import Device, Edge, System
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import Preset, TrainConfig, train_preset
-from radiant_core.train.needs import Overrides, fit_to_backend
+from radiant_core.train.needs import Overrides, fit_to_backend, step_law_of
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
@@ -37,6 +38,40 @@ def training_key_of(train: TrainConfig, preset: Preset, aggregate: AggregatePres
         max_num_splats=train.max_num_splats,
         aggregate_preset=aggregate,
     )
+
+
+def with_step_law(system: System, train: TrainConfig, num_cameras: int) -> System:
+    """The system for a plan of so many cameras whose devices train by their photographs, by
+    `StepLaw`: profiles hold for a number of steps. Curves that a system file spells out stay."""
+    law = step_law_of(train, num_cameras, len(system.devices)) if system.devices and num_cameras else None
+
+    def by_photographs(device: Device) -> Device:
+        if law is None or device.profile is None:
+            return device
+        return replace(device, train_s=law.cost(device.train_s, device.profile.key.num_steps, num_cameras))
+
+    return replace(system, edges=tuple(replace(edge, devices=tuple(map(by_photographs, edge.devices))) for edge in system.edges))
+
+
+def with_own_frames(system: System, num_cameras: int) -> System:
+    """The system whose devices place their photographs themselves: G with their structure from
+    motion, where their profile was measured with it."""
+
+    def placing(device: Device) -> Device:
+        sfm = None if device.profile is None else device.profile.sfm_s
+        if device.profile is None or sfm is None:
+            return device
+        init_s, slower = device.init_s, _slowness(device)
+        return replace(device, init_s=curve_through(lambda counts: init_s(counts) + slower * sfm.curve(counts), num_cameras))
+
+    return replace(system, edges=tuple(replace(edge, devices=tuple(map(placing, edge.devices))) for edge in system.edges))
+
+
+def _slowness(device: Device) -> float:
+    """How many times as long as its profile's machine a device takes (1 / relative_speed)."""
+    assert device.profile is not None
+    known = float(device.profile.init_s.curve(1))
+    return float(device.init_s(1)) / known if known else 1.0
 
 
 def depends_on_training(system: System) -> bool:

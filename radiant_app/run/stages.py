@@ -14,7 +14,14 @@ from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.run.cloud_planning import place_edges_by_raster, plan_at_cloud
 from radiant_app.run.prediction_error import save_system
-from radiant_app.run.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
+from radiant_app.run.predictions import (
+    planned_training,
+    prediction_warnings,
+    training_key_of,
+    with_camera_limits,
+    with_own_frames,
+    with_step_law,
+)
 from radiant_app.run.progress import Progress
 from radiant_app.run.time_left import TimeLeftListener
 from radiant_core.aggregate.config import AggregateConfig
@@ -55,12 +62,16 @@ def plan_stage(
     Raises BadInput when no plan fits.
     """
     system = place_edges_by_raster(system, positions, origin, config.cell_m, config.seed)
+    train = planned_training(config.train.preset, config.train.overrides)
+    if config.train.step_policy == "per_photograph":
+        system = with_step_law(system, train, len(positions))
+    if config.frames != "shared":
+        system = with_own_frames(system, len(positions))
     if config.plan.file is not None:
         # Captured photographs stay on their devices, whatever memory those have.
         cloud_plan, edge_plans = plan_captured(*load_plan_in_frame(config.plan.file, origin), positions, system=system)
         warnings = ()
     else:
-        train = planned_training(config.train.preset, config.train.overrides)
         system, decision, warnings = with_camera_limits(system, train, len(positions), BYTES_FACTORS[config.upload])
         if decision is not None:
             progress.listen(Decided(decision=decision))
@@ -76,7 +87,7 @@ def _make_plan(config: RunConfig, system: System, positions: FloatArray, progres
     if config.cell_m is not None:
         regions = plan_at_cloud(config, config.cell_m, system, positions, progress)
         return regions, split_edges(positions, regions, system)
-    cloud_plan = plan_regions(positions, system, method=config.plan.method)
+    cloud_plan = plan_regions(positions, system, method=config.plan.method, paper=config.plan.paper)
     if isinstance(cloud_plan, PlanInfeasible):
         raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system_file} and add --resume.")
     return cloud_plan, split_edges(positions, cloud_plan, system)

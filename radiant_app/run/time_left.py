@@ -19,7 +19,7 @@ LEAST_S = 60.0
 
 @dataclass(kw_only=True)
 class TimeLeftListener:
-    """Passes every event on and adds a `TimeLeft` whenever a device or edge has ended."""
+    """Passes every event on and adds a `TimeLeft` whenever a node has ended."""
 
     listen: Listener
     system: System
@@ -41,6 +41,7 @@ class TimeLeftListener:
         self._planned = planned_stages(self.system, self.edge_plans)
         self._seconds_of = _node_seconds(self._planned, with_sending=self.emulated)
         self._parents = {f"devices/{name}": f"edges/{plan.edge_id}" for plan in self.edge_plans for name in plan.device_ids}
+        self._parents |= {f"edges/{plan.edge_id}": "cloud" for plan in self.edge_plans}
 
     def __call__(self, event: Event) -> None:
         """See `Listener`."""

@@ -40,6 +40,7 @@ from radiant_core.hierarchy.messages import (
 from radiant_core.io.messages import load_task, sim3_of
 from radiant_core.io.transport.delivery import Kind
 from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
 
@@ -203,6 +204,8 @@ class RegionsTask:
     counts: tuple[int, ...]
     edges: tuple[PlannedEdge, ...]
     method: PlanMethod
+    paper: PaperConfig | None = None
+    """Knobs of Alg. 1; None: as they are by default."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiant_app.run.predictions import depends_on_training, with_camera_limits
+from radiant_app.run.predictions import depends_on_training, with_camera_limits, with_own_frames, with_step_law
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.profiles.curve_fit import FittedCurve
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.memory import BASE_BYTES, IMAGE_BYTES_PER_PX, PROCESS_BYTES, STEP_BYTES_PER_PX, bytes_per_splat, most_cameras
+from tests.core.plan.test_profiles import MEASURED
 from tests.core.plan.test_profiles import system as system_of
 
 TRAIN = TrainConfig(long_side_px=400, max_num_splats=10**9)
@@ -43,6 +46,38 @@ def needed_bytes(count: int) -> float:
     """The trainer's model, written out."""
     fixed = PROCESS_BYTES + BASE_BYTES + IMAGE_BYTES_PER_PX * count * PIXELS + STEP_BYTES_PER_PX * PIXELS
     return fixed + count * SPLATS_PER_PHOTOGRAPH * bytes_per_splat(TRAIN.sh_degree)
+
+
+def profiled(**changes: Any) -> System:
+    """Two devices of one profile, the second half as fast as the machine that was measured."""
+    init, train = FittedCurve(curve=CostCurve(constant=6.0), smallest_count=5, largest_count=50), FITTED_TRAINING
+    profile = replace(MEASURED, key=replace(MEASURED.key, num_steps=500), init_s=init, train_s=train, **changes)
+    (edge,) = system_of(profile, profile).edges
+    first, second = (replace(own, init_s=init.curve, train_s=train.curve) for own in edge.devices)
+    second = replace(second, init_s=init.curve.scaled(2.0), train_s=train.curve.scaled(2.0))
+    return System(edges=(replace(edge, devices=(first, second)),))
+
+
+FITTED_TRAINING = FittedCurve(curve=CostCurve(constant=8.0, linear=0.1), smallest_count=5, largest_count=50)
+
+
+def test_measured_devices_cost_the_steps_that_their_photographs_ask_for() -> None:
+    train = replace(TRAIN, num_steps=1_000)
+    system = with_step_law(profiled(), train, 60)
+    for device, slower in zip(system.devices, (1.0, 2.0), strict=True):
+        for count in (10, 30, 60):
+            # 1,000 steps for the mean of 30 photographs, 500 were measured.
+            assert float(device.train_s(count)) == pytest.approx(slower * (8.0 + 0.1 * count) * (1_000 * count / 30) / 500, rel=0.03)
+    spelt_out = system_of(None, None)
+    assert with_step_law(spelt_out, train, 60) == spelt_out
+
+
+def test_devices_that_place_their_own_photographs_cost_their_structure_from_motion() -> None:
+    sfm = FittedCurve(curve=CostCurve(linear=1.5, power_coefficient=0.1, exponent=2.0), smallest_count=5, largest_count=24)
+    for device, slower in zip(with_own_frames(profiled(sfm_s=sfm), 60).devices, (1.0, 2.0), strict=True):
+        for count in (5, 24, 60):
+            assert float(device.init_s(count)) == pytest.approx(slower * (6.0 + 1.5 * count + 0.1 * count**2), rel=0.03)
+    assert with_own_frames(profiled(), 60) == profiled()
 
 
 def test_the_plan_keeps_to_what_memory_holds() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from rich.console import Console
 from radiant_app.cli.profile import profile as profile_cli
 from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.commands.profile import ProfileRequest, check_table, profile, profile_of_run
-from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, choose_counts, shorten_training
+from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, Task, choose_counts, shorten_training
 from radiant_app.commands.steps import training_part
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted
@@ -31,7 +32,6 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
-from radiant_core.hierarchy.messages import DeviceTask, EdgeTask
 from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
@@ -71,20 +71,25 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def in_this_process(self: Measuring, kind: str, folder: Path, task: DeviceTask | EdgeTask) -> float:
-    """As `Measuring._run`, without a process of its own: the work is real, the start of Python is saved."""
-    save_task(folder, task)
-    begun_s = time.monotonic()
-    run_node(kind, folder, folder.name, lambda event: self._report_progress(0.0))
-    # Stands for the start of a process, and makes seconds of these few steps stand out of the
-    # noise.
-    return time.monotonic() - begun_s + 0.3
+def in_this_process(self: Measuring, kind: str, tasks: Mapping[Path, Task]) -> list[float]:
+    """As `Measuring._run`, without processes of its own: the work is real, the start of Python is saved."""
+    spent_s: list[float] = []
+    for folder, task in tasks.items():
+        save_task(folder, task)
+        begun_s = time.monotonic()
+        run_node(kind, folder, folder.name, lambda event: self._report_progress(0.0))
+        # Stands for the start of a process, and makes seconds of these few steps stand out of the
+        # noise.
+        spent_s.append(time.monotonic() - begun_s + 0.3)
+    return spent_s
 
 
 def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Measuring, "_run", in_this_process)
     events: list[Event] = []
-    request = ProfileRequest(out=tmp_path / "mine.toml", source=scene, overrides=QUICK, time_s=1.0, num_threads=1, machine="mine\n")
+    request = ProfileRequest(
+        out=tmp_path / "mine.toml", source=scene, overrides=QUICK, time_s=1.0, num_workers=1, num_threads=1, machine="mine\n"
+    )
     result = profile(request, events.append)
     made = load_profile(tmp_path / "mine.toml")
     num_training = int((~held_out_mask(tuple(f"{index}" for index in range(9)))).sum())
@@ -95,7 +100,7 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     # A Gaussian of degree 1 has 92 bytes.
     assert made.init_s.curve(5) > 0.2 and made.train_s.curve(5) > 0
     assert 92 * 100 < made.model_bytes.curve(5) <= 92 * 600 * 1.3
-    assert made.aggregate_s is not None and made.aggregate_alone_s is not None
+    assert made.aggregate_s is not None and made.aggregate_alone_s is not None and made.merge_s is not None
     assert "epochs of retraining at edges" in made.source
     rows = {row["quantity"]: row for row in result["check"]}
     assert {"start-up", "training", "device", "model"} <= rows.keys()
@@ -130,11 +135,14 @@ def test_edges_are_timed_at_what_a_run_has_them_do(scene: Path, tmp_path: Path, 
     monkeypatch.setattr(Measuring, "_run", in_this_process)
     measured = measuring_in(tmp_path, scene).measure(1.0)
     summaries = {path.parent.name: read_json(path) for path in (tmp_path / "edges").glob("*/summary.json")}
-    joined = [name for name in summaries if name.endswith("-2")]
+    joined = [name for name in summaries if name.split("-")[1] == "2"]
     assert len(joined) >= 2 and 1 <= measured.num_epochs <= AggregateConfig().edge_epochs
     for name in joined:
         assert summaries[name]["num_steps"] == measured.num_epochs * int(name.split("-")[0])
     assert all(summary["num_steps"] == 0 for name, summary in summaries.items() if name not in joined)
+    merges = {int(path.parent.name): read_json(path) for path in (tmp_path / "cloud").glob("*/summary.json")}
+    assert sorted(merges) == [sample.num_cameras for sample in measured.merges] == sorted(int(name.split("-")[0]) for name in joined)
+    assert all(summary["num_steps"] > 0 and summary["num_steps"] % views == 0 for views, summary in merges.items())
 
 
 def measuring_in(folder: Path, scene: Path) -> Measuring:
@@ -145,6 +153,7 @@ def measuring_in(folder: Path, scene: Path) -> Measuring:
         images=scene / "images",
         train=planned_training("default", QUICK),
         backend="native",
+        num_workers=1,
         num_threads=1,
         listen=lambda event: None,
     )
@@ -249,6 +258,7 @@ def test_a_shortened_training_has_as_many_rounds_of_density_control() -> None:
         ({"time_s": 0.0}, "--time is 0.0"),
         ({"time_s": float("nan")}, "--time is nan"),
         ({"num_threads": 0}, "--threads is 0"),
+        ({"num_workers": 0}, "--workers is 0"),
     ],
 )
 def test_what_cannot_be_asked_for_is_said_before_anything_runs(tmp_path: Path, fields: dict, message: str) -> None:

@@ -16,6 +16,7 @@ from radiant_app.config.fields import config_of, tables_of, train_options, value
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import train_preset
 from radiant_core.train.densify.policies import Mcmc
 from radiant_core.train.needs import Overrides, fit_to_backend
@@ -43,7 +44,9 @@ ASKED: dict[str, Any] = {
     "upload": "float32",
     "sfm": SfmOptions(matching="exhaustive"),
     "plan": PlanOptions(method="voronoi"),
-    "train": TrainOptions(preset="paper", num_steps=300, settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}),
+    "train": TrainOptions(
+        preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}
+    ),
     "aggregate": AggregateOptions(preset="paper", settings={"num_epochs": 2}),
     "execution": ExecutionOptions(checkpoint_every_s=90.0),
 }
@@ -103,7 +106,7 @@ def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
         ("seed = 3", "num_steps = 3", "num_steps is not a key of a run file: use train.num_steps."),
         ("[plan]", "[plans]", "plans is not a key of a run file: expected one of source, "),
         ("seed = 3", "evaluate = 3", "evaluate is 3, expected a section, [evaluate]."),
-        ('"voronoi"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'voronoi' or 'even'"),
+        ('"voronoi"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal', 'even', 'voronoi' or 'kd'"),
         ('system = "fleet.toml"', 'system = ""', "system is ''; string should have at least 1 character"),
         ('source = "photos"', "", "source is missing"),
         ("[train]", "[train", "not a TOML file"),
@@ -188,6 +191,21 @@ def test_a_plan_made_before_capture_and_a_method_exclude_each_other() -> None:
     with pytest.raises(BadInput, match="--plan keeps to a plan"):
         config_of({**where, "plan.method": "even"})
     assert config_of({**where, "preset": "paper"}).plan == PlanOptions(file=Path("plan.json"))
+
+
+def test_the_knobs_of_the_papers_algorithm_are_settings_of_its_plan() -> None:
+    where: dict[str, Any] = {"source": Path("photos"), "out": Path("run")}
+    given = ["plan.boundary_step=0.02", "plan.threshold=0.1"]
+    for method in ("paper", "paper-literal"):
+        config = config_of(with_settings({**where, "plan.method": method}, given))
+        assert config.plan.paper == PaperConfig(boundary_step=0.02, threshold=0.1)
+    assert config_of({**where, "preset": "paper"}).plan.paper is None
+    with pytest.raises(BadInput, match=r"plan.threshold is for Alg. 1 and the plan's method is exact: use paper or paper-literal"):
+        config_of(with_settings(where, ["plan.threshold=0.1"]))
+    for wrong in ("plan.threshold=0", "plan.boundary_step=-1", "plan.boundary_step=1.5"):
+        with pytest.raises(BadInput, match=r"paper planner: (threshold|boundary_step) is .*, expected a ") as refused:
+            config_of(with_settings({**where, "plan.method": "paper"}, [wrong]))
+        assert str(refused.value).count(".\n") == 0 and str(refused.value).endswith(".")
 
 
 def test_the_configuration_imports_nothing_heavy() -> None:

@@ -66,6 +66,8 @@ def test_limits_of_the_cloud_arrive_in_base_units_and_are_none_when_left_out(tmp
     assert loaded(tmp_path, WHOLE).cloud == Cloud()
     system = loaded(tmp_path, WHOLE + "[cloud]\nmemory_gb = 16\ntime_s = 90.5\nmax_cameras = 2000\n")
     assert system.cloud == Cloud(memory_bytes=16e9, time_s=90.5, max_cameras=2000)
+    merging = loaded(tmp_path, WHOLE + "[cloud]\nmerge_s = { constant = 9.0, linear = 0.3 }\n")
+    assert merging.cloud == Cloud(merge_s=CostCurve(constant=9.0, linear=0.3)) == loaded(tmp_path, dump_system(merging)).cloud
     assert loaded(tmp_path, dump_system(system)) == system
     for limit in ("memory_gb = -1", "time_s = inf", "max_cameras = 2.5", "cameras = 3"):
         with pytest.raises(BadInput, match=f"cloud.{limit.split()[0]} is"):

@@ -10,7 +10,7 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 
-SIZE = TrainOptions(long_side_px=160, num_steps=100, max_num_splats=1500)
+SIZE = TrainOptions(long_side_px=160, num_steps=100, max_num_splats=1500, step_policy="fixed")
 
 
 @pytest.mark.stress

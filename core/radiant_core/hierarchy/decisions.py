@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.join import Check, Joined
     from radiant_core.aggregate.join_memory import JoinMemory
+    from radiant_core.hierarchy.recipe import Recipe
     from radiant_core.hierarchy.reporter import Reporter
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.shapes import ShapeCounts
@@ -19,6 +20,23 @@ CUT_COSTS = "On three scenes that were joined both ways a cut came out 0.3 to 0.
 TILES_COST = "Tiles take longer, and on a small scene two of them came out 0.06 dB lower, four 0.11."
 JOIN_AGAIN = "`radiant aggregate RUN --out JOINED.ply` joins the models of a run without a limit, on any machine"
 BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
+
+
+def step_decision(recipe: Recipe) -> Decision | None:
+    """The steps of devices with photographs; None where each takes the same number."""
+    if (law := recipe.step_law) is None:
+        return None
+    quotas = [len(plan.cameras_of(device)) for plan in recipe.edge_plans for device in plan.device_ids]
+    steps = [law.steps(quota) for quota in quotas if quota]
+    return Decision(
+        stage="train",
+        topic="steps of devices",
+        choice=f"{min(steps):,} to {max(steps):,} steps, {sum(steps):,} in all",
+        figure=law.per_photograph,
+        unit="steps per photograph",
+        reason=f"a device's time follows its photographs, as the plan has it; {law.num_steps:,} steps is the mean of the system's devices",
+        changes_nothing=len(set(steps)) == 1,
+    )
 
 
 def sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.choices import StepPolicy
 from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudTask, DeviceSettings, EdgeTask, RefineTask, Renderer
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.profiles.step_law import StepLaw
 from radiant_core.plan.system import System
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.needs import step_law_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,6 +32,7 @@ class Recipe:
     backend: Renderer
     upload: UploadFormat = "float32"
     checkpoint_every_s: float = CHECKPOINT_EVERY_S
+    step_policy: StepPolicy = "per_photograph"
 
     def with_plan(self, cloud_plan: CloudPlan, edge_plans: tuple[EdgePlan, ...]) -> Recipe:
         """The same settings by another plan."""
@@ -42,10 +46,24 @@ class Recipe:
         """Rows of the planned cameras that a device trains on."""
         return self.plan_of(device).cameras_of(device)
 
+    @property
+    def step_law(self) -> StepLaw | None:
+        """The steps of devices by their photographs; None: all take those of `train`."""
+        num_photographs = sum(len(plan.camera_indices) for plan in self.edge_plans)
+        if self.step_policy == "fixed" or not num_photographs:
+            return None
+        return step_law_of(self.train, num_photographs, len(self.system.devices))
+
+    def training_of(self, device: str) -> TrainConfig:
+        """The training of a device, as long as its photographs ask for."""
+        if (law := self.step_law) is None:
+            return self.train
+        return replace(self.train, num_steps=law.steps(len(self.cameras_of(device))), max_epochs=None)
+
     def device_settings(self, device: str) -> DeviceSettings:
         """How a device trains."""
         return DeviceSettings(
-            train=self.train,
+            train=self.training_of(device),
             backend=self.backend,
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,

@@ -1,11 +1,10 @@
-"""Baselines of the exact planner: other ways to deal cameras to edges, none of them used in a run.
+"""Baselines of the exact planner: other ways to deal cameras to edges, side by side.
 
     paper          Alg. 1 on power weights with a fixed d, stopped where it cycles (`paper_arp`)
     paper-halved   the same, d halved whenever an edge's border turns back
-    paper-literal  Alg. 1 as written: half-planes move by d, T_thres in seconds; regions may
-                   overlap (the first edge has the camera) or leave cameras in none: orphans
+    paper-literal  Alg. 1 as written, with its orphans (`other_splits`)
     even, voronoi  as `region_plan`
-    kd             halves of equal counts across the longer side, edges halved along with them
+    kd             as `other_splits`
     content        halves of equal content (as LoBE-style splits) where it is given by camera
 
 Each runs once per comparison; the iterated ones O(C E) per iteration.
@@ -13,23 +12,22 @@ Each runs once per comparison; the iterated ones O(C E) per iteration.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import EdgeTable, edge_tables, fastest_counts
 from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.regions.other_splits import Indices, half_planes, kd_split, move_borders
 from radiant_core.plan.regions.paper_arp import estimated_times_s
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import assign
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
-
-Indices = NDArray[np.int64]
-NOBODY = -1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,10 +50,16 @@ class ComparedPlan:
 
 
 def compare(
-    positions: ArrayLike, system: System, *, content: ArrayLike | None = None, max_iterations: int = 300
+    positions: ArrayLike,
+    system: System,
+    *,
+    content: ArrayLike | None = None,
+    paper: PaperConfig | None = None,
+    max_iterations: int = 300,
 ) -> tuple[ComparedPlan, ...]:
     """All methods on cameras (C,2) m and edges with positions; content (C,) ≥ 0 weighs cameras for
-    `content`, which is left out without."""
+    `content`, which is left out without; `paper`: d and T_thres of all readings of Alg. 1."""
+    paper = replace(paper or PaperConfig(), max_iterations=max_iterations)
     positions = check_array("positions", positions, (None, 2))
     weights = None if content is None else check_array("content", content, (len(positions),))
     if not len(positions) or (weights is not None and weights.min() < 0):
@@ -68,12 +72,12 @@ def compare(
     assert isinstance(plan, CloudPlan), "the capacity was checked"
     sites = plan.sites - positions.mean(axis=0)
     local = positions - positions.mean(axis=0)
-    step_m = 0.01 * (float(np.ptp(local, axis=0).max()) or 1.0)
+    step_m = paper.boundary_step * (float(np.ptp(local, axis=0).max()) or 1.0)
     dealt: list[tuple[str, Indices, tuple[float, ...]]] = [
         ("exact", plan.edge_of_camera, ()),
-        ("paper", *_power_weights(local, sites, tables, step_m, False, max_iterations)),
-        ("paper-halved", *_power_weights(local, sites, tables, step_m, True, max_iterations)),
-        ("paper-literal", *_half_planes(local, sites, tables, step_m, 0.05 * bound_s, max_iterations)),
+        ("paper", *_power_weights(local, sites, tables, step_m, False, paper)),
+        ("paper-halved", *_power_weights(local, sites, tables, step_m, True, paper)),
+        ("paper-literal", *half_planes(local, sites, tables, step_m, paper.threshold * bound_s, paper.max_iterations)),
     ]
     even = plan_regions(positions, system, method="even")
     assert isinstance(even, CloudPlan), "the capacity was checked"
@@ -93,30 +97,11 @@ def compare(
     )
 
 
-def kd_split(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> Indices:
-    """Edge (C,) of each camera: the land is halved across its longer side, edges in order along it,
-    equal weight per edge."""
-    edge_of_camera = np.zeros(len(positions), np.int64)
-    parts = [(np.arange(len(positions)), np.arange(len(sites)))]
-    while parts:
-        cameras, edges = parts.pop()
-        if len(edges) == 1 or not len(cameras):
-            edge_of_camera[cameras] = edges[0]
-            continue
-        axis = int(np.ptp(positions[cameras], axis=0).argmax())
-        cameras = cameras[np.argsort(positions[cameras, axis], kind="stable")]
-        edges = edges[np.argsort(sites[edges, axis], kind="stable")]
-        half = len(edges) // 2
-        filled = np.cumsum(weights[cameras])
-        cut = int(filled.searchsorted(float(filled[-1]) * half / len(edges) * (1 + 1e-12), side="right"))
-        parts += [(cameras[:cut], edges[:half]), (cameras[cut:], edges[half:])]
-    return edge_of_camera
-
-
 def _power_weights(
-    positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], step_m: float, halved: bool, max_iterations: int
+    positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], step_m: float, halved: bool, paper: PaperConfig
 ) -> tuple[Indices, tuple[float, ...]]:
-    """Alg. 1 with weight changes ∓ 2 d ‖P_m − P_nearest‖, to 5 % of the mean; the last cells."""
+    """Alg. 1 with weight changes ∓ 2 d ‖P_m − P_nearest‖, to a share of the mean; the last
+    cells."""
     apart = np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0))
     np.fill_diagonal(apart, np.inf)
     unit = 2 * step_m * np.where(np.isfinite(apart.min(axis=1)), apart.min(axis=1), 0.0)
@@ -124,57 +109,7 @@ def _power_weights(
     def cells(offsets: FloatArray) -> Indices:
         return assign(positions, sites, offsets * unit)
 
-    return _move_borders(cells, tables, lambda times_s: 0.05 * float(times_s.mean()), halved, max_iterations)
-
-
-def _half_planes(
-    positions: FloatArray, sites: FloatArray, tables: Sequence[EdgeTable], step_m: float, threshold_s: float, max_iterations: int
-) -> tuple[Indices, tuple[float, ...]]:
-    """Alg. 1 with every border of an edge's Voronoi cell moved along its normal, whatever the
-    neighbour does."""
-    squared = np.sum((positions[:, None] - sites) ** 2, axis=-1)
-    apart = np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0))
-    beyond_m = np.full(squared.shape, -np.inf)
-    for edge in range(len(sites)):
-        others = np.flatnonzero(apart[edge] > 0)
-        if len(others):
-            beyond_m[:, edge] = ((squared[:, [edge]] - squared[:, others]) / (2 * apart[edge, others])).max(axis=1)
-
-    def cells(offsets: FloatArray) -> Indices:
-        inside = beyond_m <= offsets * step_m
-        return np.where(inside.any(axis=1), inside.argmax(axis=1), NOBODY)
-
-    return _move_borders(cells, tables, lambda _: threshold_s, False, max_iterations)
-
-
-def _move_borders(
-    cells: Callable[[FloatArray], Indices],
-    tables: Sequence[EdgeTable],
-    threshold_s: Callable[[FloatArray], float],
-    halved: bool,
-    max_iterations: int,
-) -> tuple[Indices, tuple[float, ...]]:
-    """Lines 5–11 of Alg. 1 on offsets (E,) in steps, until the threshold, a state that was there
-    before, or the limit."""
-    offsets, length, last_turn = np.zeros(len(tables)), 1.0, np.zeros(len(tables))
-    history: list[float] = []
-    seen: set[bytes] = set()
-    while True:
-        edge_of_camera = cells(offsets)
-        times_s = estimated_times_s(tables, np.bincount(edge_of_camera[edge_of_camera >= 0], minlength=len(tables)))
-        gaps_s = times_s - times_s.mean()
-        outlier = int(np.abs(gaps_s).argmax())
-        history.append(float(abs(gaps_s[outlier]) / times_s.mean()) if times_s.mean() > 0 else 0.0)
-        state = offsets.tobytes() + np.float64(length).tobytes()
-        if abs(gaps_s[outlier]) <= threshold_s(times_s) or state in seen or len(history) > max_iterations:
-            return edge_of_camera, tuple(history)
-        seen.add(state)
-        turn = -np.sign(gaps_s[outlier])
-        if halved and last_turn[outlier] == -turn:
-            length /= 2
-        last_turn[outlier] = turn
-        offsets = offsets.copy()
-        offsets[outlier] += turn * length
+    return move_borders(cells, tables, lambda times_s: paper.threshold * float(times_s.mean()), halved, paper.max_iterations)
 
 
 def _squared_distance_m2(positions: FloatArray, sites: FloatArray, edge_of_camera: Indices) -> float:

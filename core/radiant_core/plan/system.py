@@ -159,6 +159,9 @@ class Cloud:
     """Seconds of retraining."""
     max_cameras: int | None = None
     """|C_max| at the cloud: how many views it can retrain on."""
+    merge_s: CostCurve | None = None
+    """Seconds of joining the edges' models against the scene's cameras; None: not known. The same
+    for every plan of a scene, so that no plan depends on it."""
 
     def __post_init__(self) -> None:
         for name in ("memory_bytes", "time_s", "max_cameras"):

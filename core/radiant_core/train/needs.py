@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from radiant_core.decisions import Decision
+from radiant_core.plan.profiles.step_law import StepLaw
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, with_settings
 from radiant_core.train.densify.policies import NoDensification
@@ -149,9 +150,20 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
     return replace(config, max_num_splats=most), (decision,)
 
 
+def step_law_of(config: TrainConfig, num_photographs: int, num_devices: int) -> StepLaw:
+    """The steps of devices of which one with the mean number of photographs trains as long as this
+    configuration asks for."""
+    mean = num_photographs / num_devices
+    return StepLaw(num_steps=min(config.num_steps, _most_steps(config, mean)), mean_photographs=mean)
+
+
+def _most_steps(config: TrainConfig, num_views: float) -> int:
+    return config.num_steps if config.max_epochs is None else max(MIN_STEPS, round(config.max_epochs * num_views))
+
+
 def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """At most `max_epochs` steps per photograph; schedules are scaled to them."""
-    if config.max_epochs is None or config.num_steps <= (most := max(MIN_STEPS, config.max_epochs * num_views)):
+    if config.num_steps <= (most := _most_steps(config, num_views)):
         return config, ()
     decision = Decision(
         stage="train",

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.baselines import compare, kd_split
+from radiant_core.plan.baselines import compare
 from radiant_core.plan.counts.deadline import edge_tables, fastest_counts
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.regions.other_splits import kd_split
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
 from tests.seeds import for_seeds
@@ -52,6 +54,42 @@ def test_halves_have_equal_counts_and_keep_apart(num_edges: int) -> None:
     for i in range(num_edges):
         for j in range(i):
             assert (boxes[i][0] > boxes[j][1]).any() or (boxes[j][0] > boxes[i][1]).any()
+
+
+@for_seeds(5)
+def test_a_run_can_follow_the_splits_that_are_compared(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    positions = LAYOUTS["uniform"](rng, 150)
+    system = linear_system(rng.random((4, 2)) * [500.0, 250.0], rng.uniform(1, 4, 4))
+    paper = PaperConfig(boundary_step=0.03, threshold=0.2, max_iterations=40)
+    rows = {row.method: row for row in compare(positions, system, paper=paper, max_iterations=40)}
+    for method in ("kd", "paper-literal"):
+        plan = plan_regions(positions, system, method=method, paper=paper)
+        assert isinstance(plan, CloudPlan) and plan.method == method
+        owned = rows[method].edge_of_camera >= 0
+        np.testing.assert_array_equal(plan.edge_of_camera[owned], rows[method].edge_of_camera[owned])
+        # Nobody is left out of a run: an orphan goes to the nearest edge.
+        sites = np.array([edge.position for edge in system.edges])
+        nearest = np.sum((positions[:, None] - sites) ** 2, axis=2).argmin(axis=1)
+        np.testing.assert_array_equal(plan.edge_of_camera[~owned], nearest[~owned])
+        np.testing.assert_allclose(plan.sites, [positions[plan.edge_of_camera == edge].mean(axis=0) for edge in range(4)], atol=1e-9)
+        assert len(split_edges(positions, plan, system)) == 4
+
+
+def test_d_and_the_threshold_decide_where_the_literal_loop_ends() -> None:
+    positions = np.stack([np.linspace(0, 100, 101), np.zeros(101)], axis=1)
+    system = linear_system(np.array([[25.0, 0.0], [75.0, 0.0]]), np.array([5.0, 1.0]))
+    orphans = {}
+    for step in (0.01, 0.2):
+        rows = {row.method: row for row in compare(positions, system, paper=PaperConfig(boundary_step=step), max_iterations=1)}
+        orphans[step] = rows["paper-literal"].num_orphans
+    # The left edge alone gives up d of its side, a camera per metre; the other has the first of
+    # them, which stands on the border.
+    assert orphans == {0.01: 0, 0.2: 19}
+    wide = plan_regions(positions, system, method="paper-literal", paper=PaperConfig(threshold=100.0))
+    even = plan_regions(positions, system, method="voronoi")
+    assert isinstance(wide, CloudPlan) and isinstance(even, CloudPlan)
+    np.testing.assert_array_equal(wide.edge_of_camera, even.edge_of_camera)
 
 
 def test_content_is_shared_instead_of_cameras() -> None:

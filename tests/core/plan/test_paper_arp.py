@@ -7,7 +7,8 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.counts.deadline import edge_tables
-from radiant_core.plan.regions.paper_arp import PaperConfig, PaperRegions, estimated_times_s, paper_regions
+from radiant_core.plan.regions.paper_arp import PaperRegions, estimated_times_s, paper_regions
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import assign
 
 from .instances import linear_system

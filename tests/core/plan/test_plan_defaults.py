@@ -15,7 +15,8 @@ from radiant_core.plan.counts.wide_deadline import FastestCounts
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.profile import ProfileKey
 from radiant_core.plan.regions.edge_sites import separate_sites
-from radiant_core.plan.regions.paper_arp import PaperConfig, estimated_times_s
+from radiant_core.plan.regions.paper_arp import estimated_times_s
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.system import Cloud, Device, Edge, System
 
 from .instances import linear_system

@@ -13,7 +13,7 @@ from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.region_plan import plan_regions
-from radiant_core.plan.system import Device, Edge, System
+from radiant_core.plan.system import Cloud, Device, Edge, System
 from radiant_core.plan.timeline.prediction import (
     PlannedStage,
     correct_system,
@@ -65,6 +65,14 @@ def test_planned_stages_end_when_the_planner_says() -> None:
         own = [row for row in stages if row.node == f"edges/{plan.edge_id}"]
         assert own[0].start_s == pytest.approx(max(plan.device_time_s), rel=1e-12)
         assert own[-1].stop_s == pytest.approx(cloud.edge_time_s[index], rel=1e-9)
+
+
+def test_the_cloud_merges_once_the_last_edge_has_sent() -> None:
+    system = replace(SYSTEM, cloud=Cloud(merge_s=CostCurve(constant=9.0, linear=0.3)))
+    cloud, _, stages = planned(system)
+    assert (stages[-1].node, stages[-1].stage, stages[-1].num_cameras) == ("cloud", "merge", 200)
+    assert stages[-1].start_s == pytest.approx(cloud.makespan_s, rel=1e-9) and stages[-1].seconds == pytest.approx(69.0)
+    assert stages[:-1] == planned()[2], "no plan depends on it"
 
 
 def test_machines_without_cameras_have_no_stage() -> None:

@@ -24,7 +24,7 @@ from radiant_core.plan.devices.even_shares import even_times_s
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.edge_capacity import edge_without_devices
-from radiant_core.plan.regions.paper_arp import PaperConfig
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import cell_polygons, rectangle
 from radiant_core.plan.regions.region_plan import MARGIN, PlanInfeasible, plan_regions
 from radiant_core.plan.system import Edge, System
@@ -87,12 +87,14 @@ def system_without_devices(system: System, num_cameras: int) -> System:
     return replace(system, edges=tuple(_without_devices(edge, num_cameras) for edge in system.edges))
 
 
-def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = "exact") -> CloudPlan | PlanInfeasible:
+def regions_of_raster(
+    raster: CountRaster, system: System, method: PlanMethod = "exact", paper: PaperConfig | None = None
+) -> CloudPlan | PlanInfeasible:
     """The cloud's plan: regions for the cameras at `raster.places` by edges that are known by their
     curves alone; raises as `plan_regions`."""
     if any(edge.devices for edge in system.edges):
         raise BadInput("the cloud was given devices, expected edges with their curves alone: pass what known_to_the_cloud returns.")
-    plan = plan_regions(raster.places, system, method=method)
+    plan = plan_regions(raster.places, system, method=method, paper=paper)
     if isinstance(plan, PlanInfeasible):
         return plan
     # Cameras lie anywhere in their cells, not in the middles alone.

@@ -25,7 +25,8 @@ class ProfileKey:
 
     preset: str
     num_steps: int
-    """The step policy of every preset: so many steps, whatever the number of photographs."""
+    """Steps of a training, whatever its number of photographs: `StepLaw.cost` makes of it what a
+    run takes."""
     long_side_px: int
     max_num_splats: int | None = None
     """Upper limit of Gaussians; None where it is not known or was not reached."""
@@ -75,6 +76,10 @@ class Profile:
     retrained on, or drawn for the cloud."""
     aggregate_alone_s: FittedCurve | None = None
     """F_m where one device has all the edge's cameras, so that nothing is joined."""
+    merge_s: FittedCurve | None = None
+    """Joining the edges' models at the cloud, over the scene's cameras."""
+    sfm_s: FittedCurve | None = None
+    """Part of G where a device places its photographs itself: its structure from motion."""
     memory_bytes: float | None = None
     """What training may hold there; None for unknown."""
     measured_steps: int | None = None

@@ -18,28 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.deadline import EdgeTable
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import assign
-
-
-@dataclass(frozen=True, kw_only=True)
-class PaperConfig:
-    """Knobs of Alg. 1."""
-
-    threshold: float = 0.05
-    """T_thres as a share of the mean edge time."""
-    boundary_step: float = 0.01
-    """d as a share of the longer side of the cameras' bounding box."""
-    max_iterations: int = 500
-    """Iterations after which the loop gives up."""
-
-    def __post_init__(self) -> None:
-        for name in ("threshold", "boundary_step", "max_iterations"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise BadInput(f"paper planner: {name} is {value}, expected a positive number.")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,10 +6,15 @@ the edges with exactly these counts and the least Σ ‖camera − edge‖² (`t
 of the edge positions (Aurenhammer, Hoffmann, Aronov, Algorithmica 1998), hence convex, disjoint,
 covering regions at the geography-free lower bound.
 
-    exact     counts with the smallest makespan: optimal in this model, with a certificate
-    even      as many cameras for every device as the memory limits allow (`even_shares`)
-    voronoi   every camera to its nearest edge
-    paper     Alg. 1, moving borders by a fixed step (`paper_arp`)
+    exact          counts with the smallest makespan: optimal in this model, with a certificate
+    even           as many cameras for every device as the memory limits allow (`even_shares`)
+    voronoi        every camera to its nearest edge
+    paper          Alg. 1, moving borders by a fixed step (`paper_arp`)
+    paper-literal  Alg. 1 as written, a camera in no region to the nearest edge (`other_splits`)
+    kd             halves of equal counts (`other_splits`)
+
+The regions of the last two are no power cells: they are drawn and joined by the power diagram of
+their cameras' means with their counts, and the plan says how many cameras lie outside of it.
 
 Runs once per plan.
 """
@@ -33,7 +38,9 @@ from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.regions.capped_transport import deal_within
 from radiant_core.plan.regions.constraints import PlanConstraints, Reference, deal_around
 from radiant_core.plan.regions.edge_sites import require_within_reach, separate_sites
-from radiant_core.plan.regions.paper_arp import PaperConfig, paper_regions
+from radiant_core.plan.regions.other_splits import half_planes, kd_split
+from radiant_core.plan.regions.paper_arp import paper_regions
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import assign, bounds, cell_polygons, rectangle
 from radiant_core.plan.regions.transport import deal_with_counts, violations
 from radiant_core.plan.system import System
@@ -130,6 +137,8 @@ def plan_regions(  # noqa: PLR0913
         partition = nearest
     elif method == "exact":
         partition = _exact_partition(plane, fastest.counts, start)
+    elif method in ("kd", "paper-literal"):
+        plane, partition = _free_partition(method, plane, system, paper, float(fastest.edge_time_s.max()))
     else:
         partition = _partition(method, plane, system, paper)
     counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
@@ -297,6 +306,21 @@ def _partition(method: PlanMethod, plane: _Plane, system: System, paper: PaperCo
     return replace(_exact_partition(plane, counts, None), edge_time_s=even_times_s(system, counts))
 
 
+def _free_partition(method: PlanMethod, plane: _Plane, system: System, paper: PaperConfig, bound_s: float) -> tuple[_Plane, _Partition]:
+    """Cells of another form, and the plane whose sites are their cameras' means."""
+    if method == "kd":
+        edge_of_camera = kd_split(plane.cameras, plane.sites, np.ones(len(plane.cameras)))
+    else:
+        tables, step_m = edge_tables(system, len(plane.cameras)), paper.boundary_step * plane.side_m
+        cells, _ = half_planes(plane.cameras, plane.sites, tables, step_m, paper.threshold * bound_s, paper.max_iterations)
+        nearest = assign(plane.cameras, plane.sites, np.zeros(len(plane.sites)))
+        edge_of_camera = np.where(cells < 0, nearest, cells)
+    placed = _plane(plane.cameras + plane.centre, _at_means(plane.cameras + plane.centre, edge_of_camera, system))
+    counts = np.bincount(edge_of_camera, minlength=len(system.edges))
+    weights = _exact_partition(placed, counts, None).weights
+    return placed, _Partition(edge_of_camera=edge_of_camera, weights=weights)
+
+
 def _cloud_plan(
     method: PlanMethod, system: System, plane: _Plane, partition: _Partition, fastest: FastestCounts, threshold: float
 ) -> CloudPlan:
@@ -321,7 +345,7 @@ def _cloud_plan(
         status = "optimal"
     elif partition.aim == "constrained" or (partition.aim == "slack" and certified):
         status = partition.aim
-    elif partition.converged or (method != "paper" and makespan_s <= (1 + threshold) * lower_bound_s):
+    elif partition.converged or (not method.startswith("paper") and makespan_s <= (1 + threshold) * lower_bound_s):
         status = "converged"
     return CloudPlan(
         method=method,

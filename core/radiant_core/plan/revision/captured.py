@@ -21,7 +21,7 @@ from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import device_time_s
 from radiant_core.plan.counts.wide_deadline import fastest_edge_counts
 from radiant_core.plan.plans import CloudPlan, EdgePlan, PlanStatus, require_plan_of
-from radiant_core.plan.regions.paper_arp import PaperConfig
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import is_certified
 from radiant_core.plan.system import Edge, System
 

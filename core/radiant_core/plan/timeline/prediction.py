@@ -2,6 +2,7 @@
 
     device n: initialise G from 0 on, train F_n, send H / B^n                 (paper Eqn. 12-15)
     edge m:   aggregate F_m once its last device has sent, then send Σ_n H_n / B^m       (5-8)
+    cloud:    merge once the last edge has sent, where its cost is known
     error = predicted / measured − 1, in %: negative where a stage took longer than predicted
 
 Correction: a finished device's measured / predicted time scales the curves of all devices with the
@@ -23,10 +24,10 @@ from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import System
 
-Stage = Literal["initialise", "train", "send", "aggregate", "whole"]
+Stage = Literal["initialise", "train", "send", "aggregate", "whole", "merge"]
 """whole: all that an edge does, where its devices are not known."""
 Seconds = Mapping[tuple[str, str], float]
-"""(node, stage) → seconds; nodes are `devices/<id>` and `edges/<id>`."""
+"""(node, stage) → seconds; nodes are `devices/<id>`, `edges/<id>` and `cloud`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +89,10 @@ def planned_stages(system: System, edge_plans: Sequence[EdgePlan]) -> tuple[Plan
             ("send", sent_bytes / edge.uplink_bytes_per_s),
         )
         stages += _after(ready_s, f"edges/{edge.id}", total, joining)
+    if system.cloud.merge_s is not None and stages:
+        num_cameras = sum(len(plan.camera_indices) for plan in edge_plans)
+        last_s = max(row.stop_s for row in stages)
+        stages += _after(last_s, "cloud", num_cameras, [("merge", float(system.cloud.merge_s(num_cameras)))])
     return tuple(stages)
 
 
