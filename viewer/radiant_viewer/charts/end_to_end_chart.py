@@ -61,10 +61,11 @@ def end_to_end_picture(systems: Sequence[SystemLatency], phases: Sequence[str], 
         axes = axes_at(figure, (LABEL_PX, top + FOOT_PX, PANEL_PX, len(system.methods) * ROW_PX))
         _draw_system(axes, system, longest_s)
     keys = axes_at(figure, (LABEL_PX, 4, PANEL_PX, KEYS_PX - 8))
+    keys.set(ylim=(0, 1))
     keys.set_axis_off()
     for phase, color in zip(phases, COLORS, strict=False):
-        keys.barh([0], [0], color=color, label=phase)
-    keys.barh([0], [0], facecolor="white", edgecolor=unit_rgb(GREY), linewidth=1, label=simulated)
+        keys.barh([-9], [0], color=color, label=phase)
+    keys.barh([-9], [0], facecolor="white", edgecolor=unit_rgb(GREY), linewidth=1, label=simulated)
     keys.legend(fontsize=8.5, frameon=False, loc="center left", ncols=len(phases) + 1, borderpad=0)
     return figure_image(figure)
 
