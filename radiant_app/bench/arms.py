@@ -11,11 +11,13 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, deal_cell, load_bench_scene, run_cell
+from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, deal_cell, deal_system, load_bench_scene, run_cell
+from radiant_app.bench.emulated_latency import NodeWork
 from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
 from radiant_core.errors import BadInput
@@ -28,6 +30,7 @@ from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.system import System
 from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
 
@@ -42,6 +45,8 @@ class Made:
     splats: Splats
     cpu_s: float
     training_px: float
+    nodes: tuple[NodeWork, ...] = ()
+    """The work of each node, the devices' among it, where nodes made it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +75,7 @@ class ArmRow:
     band_db: float | None
     interior_db: float | None
     num_band_images: int
+    nodes: tuple[NodeWork, ...] = ()
 
     @property
     def mean_psnr_db(self) -> float:
@@ -106,17 +112,22 @@ class Arms:
 
     def cell(self, layout: Layout, seed: int = 0, speeds: tuple[float, ...] = DEVICE_SPEEDS, placement: int = 0) -> Cell:
         """The scene dealt to a layout, with the first cell's settings but for the seed."""
+        return deal_cell(self.scene, self.first.cache, self._settings(seed), layout, placement, speeds)
+
+    def system_cell(self, system: System, name: str, seed: int = 0) -> Cell:
+        """The same for a system, under its name."""
+        return deal_system(self.scene, self.first.cache, self._settings(seed), system, f"{self.scene.name}-{name}-s{seed}")
+
+    def _settings(self, seed: int) -> DeviceSettings:
         recipe = self.first.recipe
-        settings = DeviceSettings(train=replace(recipe.train, seed=seed), backend=recipe.backend, upload=recipe.upload)
-        return deal_cell(self.scene, self.first.cache, settings, layout, placement, speeds)
+        return DeviceSettings(train=replace(recipe.train, seed=seed), backend=recipe.backend, upload=recipe.upload)
 
     def row(self, cell: Cell, arm: Arm, max_gaussians: int | None = None) -> ArmRow:
         """The arm's figures, cached; of its model reduced to `max_gaussians`, where given."""
         model = self._model_file(cell, arm)
         record = model.with_suffix(".json" if max_gaussians is None else f".{max_gaussians}.json")
         if model.is_file() and record.is_file():
-            fields = read_json(record)
-            return ArmRow(**{**fields, "psnr_db": tuple(fields["psnr_db"]), "ssim": tuple(fields["ssim"])})
+            return _row_of(read_json(record))
         if max_gaussians is None:
             made = arm.make(cell, arm.recipe(cell))
             model.parent.mkdir(parents=True, exist_ok=True)
@@ -124,7 +135,7 @@ class Arms:
         else:
             whole = self.row(cell, arm)
             splats = select_strongest(load_splats(model), self.scene.views.cameras, max_gaussians)
-            made = Made(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px)
+            made = Made(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px, nodes=whole.nodes)
         row = self._score(cell, arm, made)
         write_json(record, asdict(row))
         return row
@@ -167,11 +178,17 @@ class Arms:
             band_db=error.seam_psnr_db,
             interior_db=error.interior_psnr_db,
             num_band_images=error.num_band_images,
+            nodes=made.nodes,
         )
 
     def _model_file(self, cell: Cell, arm: Arm) -> Path:
         key = content_key(__version__, arm.name, arm.recipe(cell), self.scene.training, self.scene.held_out.cameras)[:16]
         return self.out / "joined" / f"{cell.name}-{arm.name.replace(' ', '_')}-{key}.safetensors"
+
+
+def _row_of(record: dict[str, Any]) -> ArmRow:
+    nodes = tuple(NodeWork(**node) for node in record.get("nodes", ()))
+    return ArmRow(**{**record, "psnr_db": tuple(record["psnr_db"]), "ssim": tuple(record["ssim"]), "nodes": nodes})
 
 
 def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings) -> Arms:

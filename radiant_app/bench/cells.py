@@ -212,6 +212,10 @@ class Cell:
         system = replace(self.recipe.system, edges=tuple(edges))
         return self.recipe.with_plan(*_make_plan(self.name, self.scene.training, system, "even"))
 
+    def planned(self, method: PlanMethod) -> Recipe:
+        """The same recipe by the plan of another method; BadInput where it leaves no plan."""
+        return self.recipe.with_plan(*_make_plan(self.name, self.scene.training, self.recipe.system, method))
+
     @cached_property
     def devices(self) -> dict[str, DeviceModel]:
         """The models by the cell's own recipe."""
@@ -260,12 +264,17 @@ def deal_cell(
     """The scene dealt to a layout by the exact plan; sites as in a run (placement 0) or random."""
     of_speeds = "" if speeds == DEVICE_SPEEDS else "-v" + "_".join(f"{speed:g}" for speed in speeds)
     name = f"{scene.name}-{layout}{of_speeds}-p{placement}-s{settings.train.seed}"
+    sites = random_sites(scene.training.cameras.centers[:, :2], layout.num_edges, placement) if placement else None
+    return deal_system(scene, cache, settings, layout.system(speeds, sites), name)
+
+
+def deal_system(scene: BenchScene, cache: ModelCache, settings: DeviceSettings, system: System, name: str) -> Cell:
+    """The scene dealt to a system by the exact plan; edges without a position as in a run."""
     positions = scene.training.cameras.centers[:, :2]
-    sites = random_sites(positions, layout.num_edges, placement) if placement else None
-    system = place_edges(layout.system(speeds, sites), positions, None, 0)
-    cloud_plan, edge_plans = _make_plan(name, scene.training, system, "exact")
+    placed = place_edges(system, positions, None, 0)
+    cloud_plan, edge_plans = _make_plan(name, scene.training, placed, "exact")
     recipe = Recipe(
-        system=system,
+        system=placed,
         cloud_plan=cloud_plan,
         edge_plans=edge_plans,
         train=settings.train,
@@ -273,7 +282,11 @@ def deal_cell(
         backend=settings.backend,
         upload=settings.upload,
     )
-    return Cell(name=name, scene=scene, layout=layout, recipe=recipe, cache=cache)
+    return Cell(name=name, scene=scene, layout=_layout_around(placed), recipe=recipe, cache=cache)
+
+
+def _layout_around(system: System) -> Layout:
+    return Layout(num_edges=len(system.edges), num_devices=max(len(edge.devices) for edge in system.edges))
 
 
 def run_cell(run: Path, cache: ModelCache) -> Cell:
@@ -303,9 +316,8 @@ def run_cell(run: Path, cache: ModelCache) -> Cell:
         upload=tasks[0].upload,
         step_policy=read_manifest(run).config["train"].get("step_policy", "fixed"),
     )
-    edges = recipe.system.edges
-    layout = Layout(num_edges=len(edges), num_devices=max(len(edge.devices) for edge in edges))
-    return Cell(name=f"{scene.name}-{OF_RUN}-s{recipe.train.seed}", scene=scene, layout=layout, recipe=recipe, cache=cache)
+    name = f"{scene.name}-{OF_RUN}-s{recipe.train.seed}"
+    return Cell(name=name, scene=scene, layout=_layout_around(recipe.system), recipe=recipe, cache=cache)
 
 
 def _make_plan(name: str, training: SfmScene, system: System, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:

@@ -32,6 +32,7 @@ import numpy as np
 
 from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
+from radiant_app.bench.emulated_latency import NodeClock, NodeWork
 from radiant_app.report.progress import track_items
 from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
@@ -47,9 +48,10 @@ from radiant_core.evaluate.metric import Metric
 from radiant_core.hierarchy.in_process import run_in_process
 from radiant_core.hierarchy.messages import DeviceModel
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import passed_on
+from radiant_core.io.messages import passed_on, sent_bytes
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.densify.policies import NoDensification
+from radiant_core.train.results import TrainProgress
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.training_pixels import training_pixels
 from radiant_viewer.charts.curve_chart import CurvePoint
@@ -103,11 +105,15 @@ def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
 def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
     """The scene of a run by this recipe, its devices' models from the cache or from `train`."""
     models, scene = cell.train_devices(recipe, train), cell.scene
-    begun_s = time.process_time()
+    clock, begun_s = NodeClock(), time.process_time()
     run = run_in_process(
-        recipe, scene.training, scene.views, train=lambda task, views, reporter: models[reporter.stage.removeprefix("devices/")]
+        recipe,
+        scene.training,
+        scene.views,
+        clock.reporter_of,
+        train=lambda task, views, reporter: models[reporter.stage.removeprefix("devices/")],
     )
-    cpu_s = time.process_time() - begun_s
+    cpu_s, seconds = time.process_time() - begun_s, clock.seconds()
     if run.scene.splats is None:
         raise StageFailed(f"{cell.name}: every model was refused: {'; '.join(run.scene.refused.values())}")
     own = scene.training.cameras
@@ -118,12 +124,26 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
         for summary, cameras in shown
         if summary.get("num_steps")
     ]
-    return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)))
+    edges = [(f"edges/{name}", edge) for name, edge in run.edges.items()]
+    joins = [NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=sent_bytes(edge, recipe.upload)) for stage, edge in edges]
+    nodes = (*_trainings(models, recipe), *joins, NodeWork(stage="cloud", cpu_s=seconds["cloud"]))
+    return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)), nodes=nodes)
+
+
+def _trainings(models: Mapping[str, DeviceModel], recipe: Recipe) -> list[NodeWork]:
+    return [
+        NodeWork(stage=f"devices/{name}", cpu_s=float(model.summary["cpu_s"]), sent_bytes=sent_bytes(model, recipe.upload))
+        for name, model in models.items()
+    ]
 
 
 def _receive_models(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
     """The devices' models as their edges receive them."""
-    arrived = [passed_on(model, recipe.upload) for model in cell.devices.values()]
+    return _as_received(cell.train_devices(recipe), recipe)
+
+
+def _as_received(models: Mapping[str, DeviceModel], recipe: Recipe) -> list[DeviceModel]:
+    arrived = [passed_on(model, recipe.upload) for model in models.values()]
     return [model for model in arrived if isinstance(model, DeviceModel)]
 
 
@@ -184,16 +204,30 @@ def _vast_gaussian(cell: Cell, recipe: Recipe) -> Made:
     return _sum_trainings(result.splats, trained)
 
 
-def _fed3dgs(cell: Cell, recipe: Recipe) -> Made:
-    models = _receive_models(cell, recipe)
+def join_at_server(cell: Cell, recipe: Recipe) -> Made:
+    """The recipe's device models, taken in one after another by Fed3DGS."""
+    trained = cell.train_devices(recipe)
+    models = _as_received(trained, recipe)
     cameras = [model.cameras.scaled(recipe.train.long_side_px) for model in models]
+    marks_s = [time.process_time()]
 
-    def work() -> tuple[Splats, float]:
-        config, options = Fed3dgsConfig(seed=recipe.train.seed), FitOptions(backend=recipe.backend)
-        result = fed3dgs([model.splats for model in models], cameras, config, options)
-        return result.splats, result.num_training_pixels
+    def report(progress: TrainProgress) -> None:
+        if progress.step == progress.num_steps:
+            marks_s.append(time.process_time())
 
-    return _time_work(work)
+    config, options = Fed3dgsConfig(seed=recipe.train.seed), FitOptions(backend=recipe.backend, report=report)
+    result = fed3dgs([model.splats for model in models], cameras, config, options)
+    # What follows the last step for one client counts as the next one's; the last one has its own.
+    marks_s = [*marks_s[: len(result.merged) - 1], time.process_time()]
+    names = [list(trained)[client] for client in result.merged]
+    spent_s = [0.0, *np.diff(marks_s)]
+    merges = [NodeWork(stage=f"cloud/{name}", cpu_s=float(cpu_s)) for name, cpu_s in zip(names, spent_s, strict=True)]
+    return Made(
+        splats=result.splats,
+        cpu_s=marks_s[-1] - marks_s[0],
+        training_px=result.num_training_pixels,
+        nodes=(*_trainings(trained, recipe), *merges),
+    )
 
 
 def _join_at_once(cell: Cell, recipe: Recipe) -> Made:
@@ -232,7 +266,7 @@ METHODS: Mapping[str, Arm] = {
         Arm(name="fixed steps", make=join, recipe=lambda cell: replace(cell.recipe, step_policy="fixed")),
         Arm(name="photographs", make=_on_photographs),
         Arm(name="vastgaussian", make=_vast_gaussian),
-        Arm(name="fed3dgs", make=_fed3dgs),
+        Arm(name="fed3dgs", make=join_at_server),
     )
 }
 

@@ -2,6 +2,7 @@
 
     plan      costs of training, convergence and partitions (`paper_plan.py`)
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
+    latency   plans, joining and Fed3DGS on the paper's two systems, emulated (`paper_latency.py`)
     others    main, fed3dgs, border, regions, fusion, epochs: joined models (`paper_parts.py`)
 
 Everything is written to one folder: `paper.md` with its pictures, `paper.json` with all figures,
@@ -21,6 +22,7 @@ import numpy as np
 from radiant_app.bench.arms import Arms, load_arms
 from radiant_app.bench.cells import Layout, bench_settings
 from radiant_app.bench.paper_balance import balance_part
+from radiant_app.bench.paper_latency import latency_part
 from radiant_app.bench.paper_parts import Part, border_part, epochs_part, fed3dgs_part, fusion_part, main_part, regions_part
 from radiant_app.bench.paper_plan import plan_part
 from radiant_core import __version__
@@ -31,6 +33,7 @@ from radiant_core.io.run_store import write_atomic, write_json
 PARTS: Mapping[str, Callable[[Arms, Sequence[int], bool], Part]] = {
     "border": border_part,
     "balance": balance_part,
+    "latency": latency_part,
     "regions": regions_part,
     "fusion": fusion_part,
     "epochs": epochs_part,
@@ -39,7 +42,7 @@ PARTS: Mapping[str, Callable[[Arms, Sequence[int], bool], Part]] = {
     "fed3dgs": fed3dgs_part,
 }
 """In order of making, few models first; `fed3dgs` repeats the main table with one more row."""
-PAGE_ORDER = ("main", "regions", "epochs", "fusion", "balance", "border", "plan")
+PAGE_ORDER = ("main", "regions", "epochs", "fusion", "balance", "latency", "border", "plan")
 LAYOUT, QUICK_LAYOUT = Layout(num_edges=2, num_devices=2), Layout(num_edges=2, num_devices=1)
 
 
@@ -124,4 +127,9 @@ def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
     if part == "balance":
         for kind, value in named["saved_percent"].items():
             metrics.append(Metric(key=f"paper.{scene}.balance.saves_{kind}_percent", value=value, unit="%", direction="info"))
+    if part == "latency":
+        for row in named["latency"]:
+            key = f"paper.{scene}.latency.{row['system']}-s{row['seed']}.{row['method'].replace(' ', '_')}"
+            times = {"simulated_edges_s": row["simulated_edges_s"], "emulated_scene_s": row["emulated_scene_s"]}
+            metrics += [Metric(key=f"{key}.{kind}", value=s, unit="s", direction="info") for kind, s in times.items() if s is not None]
     return metrics

@@ -7,10 +7,11 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.charts.curve_chart import CurvePoint, curve_picture
+from radiant_viewer.charts.end_to_end_chart import LABEL_PX, PANEL_PX, MethodLatency, SystemLatency, end_to_end_picture
 from radiant_viewer.charts.healing_chart import CAPTION_PX, CELL_PX, FOOT_PX, GAP_PX, TOP_PX, Healed, healing_picture
 from radiant_viewer.charts.latency_chart import DeviceLatency, PlanLatency, latency_picture
 from radiant_viewer.charts.line_chart import Line, Panel, line_picture
-from radiant_viewer.layers.palette import BLUE, CURVE_COLORS, ORANGE, curve_style
+from radiant_viewer.layers.palette import BLUE, CURVE_COLORS, GREEN, ORANGE, curve_style
 
 
 def of_color(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
@@ -82,3 +83,26 @@ def test_differences_show_where_a_join_is_wrong() -> None:
         healing_picture(photograph, band, [Healed(caption="ours", image=wrong[:30])], "A border")
     with pytest.raises(BadInput, match="the band is of 89"):
         healing_picture(photograph, band[:, 1:], shown, "A border")
+
+
+def test_phases_follow_each_other_on_one_axis_of_all_systems() -> None:
+    def method(*ends_s: float, simulated_s: float | None = None) -> MethodLatency:
+        return MethodLatency(name="exact", ends_s=ends_s, simulated_s=simulated_s, note="20 dB")
+
+    systems = [
+        SystemLatency(name="one", methods=(method(4.0, 6.0, 10.0, simulated_s=5.0),)),
+        SystemLatency(name="two", methods=(method(5.0, 5.0, 20.0),)),
+    ]
+    picture = end_to_end_picture(systems, ("a", "b", "c"), "simulated", "Title", "")
+    panel = picture[:-40, LABEL_PX : LABEL_PX + PANEL_PX]
+    for color, seconds in ((BLUE, (4, 5)), (ORANGE, (2,)), (GREEN, (4, 15))):
+        lengths = of_color(panel, color).sum(axis=1)
+        drawn = sorted({int(length) for length in lengths[lengths > 10]})
+        assert drawn[0] == pytest.approx(min(seconds) / 20 * PANEL_PX, abs=3) and drawn[-1] == pytest.approx(
+            max(seconds) / 20 * PANEL_PX, abs=3
+        )
+    for ends_s in ((3.0, 2.0), (-1.0, 2.0), (1.0, float("inf"))):
+        with pytest.raises(BadInput, match="expected rising times"):
+            method(*ends_s)
+    with pytest.raises(BadInput, match="at least one method"):
+        end_to_end_picture([SystemLatency(name="one", methods=())], (), "", "", "")

@@ -263,15 +263,9 @@ def load_uncertainty(place: Path) -> FrameUncertainty | None:
 def passed_on(model: Model, upload: UploadFormat) -> Model | str:
     """The model as its receiver reads it, after the same bytes that a delivery has."""
     with TemporaryDirectory(prefix="radiant-message-") as name:
-        sender, receiver = Path(name) / "sender", Path(name) / "receiver"
-        sender.mkdir()
+        receiver = Path(name) / "receiver"
         receiver.mkdir()
-        save_frame(sender, model.uncertainty)
-        if isinstance(model, DeviceModel):
-            save_device_model(sender, model, upload, lambda message: None)
-        else:
-            save_edge_model(sender, model, upload, lambda message: None)
-        for file, path in sent_files(sender).items():
+        for file, path in _sent_by(Path(name) / "sender", model, upload).items():
             shutil.copyfile(path, receiver / file)
         arrived: Any = load_device_model(receiver) if isinstance(model, DeviceModel) else load_edge_model(receiver)
         return arrived
@@ -308,6 +302,22 @@ def passed_refinement(refinement: Refinement, upload: UploadFormat, scene: Splat
     with TemporaryDirectory(prefix="radiant-message-") as name:
         save_refinement(Path(name), refinement, upload, lambda message: None)
         return load_refinement(Path(name), scene)
+
+
+def sent_bytes(model: DeviceModel | EdgeModel, upload: UploadFormat) -> int:
+    """How many bytes a delivery of the model has, without its signed record."""
+    with TemporaryDirectory(prefix="radiant-message-") as name:
+        return sum(path.stat().st_size for path in _sent_by(Path(name) / "sender", model, upload).values() if path.is_file())
+
+
+def _sent_by(sender: Path, model: DeviceModel | EdgeModel, upload: UploadFormat) -> dict[str, Path]:
+    sender.mkdir()
+    save_frame(sender, model.uncertainty)
+    if isinstance(model, DeviceModel):
+        save_device_model(sender, model, upload, lambda message: None)
+    else:
+        save_edge_model(sender, model, upload, lambda message: None)
+    return sent_files(sender)
 
 
 def sim3_record(move: Sim3) -> dict[str, Any]:

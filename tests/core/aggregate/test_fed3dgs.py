@@ -187,14 +187,15 @@ class TestClients:
         for none in (None, west.select(np.zeros(len(west), bool))):
             result = fed3dgs_merge(none, west, WEST, WEST.select([]), FEW, OPTIONS)
             assert result.splats is west and result.num_steps == 0 == result.num_training_pixels
-        assert fed3dgs([west], [WEST], FEW, OPTIONS).splats is west
+        lone = fed3dgs([west], [WEST], FEW, OPTIONS)
+        assert lone.splats is west and lone.merged == (0,)
 
     def test_a_client_far_away_is_refused_and_named(self) -> None:
         west, east = halves()
         away = replace(west, means=west.means + np.float32([100, 0, 0]))
         assert not overlaps(west, away, NOWHERE, FEW)
         result = fed3dgs([west, away, east], [WEST, NOWHERE, EAST], FEW, OPTIONS)
-        assert result.refused == (1,) and result.splats.means[:, 0].max() < 50 and result.num_steps == 30
+        assert result.merged == (0, 2) and result.refused == (1,) and result.splats.means[:, 0].max() < 50 and result.num_steps == 30
         with pytest.raises(BadInput, match="no overlap"):
             fed3dgs_merge(west, away, NOWHERE, WEST, FEW, OPTIONS)
 
@@ -205,7 +206,7 @@ class TestClients:
         cameras = [cameras_above([(x, -1), (x, 1)]) for x in (-8, 8)]
         result = fed3dgs([west, east, bridge], [*cameras, cameras_above([(-3, 0), (3, 0)])], FEW, OPTIONS)
         assert not overlaps(west, east, cameras[1], FEW)
-        assert not result.refused and result.num_steps == 60
+        assert result.merged == (0, 2, 1) and not result.refused and result.num_steps == 60
         assert result.splats.means[:, 0].min() < -9 and result.splats.means[:, 0].max() > 9
 
     def test_clients_may_share_photographs(self) -> None:

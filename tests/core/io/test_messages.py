@@ -36,6 +36,7 @@ from radiant_core.io.messages import (
     save_device_model,
     save_frame,
     save_task,
+    sent_bytes,
     sent_files,
     task_key,
 )
@@ -302,6 +303,7 @@ def test_an_exact_upload_arrives_bit_for_bit_under_the_key_of_its_folder(tmp_pat
     for name, path in sent_files(tmp_path).items():
         (inbox / name).write_bytes(path.read_bytes())
     assert key_of_files(arrived.received) == content_key(inbox)
+    assert sent_bytes(model, "float32") == sum(path.stat().st_size for path in inbox.iterdir()) > sent_bytes(model, "float16") > 0
 
 
 @settings(max_examples=20)
@@ -333,6 +335,7 @@ def test_an_edge_sends_its_model_and_virtual_cameras_and_names_no_device() -> No
     assert isinstance(arrived, EdgeModel) and not arrived.refused and not arrived.corrections, "nothing names a device"
     assert set(arrived.received) == {"model.safetensors", "virtual_cameras.safetensors"}, "no picture goes up"
     np.testing.assert_array_equal(arrived.cameras.cam_from_world, cameras.cam_from_world)
+    assert sent_bytes(EdgeModel(splats=None, refused=sent.refused), "float32") == 0
     lone = passed_on(EdgeModel(splats=ground_splats(50)), "float32")
     assert isinstance(lone, EdgeModel) and not len(lone.cameras) and set(lone.received) == {"model.safetensors"}
 

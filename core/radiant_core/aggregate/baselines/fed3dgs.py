@@ -101,8 +101,10 @@ class Fed3dgsResult:
     """Σ over the steps of the pixels of their picture."""
     num_dropped: int = 0
     """Gaussians whose opacity did not rise."""
+    merged: tuple[int, ...] = ()
+    """Clients, by place in the input, in the order in which they were taken in."""
     refused: tuple[int, ...] = ()
-    """Clients, by place in the input, that never overlapped with the others."""
+    """Clients that never overlapped with the others."""
 
 
 def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dgsConfig, options: FitOptions) -> Fed3dgsResult:
@@ -114,7 +116,7 @@ def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dg
         raise BadInput(f"{len(models)} models with {len(cameras)} sets of cameras: give one set per client, at least one.")
     for index, (model, own) in enumerate(zip(models, cameras, strict=True)):
         _require_client(model, own, f"client {index}")
-    result, known = Fed3dgsResult(splats=models[0]), [cameras[0]]
+    result, known = Fed3dgsResult(splats=models[0], merged=(0,)), [cameras[0]]
     waiting = list(range(1, len(models)))
     while ready := [index for index in waiting if overlaps(result.splats, models[index], cameras[index], config)]:
         index = ready[0]
@@ -125,6 +127,7 @@ def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dg
             num_steps=result.num_steps + merged.num_steps,
             num_training_pixels=result.num_training_pixels + merged.num_training_pixels,
             num_dropped=result.num_dropped + merged.num_dropped,
+            merged=(*result.merged, index),
         )
         known.append(cameras[index])
     return replace(result, refused=tuple(waiting))
