@@ -3,6 +3,8 @@
     device   done when its work and its model's bytes are:  cpu / speed + bytes / uplink
     edge     begins when its last device's model is there, done as a device
     cloud    begins when the last edge's model is there:    cpu / CLOUD_SPEED
+    refine   the same once more, from the scene on; sending the scene down is not counted, since a
+             system knows uplinks alone
     server   takes clients in order, each when its model is there and the one before is taken in
 
 cpu are the CPU seconds of a node's process on this machine, never wall time: other work beside it
@@ -13,9 +15,10 @@ are shares of a core, as `radiant run --emulate` plays them in wall time. Once p
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from radiant_core.aggregate.tree import refined_at
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.plan.system import Device, Edge, System
@@ -76,7 +79,23 @@ def emulate_tree(system: System, works: Sequence[NodeWork]) -> EmulatedLatency:
         own = work_of.get(f"edges/{edge.id}")
         edge_s.append(0.0 if own is None else ready_s[-1] + _spent_s(edge, own))
     last = max(range(len(edge_s)), key=lambda index: edge_s[index])
-    return EmulatedLatency(edge_s=tuple(edge_s), devices_s=ready_s[last], scene_s=edge_s[last] + work_of["cloud"].cpu_s / CLOUD_SPEED)
+    scene_s = edge_s[last] + work_of["cloud"].cpu_s / CLOUD_SPEED + _refined_s(system, work_of)
+    return EmulatedLatency(edge_s=tuple(edge_s), devices_s=ready_s[last], scene_s=scene_s)
+
+
+def _refined_s(system: System, work_of: Mapping[str, NodeWork]) -> float:
+    """How long refining the scene takes, from its sending on; 0 where it is not refined."""
+
+    def part_s(machine: Device | Edge, node: str) -> float:
+        work = work_of.get(refined_at(node))
+        return 0.0 if work is None else _spent_s(machine, work)
+
+    edges_s = [
+        max((part_s(device, f"devices/{device.id}") for device in edge.devices), default=0.0) + part_s(edge, f"edges/{edge.id}")
+        for edge in system.edges
+    ]
+    cloud = work_of.get(refined_at("cloud"))
+    return max(edges_s, default=0.0) + (0.0 if cloud is None else cloud.cpu_s / CLOUD_SPEED)
 
 
 def emulate_server(system: System, works: Sequence[NodeWork]) -> EmulatedLatency:

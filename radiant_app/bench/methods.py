@@ -40,6 +40,7 @@ from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.ownership import Claims, claims_of_polygons
 from radiant_core.aggregate.synthetic_views import Teacher
+from radiant_core.aggregate.tree import refined_at
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import UploadFormat
 from radiant_core.errors import BadInput, StageFailed
@@ -48,7 +49,7 @@ from radiant_core.evaluate.metric import Metric
 from radiant_core.hierarchy.in_process import run_in_process
 from radiant_core.hierarchy.messages import DeviceModel
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import passed_on, sent_bytes
+from radiant_core.io.messages import passed_on, refinement_bytes, sent_bytes
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.results import TrainProgress
@@ -126,7 +127,12 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
     ]
     edges = [(f"edges/{name}", edge) for name, edge in run.edges.items()]
     joins = [NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=sent_bytes(edge, recipe.upload)) for stage, edge in edges]
-    nodes = (*_trainings(models, recipe), *joins, NodeWork(stage="cloud", cpu_s=seconds["cloud"]))
+    refined = [
+        NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=refinement_bytes(each, recipe.upload))
+        for stage, each in run.refinements.items()
+    ]
+    clouds = [NodeWork(stage=stage, cpu_s=seconds[stage]) for stage in ("cloud", refined_at("cloud")) if stage in seconds]
+    nodes = (*_trainings(models, recipe), *joins, *refined, *clouds)
     return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)), nodes=nodes)
 
 

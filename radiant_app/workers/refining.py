@@ -17,7 +17,7 @@ from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, R
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
 from radiant_core.aggregate.averaging import Refinement, average_refinements, refine_scene
 from radiant_core.cameras import Cameras
-from radiant_core.decisions import Decision
+from radiant_core.hierarchy.decisions import refinement_decision
 from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.messages import load_refinement, save_refinement
 from radiant_core.io.ply import load_ply, save_ply
@@ -58,18 +58,7 @@ def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Seque
     """Put the mean of what the edges sent into the scene."""
     scene = load_ply(folder / "scene.ply")
     refinements = _receive(folder, task.senders, scene, reporter)
-    num_refined = sum(len(each.rows) for each in refinements)
-    reporter.decide(
-        Decision(
-            stage=reporter.stage,
-            topic="refinement",
-            choice=f"the scene is refined by the photographs below {len(refinements)} edges",
-            figure=float(num_refined),
-            unit=f"refined Gaussians arrived, of {len(scene):,}",
-            reason="joining shows models only pictures of models; devices show it their photographs",
-            changes_nothing=not num_refined,
-        )
-    )
+    reporter.decide(refinement_decision(reporter.stage, refinements, scene))
     (folder / REFINED_SCENE).parent.mkdir(exist_ok=True)
     save_ply(folder / REFINED_SCENE, refine_scene(scene, refinements))
     return [REFINED_SCENE]

@@ -15,15 +15,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, accept_task, exchange_keys, identify_scoring, sign_task
+from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, accept_task, exchange_keys, identify_part, sign_task
 from radiant_app.workers.tasks import (
     TASKS,
+    AverageTask,
     FieldTask,
+    FinishTask,
     JobTask,
     Move,
     PlacingTask,
     PlannedEdge,
     PositionsTask,
+    RefineNodeTask,
     RegionsTask,
     ScoreTask,
     SfmSettings,
@@ -99,6 +102,14 @@ MESSAGES: dict[str, Any] = {
         lpips=None,
         owned=True,
     ),
+    "refine": RefineNodeTask(
+        train=TRAIN,
+        backend="native",
+        epochs=4,
+        corrections=(Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),),
+    ),
+    "average": AverageTask(senders=("a-1",), upload="float16"),
+    "finish": FinishTask(senders=("a",)),
     "run": JobTask(config={"source": "photos"}, resume=True),
 }
 
@@ -193,7 +204,7 @@ def test_a_scoring_takes_what_is_addressed_to_its_device(tmp_path: Path) -> None
     (folder / "inbox").mkdir(parents=True)
     for name in ("task.json", "inbox/scene.ply", "inbox/plan.json"):
         (folder / name).write_bytes(name.encode())
-    identify_scoring(run, f"{DEVICE}/score", DEVICE, EDGE)
+    identify_part(run, f"{DEVICE}/score", DEVICE, EDGE)
     sign_task(run, EDGE, DEVICE, "score_task", folder, ["task.json", "inbox/scene.ply", "inbox/plan.json"])
     accept_task(folder, "score_task")
     (folder / "inbox" / "lpips.safetensors").write_bytes(b"not sent")

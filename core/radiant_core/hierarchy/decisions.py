@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Any
 from radiant_core.decisions import Decision
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from radiant_core.aggregate.averaging import Refinement
     from radiant_core.aggregate.balance import Balance
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.join import Check, Joined
     from radiant_core.aggregate.join_memory import JoinMemory
     from radiant_core.hierarchy.recipe import Recipe
     from radiant_core.hierarchy.reporter import Reporter
+    from radiant_core.splats import Splats
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.shapes import ShapeCounts
 
@@ -99,6 +103,20 @@ def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Dec
         unit="Gaussians",
         reason=(f"beyond {limits}, a shape shows in views it was not fitted to; " if limits else "")
         + "an opacity below 1/255 is never drawn",
+    )
+
+
+def refinement_decision(stage: str, refinements: Sequence[Refinement], scene: Splats) -> Decision:
+    """How much of the scene devices have refined, by what edges sent."""
+    num_refined = sum(len(each.rows) for each in refinements)
+    return Decision(
+        stage=stage,
+        topic="refinement",
+        choice=f"the scene is refined by the photographs below {len(refinements)} edges",
+        figure=float(num_refined),
+        unit=f"refined Gaussians arrived, of {len(scene):,}",
+        reason="joining shows models only pictures of models; devices show it their photographs",
+        changes_nothing=not num_refined,
     )
 
 

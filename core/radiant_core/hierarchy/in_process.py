@@ -10,8 +10,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from radiant_core.aggregate.averaging import Refinement, average_refinements, refine_scene
+from radiant_core.aggregate.tree import refined_at
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.cloud import join_cloud
+from radiant_core.hierarchy.decisions import refinement_decision
 from radiant_core.hierarchy.device import train_device
 from radiant_core.hierarchy.edge import join_edge
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, EdgeModel, SceneModel, device_task
@@ -20,7 +22,6 @@ from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
 from radiant_core.scene import SfmScene
-from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
 
 
@@ -30,6 +31,8 @@ class InProcessRun:
 
     scene: SceneModel
     edges: Mapping[str, EdgeModel]
+    refinements: Mapping[str, Refinement]
+    """What was sent while the scene was refined, by the id of the node."""
 
 
 def run_in_process(
@@ -64,33 +67,33 @@ def run_in_process(
             sent[plan.edge_id] = passed_on(edge, recipe.upload)
             num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
     scene_model = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
-    refined = _refine(recipe, scene_model, edges, views, reporter_of)
-    return InProcessRun(scene=replace(scene_model, splats=refined), edges=edges)
+    return _refine(recipe, InProcessRun(scene=scene_model, edges=edges, refinements={}), views, reporter_of)
 
 
-def _refine(
-    recipe: Recipe,
-    joined: SceneModel,
-    edges: Mapping[str, EdgeModel],
-    views: TrainingViews,
-    reporter_of: Callable[[str], Reporter],
-) -> Splats | None:
-    """The scene after the devices in it have refined it."""
-    splats = joined.splats
-    present = [devices_in(edges[edge].corrections) for edge in devices_in(joined.corrections)]
-    if splats is None or not recipe.aggregate.refine_epochs or sum(map(len, present)) < 2:
-        return splats
+def _refine(recipe: Recipe, joined: InProcessRun, views: TrainingViews, reporter_of: Callable[[str], Reporter]) -> InProcessRun:
+    """The run after the devices in the scene have refined it."""
+    splats = joined.scene.splats
+    present = {edge: devices_in(joined.edges[edge].corrections) for edge in devices_in(joined.scene.corrections)}
+    if splats is None or not recipe.aggregate.refine_epochs or sum(map(len, present.values())) < 2:
+        return joined
+    sent: dict[str, Refinement] = {}
+
+    def send(node: str, refinement: Refinement) -> list[Refinement]:
+        arrived = passed_refinement(refinement, recipe.upload, splats)
+        return [] if isinstance(arrived, str) else [sent.setdefault(node, arrived)]
+
     by_edge: list[Refinement] = []
-    for devices in present:
-        own = []
+    for edge, devices in present.items():
+        own: list[Refinement] = []
         for device in devices:
-            shown = views.select(recipe.cameras_of(device))
-            refinement = refine_device(recipe.refine_task(device), splats, shown, reporter_of(f"devices/{device}/refine"))
-            own.append(passed_refinement(refinement, recipe.upload, splats))
-        mean = average_refinements([each for each in own if not isinstance(each, str)], splats)
-        passed = passed_refinement(mean, recipe.upload, splats)
-        by_edge += [] if isinstance(passed, str) else [passed]
-    return refine_scene(splats, by_edge)
+            node, shown = refined_at(f"devices/{device}"), views.select(recipe.cameras_of(device))
+            own += send(node, refine_device(recipe.refine_task(device), splats, shown, reporter_of(node)))
+        node = refined_at(f"edges/{edge}")
+        reporter_of(node)
+        by_edge += send(node, average_refinements(own, splats))
+    reporter = reporter_of(refined_at("cloud"))
+    reporter.decide(refinement_decision(reporter.stage, by_edge, splats))
+    return replace(joined, scene=replace(joined.scene, splats=refine_scene(splats, by_edge)), refinements=sent)
 
 
 def devices_in(corrections: Mapping[str, Sim3 | None]) -> list[str]:

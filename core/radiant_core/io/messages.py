@@ -310,6 +310,12 @@ def sent_bytes(model: DeviceModel | EdgeModel, upload: UploadFormat) -> int:
         return sum(path.stat().st_size for path in _sent_by(Path(name) / "sender", model, upload).values() if path.is_file())
 
 
+def refinement_bytes(refinement: Refinement, upload: UploadFormat) -> int:
+    """The same of a refinement."""
+    with TemporaryDirectory(prefix="radiant-message-") as name:
+        return sum((Path(name) / file).stat().st_size for file in save_refinement(Path(name), refinement, upload, lambda message: None))
+
+
 def _sent_by(sender: Path, model: DeviceModel | EdgeModel, upload: UploadFormat) -> dict[str, Path]:
     sender.mkdir()
     save_frame(sender, model.uncertainty)
