@@ -100,11 +100,15 @@ class Refining:
 
     def _fill_edge(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         senders = self._receive(node, folder)
-        return (AverageTask(senders=senders, upload=self.dealer.recipe.upload), [folder / "inbox"]) if senders else None
+        num_dealt = tuple(map(self.dealer.photographs.num_dealt, senders))
+        task = AverageTask(senders=senders, num_dealt=num_dealt, upload=self.dealer.recipe.upload)
+        return (task, [folder / "inbox"]) if senders else None
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         senders = self._receive(node, folder)
-        return (FinishTask(senders=senders), [folder / "inbox"]) if senders else None
+        below = {Path(edge.id).parent.name: [Path(device.id).parent.name for device in edge.children] for edge in node.children}
+        num_dealt = tuple(sum(map(self.dealer.photographs.num_dealt, below[edge])) for edge in senders)
+        return (FinishTask(senders=senders, num_dealt=num_dealt), [folder / "inbox"]) if senders else None
 
     def _receive(self, node: Tree, folder: Path) -> tuple[str, ...]:
         """Copy the refinements of a node's children that have one; the names of these."""

@@ -50,14 +50,14 @@ def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> S
 def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Sequence[str]:
     """Average what an edge's devices refined."""
     scene = load_ply(folder / "scene.ply")
-    refinement = average_refinements(_receive(folder, task.senders, scene, reporter), scene)
+    refinement = average_refinements(_receive(folder, task, scene, reporter), scene)
     return _save_and_sign(folder, refinement, task.upload, reporter)
 
 
 def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Sequence[str]:
     """Put the mean of what the edges sent into the scene."""
     scene = load_ply(folder / "scene.ply")
-    refinements = _receive(folder, task.senders, scene, reporter)
+    refinements = _receive(folder, task, scene, reporter)
     reporter.decide(refinement_decision(reporter.stage, refinements, scene))
     (folder / REFINED_SCENE).parent.mkdir(exist_ok=True)
     save_ply(folder / REFINED_SCENE, refine_scene(scene, refinements))
@@ -76,13 +76,13 @@ def correct_cameras(cameras: Cameras, corrections: Sequence[Move]) -> Cameras:
     return cameras
 
 
-def _receive(folder: Path, senders: Sequence[str], scene: Splats, reporter: EventReporter) -> list[Refinement]:
+def _receive(folder: Path, task: FinishTask, scene: Splats, reporter: EventReporter) -> list[Refinement]:
     """The refinements that can be used, in the order of their senders."""
-    places = {name: folder / "inbox" / name for name in senders}
-    rejected = find_refusals(folder, senders, places, "refinement", folder.parent) if belongs_to_run(folder) else {}
+    places = {name: folder / "inbox" / name for name in task.senders}
+    rejected = find_refusals(folder, task.senders, places, "refinement", folder.parent) if belongs_to_run(folder) else {}
     found = []
-    for name, place in places.items():
-        refinement = rejected.get(name) or load_refinement(place, scene)
+    for (name, place), num_dealt in zip(places.items(), task.num_dealt, strict=True):
+        refinement = rejected.get(name) or load_refinement(place, scene, num_dealt)
         if isinstance(refinement, str):
             reporter.warn(f"the refinement of {name} is left out: {refinement}")
         else:

@@ -24,6 +24,7 @@ from pydantic import AfterValidator, Field
 
 from radiant_app.workers.delivering import accept_task, belongs_to_run
 from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, UploadFormat
+from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
     CloudTask,
@@ -175,6 +176,12 @@ class FinishTask:
     """Put the mean of the refinements in inbox/ into the scene beside it."""
 
     senders: tuple[Id, ...]
+    num_dealt: tuple[Count, ...]
+    """Photographs of each sender, which the weights of its refinement cannot exceed."""
+
+    def __post_init__(self) -> None:
+        if len(self.senders) != len(self.num_dealt):
+            raise BadInput(f"{len(self.senders)} senders come with {len(self.num_dealt)} counts of photographs: give one each.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -108,8 +108,8 @@ MESSAGES: dict[str, Any] = {
         epochs=4,
         corrections=(Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),),
     ),
-    "average": AverageTask(senders=("a-1",), upload="float16"),
-    "finish": FinishTask(senders=("a",)),
+    "average": AverageTask(senders=("a-1",), num_dealt=(2,), upload="float16"),
+    "finish": FinishTask(senders=("a",), num_dealt=(2,)),
     "run": JobTask(config={"source": "photos"}, resume=True),
 }
 

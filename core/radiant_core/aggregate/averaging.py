@@ -61,14 +61,17 @@ def average_refinements(refinements: Sequence[Refinement], scene: Splats) -> Ref
     return Refinement(rows=rows, splats=replace(scene.select(rows), **arrays), weights=total[rows].astype(np.float32))
 
 
-def refinement_problem(refinement: Refinement, scene: Splats) -> str | None:
+def refinement_problem(refinement: Refinement, scene: Splats, num_dealt: float = float("inf")) -> str | None:
     """Why a refinement does not fit to `scene`, one sentence, or None.
 
     Gaussians that would move farther than the scene is wide, or grow beyond it, are no refinement.
+    Nor does one count more photographs than were dealt: it would outweigh all others.
     """
     rows, splats = refinement.rows, refinement.splats
     if not len(rows):
         return None
+    if (most := float(refinement.weights.max())) > num_dealt:
+        return f"it counts {most:,.0f} photographs of one Gaussian, where {num_dealt:,.0f} were dealt to it."
     if rows[-1] >= len(scene):
         return f"it names Gaussian {rows[-1]:,} of a scene of {len(scene):,}: it is of another scene."
     if splats.sh_degree != scene.sh_degree:

@@ -283,15 +283,16 @@ def save_refinement(folder: Path, refinement: Refinement, upload: UploadFormat, 
     return [REFINED_NAME, ROWS_NAME]
 
 
-def load_refinement(place: Path, scene: Splats) -> Refinement | str:
-    """The refinement of `scene` that arrived in a folder, or why it cannot be used, one sentence."""
+def load_refinement(place: Path, scene: Splats, num_dealt: float = float("inf")) -> Refinement | str:
+    """The refinement of `scene` that arrived in a folder, or why it cannot be used, one sentence;
+    `num_dealt`: photographs of its sender, which no weight exceeds."""
     try:
         if count_uploaded(place / REFINED_NAME) > len(scene):
             return f"it refines more Gaussians than the scene's {len(scene):,}."
         splats = load_upload(place / REFINED_NAME)
         arrays, _ = load_arrays(place / ROWS_NAME, ROWS_SCHEMA, {"rows": "I64", "weights": "F32"})
         refinement = Refinement(rows=arrays["rows"], splats=splats, weights=arrays["weights"])
-        problem = refinement_problem(refinement, scene)
+        problem = refinement_problem(refinement, scene, num_dealt)
     except BadInput as error:
         return str(error)
     return problem or refinement

@@ -81,6 +81,12 @@ def test_what_does_not_fit_to_the_scene_is_refused_in_a_sentence(wrong: Refineme
             average_refinements([wrong], SCENE)
 
 
+def test_no_sender_outweighs_the_others_by_counting_more_photographs_than_it_has() -> None:
+    assert refinement_problem(refined([3, 5], 0.1, 12.0), SCENE, num_dealt=12) is None
+    found = refinement_problem(refined([3, 5], 0.1, 1e30), SCENE, num_dealt=12)
+    assert found is not None and "where 12 were dealt to it" in found
+
+
 @pytest.mark.parametrize(
     ("rows", "weights"),
     [([3, 3], [1, 1]), ([5, 3], [1, 1]), ([-1, 3], [1, 1]), ([3, 5], [1, 0]), ([3, 5], [1, np.nan]), ([3], [1, 1]), ([3, 5], [1])],
