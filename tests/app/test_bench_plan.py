@@ -34,7 +34,7 @@ def test_exact_is_at_the_bound_and_no_method_below(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(bench, "_QUICK_SIZES", ((60, 3),))
     monkeypatch.setattr(bench, "_QUICK_SCALES", ())
     metrics = {metric.key: metric.value for metric in bench_plan(quick=True) if ".60x3." in metric.key}
-    assert len(metrics) == 4 * 4 * 2
+    assert len(metrics) == 4 * 6 * 2
     ratios = {key: value for key, value in metrics.items() if key.endswith("makespan_over_bound")}
     assert all(value == 1.0 for key, value in ratios.items() if ".exact." in key)
     assert all(value >= 1.0 for value in ratios.values())

@@ -3,10 +3,11 @@
 Every sender had the same scene and fitted the Gaussians that its photographs show. A parameter of
 Gaussian n becomes
 
-    θ_n = Σ_d w_dn θ_dn / Σ_d w_dn,    w_dn = photographs of sender d that show n, 0 if it left n as it was
+    θ_n = Σ_d w_dn θ_dn / Σ_d w_dn
 
-which is federated averaging (McMahan 2017) Gaussian by Gaussian. Means of means with summed weights
-are the mean of all, so that edges average first and the cloud averages the edges.
+with w_dn the photographs of sender d that show n, 0 if it left n as it was, which is federated
+averaging (McMahan 2017) Gaussian by Gaussian. Means of means with summed weights are the mean of
+all, so that edges average first and the cloud averages the edges.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ NO_CAMERAS = concatenate_cameras([])
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refinement:
-    """K refined Gaussians of a scene: rows (K,) of the scene, rising; their weights (K,) > 0."""
+    """K refined Gaussians: their rows (K,) of the scene, rising, and their weights (K,) > 0."""
 
     rows: NDArray[np.int64]
     splats: Splats
@@ -46,8 +47,8 @@ class Refinement:
 
 
 def average_refinements(refinements: Sequence[Refinement], scene: Splats) -> Refinement:
-    """What an edge sends on: the weighted mean of refinements of `scene` (N): Gaussians that any of them has. Raises
-    BadInput for one with a `refinement_problem`."""
+    """What an edge sends on: the weighted mean of refinements of `scene` (N), of the Gaussians that
+    any of them has. Raises BadInput for one with a `refinement_problem`."""
     total = np.zeros(len(scene))
     sums = {name: np.zeros(array.shape) for name, array in scene.arrays().items()}
     for each in refinements:

@@ -33,7 +33,8 @@ from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews
 
 RATE, RATE_END = 0.4, 0.5
-"""Share of a training's rates, and what is left of them in the end: docs/experiments/aggregation.md."""
+"""Share of a training's rates, and what is left of it in the end: measured in
+docs/experiments/aggregation.md."""
 MIN_GAIN = 8 / 128
 """A device whose photographs are brighter or darker than the scene by this share at mid grey, as
 `balance.MIN_LEVELS`, refines by photographs in the scene's light."""
