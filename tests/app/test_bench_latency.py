@@ -130,7 +130,9 @@ def test_every_time_is_marked_and_nothing_is_made_twice(folder: Path, monkeypatc
         stages = [node["stage"] for node in row["nodes"]]
         assert stages[-1].split("/")[0] == "cloud" and len(stages) == len(set(stages))
         slowest_s = max(node["cpu_s"] for node in row["nodes"] if node["stage"].count("/") == 1 and node["stage"].startswith("devices/"))
-        assert 0 < slowest_s <= own["emulated_devices_s"] < own["emulated_edges_s"] < own["emulated_scene_s"]
+        assert 0 < own["emulated_devices_s"] < own["emulated_edges_s"] < own["emulated_scene_s"]
+        # The slowest device need not be of the edge that is last.
+        assert slowest_s < own["emulated_scene_s"]
     assert rows["even plan"]["photographs"] == (2, 2, 2, 2, 2)
     assert part.pictures["latency.png"].std() > 0
 
