@@ -128,7 +128,7 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
     edges = [(f"edges/{name}", edge) for name, edge in run.edges.items()]
     joins = [NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=sent_bytes(edge, recipe.upload)) for stage, edge in edges]
     refined = [
-        NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=refinement_bytes(each, recipe.upload))
+        NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=refinement_bytes(each, run.scene.splats, recipe.upload))
         for stage, each in run.refinements.items()
     ]
     clouds = [NodeWork(stage=stage, cpu_s=seconds[stage]) for stage in ("cloud", refined_at("cloud")) if stage in seconds]

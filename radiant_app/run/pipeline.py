@@ -45,7 +45,7 @@ from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
 from radiant_core.hierarchy.decisions import step_decision
-from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_json
@@ -151,7 +151,7 @@ def _locate_photographs(config: RunConfig, system: System, progress: Progress) -
 
 def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
     """Fold the tree of a plan and score the scene; StageFailed where no model is usable."""
-    first_key = plan_key(plan.cloud, plan.edges)
+    first_key, num_devices = plan_key(plan.cloud, plan.edges), devices_with_photographs(plan.edges)
     if photographs.positions is not None:
         plan = load_replan(config.out, plan)
     train, aggregate, backend = resolve_training(config, progress)
@@ -165,6 +165,7 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
         backend=backend,
         upload=config.upload,
         checkpoint_every_s=config.execution.checkpoint_every_s,
+        num_devices=num_devices,
         step_policy=config.train.step_policy,
     )
     if (decision := step_decision(recipe)) is not None:
@@ -196,7 +197,7 @@ def _refine(config: RunConfig, dealer: Dealer, system: System, progress: Progres
     refining = Refining(dealer=dealer, moves=dealer.load_moves())
     if (tree := refining.tree) is None:
         return
-    policy = RetryPolicy(may_fail=lambda node, error: node.tier != "cloud")
+    policy = RetryPolicy(may_fail=lambda node, error: True)
     make_executor(config, system, progress, policy).fold(tree, refining.prepare, progress.listen)
     dealer.refined = refining.scene_folder
 

@@ -23,7 +23,7 @@ from radiant_core.aggregate.tree import Tree, refined_at
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import MODEL_NAME, REFINED_NAME, ROWS_NAME, TASK_NAME, save_task, task_key
+from radiant_core.io.messages import CAMERAS_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, TASK_NAME, save_task, task_key
 from radiant_core.io.run_store import content_key, is_sealed
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 
@@ -101,8 +101,10 @@ class Refining:
     def _fill_edge(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         senders = self._receive(node, folder)
         num_dealt = tuple(map(self.dealer.photographs.num_dealt, senders))
-        task = AverageTask(senders=senders, num_dealt=num_dealt, upload=self.dealer.recipe.upload)
-        return (task, [folder / "inbox"]) if senders else None
+        moves = tuple(tuple(map(Move.of, self.moves[sender])) for sender in senders)
+        task = AverageTask(senders=senders, num_dealt=num_dealt, corrections=moves, upload=self.dealer.recipe.upload)
+        cameras = [folder.parent / "inbox" / sender / CAMERAS_NAME for sender in senders]
+        return (task, [folder / "inbox", *cameras]) if senders else None
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         senders = self._receive(node, folder)

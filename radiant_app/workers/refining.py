@@ -15,13 +15,13 @@ from radiant_app.workers.delivering import belongs_to_run, deliver, find_refusal
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
-from radiant_core.aggregate.averaging import Refinement, average_refinements, refine_scene
+from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
 from radiant_core.cameras import Cameras
 from radiant_core.hierarchy.decisions import refinement_decision
 from radiant_core.hierarchy.joining import move_cameras
-from radiant_core.io.messages import load_refinement, save_refinement
+from radiant_core.io.messages import CAMERAS_NAME, load_refinement, save_refinement
 from radiant_core.io.ply import load_ply, save_ply
-from radiant_core.io.records import load_scene
+from radiant_core.io.records import load_cameras, load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.splats import Splats
@@ -35,14 +35,17 @@ def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> S
     # Averaging needs no torch.
     from radiant_core.hierarchy.refine import refine_device
     from radiant_core.train.photographs import load_training_views
+    from radiant_core.train.worth import worth_training
 
     own, scene = folder.parent, load_ply(folder / "scene.ply")
-    cameras = load_scene(own / "scene.safetensors").cameras.scaled(task.train.long_side_px)
-    views = load_training_views(photographs_of(own), cameras, own / MASKS)
-    views = replace(views, cameras=correct_cameras(cameras, task.corrections))
+    placed = load_scene(own / "scene.safetensors")
+    views = load_training_views(photographs_of(own), placed.cameras.scaled(task.train.long_side_px), own / MASKS)
+    # As in training: what repeats another one or is blurred says nothing.
+    _, views, _ = worth_training(placed, views, task.train)
+    views = replace(views, cameras=correct_cameras(views.cameras, task.corrections))
     machine = make_machine(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
     refinement = refine_device(task, scene, views, reporter, machine)
-    names = _save_and_sign(folder, refinement, task.upload, reporter)
+    names = _save_and_sign(folder, refinement, scene, task.upload, reporter)
     remove_checkpoints(folder)
     return names
 
@@ -50,14 +53,17 @@ def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> S
 def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Sequence[str]:
     """Average what an edge's devices refined."""
     scene = load_ply(folder / "scene.ply")
-    refinement = average_refinements(_receive(folder, task, scene, reporter), scene)
-    return _save_and_sign(folder, refinement, task.upload, reporter)
+    moves, inbox = dict(zip(task.senders, task.corrections, strict=True)), folder.parent / "inbox"
+    shown = {name: correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]) for name in task.senders}
+    arrived = _receive(folder, task, scene, reporter)
+    refinement = join_refinements([admit_refinement(each, scene, shown[name]) for name, each in arrived.items()], scene)
+    return _save_and_sign(folder, refinement, scene, task.upload, reporter)
 
 
 def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Sequence[str]:
     """Put the mean of what the edges sent into the scene."""
     scene = load_ply(folder / "scene.ply")
-    refinements = _receive(folder, task, scene, reporter)
+    refinements = [admit_refinement(each, scene) for each in _receive(folder, task, scene, reporter).values()]
     reporter.decide(refinement_decision(reporter.stage, refinements, scene))
     (folder / REFINED_SCENE).parent.mkdir(exist_ok=True)
     save_ply(folder / REFINED_SCENE, refine_scene(scene, refinements))
@@ -76,22 +82,22 @@ def correct_cameras(cameras: Cameras, corrections: Sequence[Move]) -> Cameras:
     return cameras
 
 
-def _receive(folder: Path, task: FinishTask, scene: Splats, reporter: EventReporter) -> list[Refinement]:
-    """The refinements that can be used, in the order of their senders."""
+def _receive(folder: Path, task: FinishTask, scene: Splats, reporter: EventReporter) -> dict[str, Refinement]:
+    """The refinements that can be used, by sender, in their order."""
     places = {name: folder / "inbox" / name for name in task.senders}
     rejected = find_refusals(folder, task.senders, places, "refinement", folder.parent) if belongs_to_run(folder) else {}
-    found = []
+    found: dict[str, Refinement] = {}
     for (name, place), num_dealt in zip(places.items(), task.num_dealt, strict=True):
         refinement = rejected.get(name) or load_refinement(place, scene, num_dealt)
         if isinstance(refinement, str):
             reporter.warn(f"the refinement of {name} is left out: {refinement}")
         else:
-            found.append(refinement)
+            found[name] = refinement
     return found
 
 
-def _save_and_sign(folder: Path, refinement: Refinement, upload: UploadFormat, reporter: EventReporter) -> list[str]:
-    names = save_refinement(folder, refinement, upload, reporter.warn)
+def _save_and_sign(folder: Path, refinement: Refinement, scene: Splats, upload: UploadFormat, reporter: EventReporter) -> list[str]:
+    names = save_refinement(folder, refinement, scene, upload, reporter.warn)
     if not belongs_to_run(folder):
         return names
     return [*names, *deliver(folder, {name: folder / name for name in names}, "refinement", folder.parent)]

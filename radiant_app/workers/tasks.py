@@ -188,6 +188,8 @@ class FinishTask:
 class AverageTask(FinishTask):
     """Send on the mean of the refinements in inbox/ of the scene beside it."""
 
+    corrections: tuple[tuple[Move, ...], ...]
+    """Of each sender's cameras, as of a `ScoreTask`."""
     upload: UploadFormat
 
 

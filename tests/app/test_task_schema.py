@@ -108,7 +108,12 @@ MESSAGES: dict[str, Any] = {
         epochs=4,
         corrections=(Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),),
     ),
-    "average": AverageTask(senders=("a-1",), num_dealt=(2,), upload="float16"),
+    "average": AverageTask(
+        senders=("a-1",),
+        num_dealt=(2,),
+        corrections=((Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),),),
+        upload="float16",
+    ),
     "finish": FinishTask(senders=("a",), num_dealt=(2,)),
     "run": JobTask(config={"source": "photos"}, resume=True),
 }

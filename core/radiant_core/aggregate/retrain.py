@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.cameras import Cameras
+from radiant_core.geometry.coverage import reached_by
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.densify.policies import NoDensification
@@ -67,21 +67,6 @@ def retrain(
     result = fit_splats(start, views, config, replace(options, held=steady, steps=Steps(end=RATES_END)))
     fitted = result.splats if steady is None else result.splats.select(~steady)
     return Retrained(trained=replace(result, splats=without_dead(fitted)[0]), reached=reached)
-
-
-def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) may show in an image: 3 standard deviations reach a camera's pyramid."""
-    radii = 3 * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
-    means = splats.means.T.astype(np.float64)
-    reached = np.zeros(len(splats), bool)
-    for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
-        left = np.flatnonzero(~reached)
-        # The sides of the pyramid, pointing inwards: columns 0 and width, rows 0 and height.
-        sides = np.array([K[0] * [1, 0, 1], [-K[0, 0], 0, width - K[0, 2]], K[1] * [0, 1, 1], [0, -K[1, 1], height - K[1, 2]], [0, 0, 1]])
-        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
-        heights = (sides @ pose[:3, :3]) @ means[:, left] + (sides @ pose[:3, 3])[:, None]
-        reached[left] = heights.min(axis=0) + radii[left] > 0
-    return reached
 
 
 def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.retrain import Retrained, reached_by, retrain
+from radiant_core.aggregate.retrain import Retrained, retrain
 from radiant_core.cameras import Cameras
+from radiant_core.geometry.coverage import reached_by
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import camera_extent

@@ -10,10 +10,11 @@ wrong in places lost those to neighbours that were no better (docs/experiments/a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
+from radiant_core.splats import Splats
 
 _RIM = 0.25
 
@@ -34,3 +35,18 @@ def coverage(places: ArrayLike, cameras: Cameras) -> FloatArray:
         seen = np.flatnonzero(inside > 0)
         covered[front[seen]] += np.minimum(1.0, inside[seen] / _RIM) * (K[0, 0] / width) / depths[seen]
     return covered
+
+
+def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) may show in an image: 3 standard deviations reach a camera's pyramid."""
+    radii = 3 * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
+    means = splats.means.T.astype(np.float64)
+    reached = np.zeros(len(splats), bool)
+    for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
+        left = np.flatnonzero(~reached)
+        # The sides of the pyramid, pointing inwards: columns 0 and width, rows 0 and height.
+        sides = np.array([K[0] * [1, 0, 1], [-K[0, 0], 0, width - K[0, 2]], K[1] * [0, 1, 1], [0, -K[1, 1], height - K[1, 2]], [0, 0, 1]])
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        heights = (sides @ pose[:3, :3]) @ means[:, left] + (sides @ pose[:3, 3])[:, None]
+        reached[left] = heights.min(axis=0) + radii[left] > 0
+    return reached

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from radiant_core.aggregate.averaging import Refinement, average_refinements, refine_scene
+from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.cloud import join_cloud
@@ -23,6 +23,7 @@ from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
 from radiant_core.scene import SfmScene
 from radiant_core.train.views import TrainingViews
+from radiant_core.train.worth import worth_training
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,10 +68,13 @@ def run_in_process(
             sent[plan.edge_id] = passed_on(edge, recipe.upload)
             num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
     scene_model = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
-    return _refine(recipe, InProcessRun(scene=scene_model, edges=edges, refinements={}), views, reporter_of)
+    joined_run = InProcessRun(scene=scene_model, edges=edges, refinements={})
+    return _refine(recipe, joined_run, scene, views, reporter_of)
 
 
-def _refine(recipe: Recipe, joined: InProcessRun, views: TrainingViews, reporter_of: Callable[[str], Reporter]) -> InProcessRun:
+def _refine(
+    recipe: Recipe, joined: InProcessRun, scene: SfmScene, views: TrainingViews, reporter_of: Callable[[str], Reporter]
+) -> InProcessRun:
     """The run after the devices in the scene have refined it."""
     splats = joined.scene.splats
     present = {edge: devices_in(joined.edges[edge].corrections) for edge in devices_in(joined.scene.corrections)}
@@ -86,11 +90,13 @@ def _refine(recipe: Recipe, joined: InProcessRun, views: TrainingViews, reporter
     for edge, devices in present.items():
         own: list[Refinement] = []
         for device in devices:
-            node, shown = refined_at(f"devices/{device}"), views.select(recipe.cameras_of(device))
-            own += send(node, refine_device(recipe.refine_task(device), splats, shown, reporter_of(node)))
+            node, rows = refined_at(f"devices/{device}"), recipe.cameras_of(device)
+            _, shown, _ = worth_training(scene.restricted_to(rows), views.select(rows), recipe.train)
+            arrived = send(node, refine_device(recipe.refine_task(device), splats, shown, reporter_of(node)))
+            own += [admit_refinement(each, splats, scene.cameras.select(rows)) for each in arrived]
         node = refined_at(f"edges/{edge}")
         reporter_of(node)
-        by_edge += send(node, average_refinements(own, splats))
+        by_edge += [admit_refinement(each, splats) for each in send(node, join_refinements(own, splats))]
     reporter = reporter_of(refined_at("cloud"))
     reporter.decide(refinement_decision(reporter.stage, by_edge, splats))
     return replace(joined, scene=replace(joined.scene, splats=refine_scene(splats, by_edge)), refinements=sent)

@@ -3,7 +3,7 @@ follows from it. Once per run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,11 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.needs import step_law_of
 
 
+def devices_with_photographs(edge_plans: Sequence[EdgePlan]) -> int:
+    """The number of devices that have photographs in a plan."""
+    return sum(len(plan.cameras_of(device)) > 0 for plan in edge_plans for device in plan.device_ids)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recipe:
     """The plan of a run and its settings."""
@@ -32,6 +37,8 @@ class Recipe:
     backend: Renderer
     upload: UploadFormat = "float32"
     checkpoint_every_s: float = CHECKPOINT_EVERY_S
+    num_devices: int | None = None
+    """Devices that share the steps, whatever becomes of them; None: those that have photographs."""
     step_policy: StepPolicy = "per_photograph"
 
     def with_plan(self, cloud_plan: CloudPlan, edge_plans: tuple[EdgePlan, ...]) -> Recipe:
@@ -52,7 +59,7 @@ class Recipe:
         num_photographs = sum(len(plan.camera_indices) for plan in self.edge_plans)
         if self.step_policy == "fixed" or not num_photographs:
             return None
-        return step_law_of(self.train, num_photographs, len(self.system.devices))
+        return step_law_of(self.train, num_photographs, self.num_devices or devices_with_photographs(self.edge_plans))
 
     def training_of(self, device: str) -> TrainConfig:
         """The training of a device, as long as its photographs ask for."""

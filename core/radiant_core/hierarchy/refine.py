@@ -2,7 +2,7 @@
 cloud average. Once per run.
 
     scene, photographs ── refine_device ───────→ Refinement       on each device
-    scene, Refinements ── average_refinements ─→ Refinement       at each edge
+    scene, Refinements ── join_refinements ────→ Refinement       at each edge
     scene, Refinements ── refine_scene ────────→ scene            at the cloud (`averaging.py`)
 
 Joining shows models only pictures of models, so that a scene is never sharper than those. Here the
@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.averaging import Refinement
 from radiant_core.aggregate.join_memory import plan_join_memory
-from radiant_core.aggregate.retrain import reached_by
 from radiant_core.decisions import Decision
+from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
-from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
@@ -62,7 +61,7 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     nothing = Refinement(rows=rows[:0], splats=start.select(rows[:0]), weights=np.zeros(0, np.float32))
     bare = FitOptions(backend=task.backend, steps=_steps())
     if task.memory_bytes is not None:
-        memory = plan_join_memory([start], [views.cameras], task.train.long_side_px, task.memory_bytes - machine.base_bytes, most_tiles=1)
+        memory = plan_join_memory([start], [views.cameras], task.train.long_side_px, task.memory_bytes, most_tiles=1)
         if len(start) and not memory.fits:
             reporter.decide(_skipped(reporter.stage, memory.needed_bytes, task.memory_bytes))
             return nothing
@@ -85,23 +84,13 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     )
     options = fit_options(task.backend, reporter, machine, lambda: training_key(start, views, config, bare))
     fitted = fit_splats(start, views, config, replace(options, steps=bare.steps, statistics_bytes=bare.statistics_bytes)).splats
-    weights = _times_seen(start, views) * _changed(start, fitted)
-    kept = np.flatnonzero(weights)
-    return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=weights[kept].astype(np.float32))
+    kept = np.flatnonzero(_changed(start, fitted))
+    return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=np.ones(len(kept), np.float32))
 
 
 def _steps() -> Steps:
     rates = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"), RATE)
     return Steps(**rates, end=RATE_END)
-
-
-def _times_seen(splats: Splats, views: TrainingViews) -> FloatArray:
-    """In how many photographs each Gaussian (N,) lies; at least a half, since large ones may show
-    with their centre outside."""
-    times = np.zeros(len(splats))
-    for index in range(len(views)):
-        times += views.cameras.select([index]).any_sees(splats.means)
-    return np.maximum(times, 0.5)
 
 
 def _changed(before: Splats, after: Splats) -> NDArray[np.bool_]:

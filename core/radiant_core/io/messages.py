@@ -32,7 +32,7 @@ from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel
 from radiant_core.io.array_file import load_arrays, save_arrays
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
-from radiant_core.io.run_store import MAX_JSON_BYTES, file_sha256, parse_json, read_bounded, read_json, write_json
+from radiant_core.io.run_store import MAX_JSON_BYTES, content_key, file_sha256, parse_json, read_bounded, read_json, write_json
 from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.io.transport.upload import UploadFormat, count_uploaded, load_upload, save_upload, upload_problem
 from radiant_core.splats import Splats
@@ -271,15 +271,17 @@ def passed_on(model: Model, upload: UploadFormat) -> Model | str:
         return arrived
 
 
-def save_refinement(folder: Path, refinement: Refinement, upload: UploadFormat, warn: Callable[[str], None]) -> list[str]:
-    """Write a refinement into a node's folder, in 16 bits unless `upload` is exact; the names of
-    the files, all of which are sent."""
+def save_refinement(folder: Path, refinement: Refinement, scene: Splats, upload: UploadFormat, warn: Callable[[str], None]) -> list[str]:
+    """Write a refinement of `scene` into a node's folder, in 16 bits unless `upload` is exact; the
+    names of the files, all of which are sent."""
     own: UploadFormat = "float32" if upload == "float32" else "float16"
     problem = upload_problem(refinement.splats, own)
     if problem is not None:
         warn(f"the refinement is uploaded as float32 instead of {own}: {problem}")
     save_upload(folder / REFINED_NAME, refinement.splats, own if problem is None else "float32")
-    save_arrays(folder / ROWS_NAME, ROWS_SCHEMA, {"rows": refinement.rows, "weights": refinement.weights}, {})
+    save_arrays(
+        folder / ROWS_NAME, ROWS_SCHEMA, {"rows": refinement.rows, "weights": refinement.weights}, {"scene": content_key(scene.arrays())}
+    )
     return [REFINED_NAME, ROWS_NAME]
 
 
@@ -290,7 +292,9 @@ def load_refinement(place: Path, scene: Splats, num_dealt: float = float("inf"))
         if count_uploaded(place / REFINED_NAME) > len(scene):
             return f"it refines more Gaussians than the scene's {len(scene):,}."
         splats = load_upload(place / REFINED_NAME)
-        arrays, _ = load_arrays(place / ROWS_NAME, ROWS_SCHEMA, {"rows": "I64", "weights": "F32"})
+        arrays, about = load_arrays(place / ROWS_NAME, ROWS_SCHEMA, {"rows": "I64", "weights": "F32"})
+        if about.get("scene") != content_key(scene.arrays()):
+            return "it refines another scene than the one that was sent: run that node again."
         refinement = Refinement(rows=arrays["rows"], splats=splats, weights=arrays["weights"])
         problem = refinement_problem(refinement, scene, num_dealt)
     except BadInput as error:
@@ -301,7 +305,7 @@ def load_refinement(place: Path, scene: Splats, num_dealt: float = float("inf"))
 def passed_refinement(refinement: Refinement, upload: UploadFormat, scene: Splats) -> Refinement | str:
     """The refinement as its receiver reads it, after the same bytes that a delivery has."""
     with TemporaryDirectory(prefix="radiant-message-") as name:
-        save_refinement(Path(name), refinement, upload, lambda message: None)
+        save_refinement(Path(name), refinement, scene, upload, lambda message: None)
         return load_refinement(Path(name), scene)
 
 
@@ -311,10 +315,12 @@ def sent_bytes(model: DeviceModel | EdgeModel, upload: UploadFormat) -> int:
         return sum(path.stat().st_size for path in _sent_by(Path(name) / "sender", model, upload).values() if path.is_file())
 
 
-def refinement_bytes(refinement: Refinement, upload: UploadFormat) -> int:
+def refinement_bytes(refinement: Refinement, scene: Splats, upload: UploadFormat) -> int:
     """The same of a refinement."""
     with TemporaryDirectory(prefix="radiant-message-") as name:
-        return sum((Path(name) / file).stat().st_size for file in save_refinement(Path(name), refinement, upload, lambda message: None))
+        return sum(
+            (Path(name) / file).stat().st_size for file in save_refinement(Path(name), refinement, scene, upload, lambda message: None)
+        )
 
 
 def _sent_by(sender: Path, model: DeviceModel | EdgeModel, upload: UploadFormat) -> dict[str, Path]:

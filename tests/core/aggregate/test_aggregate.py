@@ -12,12 +12,13 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.join import Joined, join_models, teacher_views
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
-from radiant_core.aggregate.retrain import reached_by, retraining_config
+from radiant_core.aggregate.retrain import retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.geometry.coverage import reached_by
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats

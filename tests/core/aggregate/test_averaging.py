@@ -7,10 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.averaging import Refinement, average_refinements, refine_scene, refinement_problem
+from radiant_core.aggregate.averaging import (
+    Refinement,
+    admit_refinement,
+    average_refinements,
+    join_refinements,
+    refine_scene,
+    refinement_problem,
+)
 from radiant_core.errors import BadInput
-from radiant_core.splats import Splats
-from tests.core.scenes import ground_splats
+from tests.core.scenes import cameras_above, ground_splats
 
 SCENE = ground_splats(200)
 
@@ -54,21 +60,11 @@ def test_nothing_refined_is_the_scene_itself() -> None:
         assert all((made.arrays()[name] == array).all() for name, array in SCENE.arrays().items())
 
 
-def moved(far: float) -> Splats:
-    part = SCENE.select([3])
-    return replace(part, means=part.means + np.float32(far))
-
-
 @pytest.mark.parametrize(
     ("wrong", "problem"),
     [
-        (refined([len(SCENE)][:0], 0.0), None),
+        (refined([], 0.0), None),
         (replace(refined([3], 0.0), rows=np.array([len(SCENE)])), "names Gaussian 200 of a scene of 200"),
-        (replace(refined([3], 0.0), splats=moved(1e4)), "it refines another scene"),
-        (
-            replace(refined([3], 0.0), splats=replace(SCENE.select([3]), log_scales=SCENE.select([3]).log_scales + 9)),
-            "it refines another scene",
-        ),
         (replace(refined([3], 0.0), splats=replace(SCENE.select([3]), sh0=SCENE.select([3]).sh0 + 1e6)), "a value of its sh0"),
         (replace(refined([3], 0.0), splats=replace(SCENE.select([3]), shN=np.zeros((1, 15, 3), np.float32))), "harmonics of degree 3"),
     ],
@@ -81,10 +77,41 @@ def test_what_does_not_fit_to_the_scene_is_refused_in_a_sentence(wrong: Refineme
             average_refinements([wrong], SCENE)
 
 
+def test_a_sender_changes_only_what_its_cameras_show_and_no_more_than_refining_does() -> None:
+    cameras = cameras_above([(0.0, 0.0)], height_m=3.0, size_wh=(64, 48))
+    everything = list(range(len(SCENE)))
+    own = admit_refinement(refined(everything, 0.1, 1e6), SCENE, cameras)
+    assert 0 < len(own.rows) < len(SCENE) and own.weights.max() == 1
+    shown = cameras.any_sees(SCENE.means)
+    assert set(np.flatnonzero(shown)) <= set(own.rows.tolist())
+    part = refined([3, 5, 7, 9, 11], 0.1)
+    splats = part.splats
+    means, scales, sh0, logits = (array.copy() for array in (splats.means, splats.log_scales, splats.sh0, splats.logit_opacities))
+    means[0] += 1e3
+    scales[1] += 4.9
+    sh0[2] = 50
+    logits[3] += 9
+    hostile = replace(part, splats=replace(splats, means=means, log_scales=scales, sh0=sh0, logit_opacities=logits))
+    assert admit_refinement(hostile, SCENE).rows.tolist() == [11]
+
+
+def test_an_edge_tells_powers_of_two_and_opposite_quaternions_are_one_rotation() -> None:
+    joined = join_refinements([refined([1, 5], 0.1, 3.0), refined([5], 0.1, 3.0)], SCENE)
+    assert joined.weights.tolist() == [2, 4]
+    turned = replace(refined([5], 0.0), splats=replace(SCENE.select([5]), quats=-SCENE.select([5]).quats))
+    np.testing.assert_allclose(average_refinements([refined([5], 0.0), turned], SCENE).splats.quats, SCENE.select([5]).quats, atol=1e-6)
+
+
 def test_no_sender_outweighs_the_others_by_counting_more_photographs_than_it_has() -> None:
     assert refinement_problem(refined([3, 5], 0.1, 12.0), SCENE, num_dealt=12) is None
     found = refinement_problem(refined([3, 5], 0.1, 1e30), SCENE, num_dealt=12)
     assert found is not None and "where 12 were dealt to it" in found
+
+
+def test_rows_that_wrap_around_are_refused() -> None:
+    five = SCENE.select([0, 1, 2, 3, 4])
+    with pytest.raises(BadInput):
+        Refinement(rows=np.array([5, 2**63 - 1, -(2**63), -1, 3]), splats=five, weights=np.ones(5, np.float32))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.averaging import average_refinements, refine_scene
+from radiant_core.aggregate.averaging import admit_refinement, join_refinements, refine_scene
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.refine import refine_device
@@ -45,7 +45,8 @@ def test_a_blurred_scene_gains_from_photographs_of_two_devices_and_keeps_its_row
     passed = [passed_refinement(one, "float16", BLURRED) for one in refinements]
     kept = [one for one in passed if not isinstance(one, str)]
     assert len(kept) == 2
-    refined = refine_scene(BLURRED, [average_refinements(kept, BLURRED)])
+    admitted = [admit_refinement(one, BLURRED, CAMERAS[which]) for which, one in enumerate(kept)]
+    refined = refine_scene(BLURRED, [join_refinements(admitted, BLURRED)])
     assert len(refined) == len(BLURRED)
     assert error_db(refined) > error_db(BLURRED) + 1.0
     seen = np.union1d(refinements[0].rows, refinements[1].rows)
@@ -76,9 +77,11 @@ def test_too_little_memory_or_nothing_in_sight_refines_nothing_and_says_so() -> 
 
 def test_an_empty_refinement_and_a_broken_file_arrive_as_what_they_are(tmp_path: Path) -> None:
     nothing = refine_device(replace(TASK, memory_bytes=1e6), BLURRED, photographs(0), Recorder())
-    save_refinement(tmp_path, nothing, "spz", lambda message: None)
+    save_refinement(tmp_path, nothing, BLURRED, "spz", lambda message: None)
     arrived = load_refinement(tmp_path, BLURRED)
     assert not isinstance(arrived, str) and not len(arrived.rows)
+    other = load_refinement(tmp_path, replace(BLURRED, sh0=BLURRED.sh0 + 1))
+    assert isinstance(other, str) and "another scene than the one that was sent" in other
     (tmp_path / "rows.safetensors").write_bytes(b"no arrays")
     assert isinstance(load_refinement(tmp_path, BLURRED), str)
     (tmp_path / "rows.safetensors").unlink()

@@ -41,7 +41,7 @@ from radiant_core.io.transport.signing import SIGNATURE_BYTES, is_signed_by, loa
 RECORD_NAME, SIGNATURE_NAME = "delivery.json", "delivery.sig"
 SCHEMA, VERSION = "radiant.delivery", 1
 MAX_RECORD_BYTES = 16384
-MAX_FILE_BYTES, MAX_FOLDER_BYTES = 2 * 10**9, 10**13
+MAX_FILE_BYTES, MAX_FOLDER_BYTES = 2 * 10**10, 10**13
 MAX_ATTEMPT = 10**6
 
 Kind = Literal[
