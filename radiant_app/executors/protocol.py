@@ -17,7 +17,7 @@ class NodeTask:
     settings."""
 
     kind: str
-    """Which worker runs it: sfm, device, edge, cloud or evaluate."""
+    """Which worker runs it: a key of `workers.tasks.TASKS`, such as device or score."""
     stage: str
     """Name in events, the folder's path inside the run."""
     folder: Path

@@ -200,6 +200,8 @@ def _refine(config: RunConfig, dealer: Dealer, system: System, progress: Progres
     policy = RetryPolicy(may_fail=lambda node, error: True)
     make_executor(config, system, progress, policy).fold(tree, refining.prepare, progress.listen)
     dealer.refined = refining.scene_folder
+    if dealer.refined is None:
+        progress.listen(Warned(stage=tree.id, message="the scene stays as it was joined: no refinement arrived; --resume tries again."))
 
 
 def _write_metrics(config: RunConfig, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ per node.
     DeviceTask, photographs  ── train_device ──→  DeviceModel
     EdgeTask, DeviceModels   ── join_edge ─────→  EdgeModel
     CloudTask, EdgeModels    ── join_cloud ────→  SceneModel
+    RefineTask, photographs  ── refine_device ─→  Refinement (`aggregate/averaging.py`)
 
 `radiant_core.io.messages` writes and reads them. A field that is `UNKEYED` changes no bit of a
 node's result and stands in no key; one that is `in_file` travels as a file of that name beside the
