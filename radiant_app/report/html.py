@@ -95,7 +95,7 @@ def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> 
         own = [row for row in access_log if row["tier"] == tier]
         if own:
             sums = {key: sum(row[key] for row in own) for key in ("num_photographs", "photograph_bytes", "other_bytes")}
-            nodes = {"/".join(row["node"].split("/")[:2]) for row in own}
+            nodes = {row["node"].removesuffix("/score").removesuffix("/refine") for row in own}
             rows.append({"tier": tier, "num_nodes": len(nodes), **sums, "given": GIVEN[shared][tier]})
     return rows
 

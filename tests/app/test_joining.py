@@ -54,7 +54,7 @@ def plainly_cut(trained: Path) -> Splats:
 
 
 def test_without_a_limit_in_any_file_the_machine_decides_and_trained_models_are_joined(trained: Path, tmp_path: Path) -> None:
-    scene, ample = load_ply(trained / "scene.ply"), joined_again(trained, tmp_path / "ample", memory_bytes=1.6e10)
+    scene, ample = load_ply(trained / "cloud" / "scene.ply"), joined_again(trained, tmp_path / "ample", memory_bytes=1.6e10)
     assert ample.choice.startswith("retraining") and ample.warnings == []
     np.testing.assert_array_equal(ample.splats.means, scene.means)  # to the bit what no limit gave
     # 0.8 dB were measured here; half of it is far beyond what another seed changes.
@@ -73,7 +73,7 @@ def test_what_the_cloud_cannot_join_is_cut_with_a_warning_and_what_its_edges_joi
     assert "52 cameras, exceeds the cloud's limit of 10 cameras" in views_warning
     np.testing.assert_array_equal(by_views.splats.means, by_machine.splats.means)
     # 0.27 dB were measured between joined and cut edges, 2.7 between those and cut devices.
-    joined_db, cut_db = held_out_db(trained, load_ply(trained / "scene.ply")), held_out_db(trained, by_views.splats)
+    joined_db, cut_db = held_out_db(trained, load_ply(trained / "cloud" / "scene.ply")), held_out_db(trained, by_views.splats)
     assert joined_db > cut_db + 0.1 and cut_db > held_out_db(trained, plainly_cut(trained)) + 1.0
     assert "raise that limit under [cloud] in the system file of the next run" in views_warning
     assert "free memory there and go on with --resume" in warning
@@ -90,7 +90,7 @@ def test_what_exceeds_the_clouds_memory_by_little_is_joined_in_tiles_as_well_as_
     (warning,) = tiled.warnings
     assert tiled.choice.startswith("retraining") and "models are joined in " in warning and " tiles" in warning
     # 0.005 dB more were measured; another seed changes more than a tenth.
-    assert held_out_db(trained, tiled.splats) > held_out_db(trained, load_ply(trained / "scene.ply")) - 0.15
+    assert held_out_db(trained, tiled.splats) > held_out_db(trained, load_ply(trained / "cloud" / "scene.ply")) - 0.15
 
 
 def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path) -> None:

@@ -42,8 +42,9 @@ class Recipe:
     step_policy: StepPolicy = "per_photograph"
 
     def with_plan(self, cloud_plan: CloudPlan, edge_plans: tuple[EdgePlan, ...]) -> Recipe:
-        """The same settings by another plan."""
-        return replace(self, cloud_plan=cloud_plan, edge_plans=edge_plans)
+        """The same settings, and steps per photograph, by another plan."""
+        num_devices = self.num_devices or devices_with_photographs(self.edge_plans)
+        return replace(self, cloud_plan=cloud_plan, edge_plans=edge_plans, num_devices=num_devices)
 
     def plan_of(self, device: str) -> EdgePlan:
         """The plan of the edge that a device belongs to."""

@@ -206,7 +206,7 @@ def test_limits_of_a_delivery_are_where_they_are_said_to_be(tmp_path: Path) -> N
     place = sent(tmp_path)
     right = load_delivery(place, load_public_key(tmp_path / "north-1-identity" / PUBLIC_NAME))
     model, other = (right.files[file] for file in FILES)
-    for size, passes in ((0, True), (2 * 10**9, True), (-1, False), (2 * 10**9 + 1, False)):
+    for size, passes in ((0, True), (2 * 10**10, True), (-1, False), (2 * 10**10 + 1, False)):
         files = {FILES[0]: replace(model, bytes=size), FILES[1]: other}
         if passes:
             assert replace(right, files=files).files[FILES[0]].bytes == size
