@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from radiant_app.cli.config_options import given_values, typed_options, with_config_options
-from radiant_app.cli.option_types import AsJson
+from radiant_app.cli.option_types import AsJson, Verbose
 from radiant_app.config.fields import config_of, with_settings
 from radiant_app.report.tables import print_summary
 from radiant_core.errors import BadInput
@@ -31,6 +32,7 @@ def run(
     ],
     settings: Annotated[list[str] | None, typer.Option("--set", help=_SET_HELP)] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
     **_: Any,
 ) -> None:
@@ -44,27 +46,28 @@ def run(
     values: dict[str, Any] = {"source": source}
     if source.suffix == ".toml" and not source.is_dir():
         if is_job_file(source):
-            return _run_batch(context, source, resume, as_json)
+            return _run_batch(context, source, resume, as_json, verbose=verbose)
         values = load_run_file(source)
-    return run_and_print(config_of(values | with_settings(given_values(context), settings or ())), resume, as_json)
+    return run_and_print(config_of(values | with_settings(given_values(context), settings or ())), resume, as_json, verbose=verbose)
 
 
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder of the run.")] = Path("demo_run"),
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted demo.")] = False,
+    verbose: Verbose = False,
 ) -> None:
     """The whole job on the sample town that comes with the project: some minutes on two cores."""
     from radiant_app.commands.demo import demo_config
 
-    run_and_print(demo_config(out), resume or out.exists(), as_json=False)
+    run_and_print(demo_config(out), resume or out.exists(), as_json=False, verbose=verbose)
 
 
-def run_and_print(config: RunConfig, resume: bool, as_json: bool) -> None:
+def run_and_print(config: RunConfig, resume: bool, as_json: bool, *, verbose: bool) -> None:
     """Do the run before the terminal's progress display and print its figures."""
     from radiant_app.report.progress import terminal_display
     from radiant_app.run.pipeline import run as run_pipeline
 
-    with terminal_display() as listen:
+    with terminal_display(with_decisions=verbose) as listen:
         result = run_pipeline(config, listen, resume=resume)
     if as_json:
         typer.echo(json.dumps(result.metrics))
@@ -78,17 +81,18 @@ def run_and_print(config: RunConfig, resume: bool, as_json: bool) -> None:
     if result.metrics.get("emulated_makespan_s") is not None:
         emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
         typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")
-    typer.echo(f"report: {result.report}")
+    hidden = 0 if verbose else listen.num_decisions
+    typer.echo(f"report: {result.report}{f' ({hidden} decisions; -v prints them here)' * (hidden > 0)}")
     typer.echo(f"next: radiant inspect {quote(str(config.out))}")
 
 
-def _run_batch(context: typer.Context, source: Path, resume: bool, as_json: bool) -> None:
+def _run_batch(context: typer.Context, source: Path, resume: bool, as_json: bool, *, verbose: bool) -> None:
     from radiant_app.commands.batch import run_batch
 
     typed = typed_options(context)
-    if extra := sorted(option for name, option in typed.items() if name not in ("source", "out", "resume", "as_json")):
+    if extra := sorted(option for name, option in typed.items() if name not in ("source", "out", "resume", "as_json", "verbose")):
         raise BadInput(f"{extra[0]} stands beside a job file: write it into its [defaults].")
-    result = run_batch(source, context.params["out"], _job_display, resume=resume)
+    result = run_batch(source, context.params["out"], partial(_job_display, verbose=verbose), resume=resume)
     if as_json:
         typer.echo(json.dumps(result.record))
     else:
@@ -97,9 +101,9 @@ def _run_batch(context: typer.Context, source: Path, resume: bool, as_json: bool
 
 
 @contextmanager
-def _job_display(title: str) -> Iterator[Any]:
+def _job_display(title: str, *, verbose: bool) -> Iterator[Any]:
     from radiant_app.report.progress import terminal_display
 
     typer.echo(title, err=True)
-    with terminal_display() as listen:
+    with terminal_display(with_decisions=verbose) as listen:
         yield listen

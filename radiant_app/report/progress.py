@@ -1,4 +1,4 @@
-"""Shows the event stream on a terminal: a bar per running stage, a line per decision or warning.
+"""Shows the event stream on a terminal: a bar per running stage, a line per warning or decision.
 
     sfm: matching, step 3 of 6   ━━━━━━╺━━━   45 %  elapsed 0:31, left in step about 0:40
 
@@ -46,9 +46,12 @@ class _Share(ProgressColumn):
 class ProgressDisplay:
     """A listener that draws while entered; without a terminal it prints lines at intervals."""
 
-    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic, *, with_decisions: bool = True) -> None:
         self._console = console
         self._clock = clock
+        self._with_decisions = with_decisions
+        self.num_decisions = 0
+        """Decisions that were heard and changed something, printed or not."""
         self._line_due_s: dict[str, float] = {}
         self._progress = Progress(
             SpinnerColumn(),
@@ -98,7 +101,9 @@ class ProgressDisplay:
             self._print(f"warning {event.stage}: {event.message}", "yellow")
         elif isinstance(event, Decided) and not event.decision.changes_nothing:
             decision = event.decision
-            self._print(f"decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})", "dim")
+            self.num_decisions += 1
+            if self._with_decisions:
+                self._print(f"decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})", "dim")
 
     def _print(self, line: str | Text, style: str | None = None) -> None:
         self._console.print(line, style=style, highlight=False, markup=False, emoji=False, soft_wrap=not self._console.is_terminal)
@@ -143,6 +148,6 @@ class ProgressDisplay:
             self._progress.remove_task(self._tasks.pop(stage))
 
 
-def terminal_display() -> ProgressDisplay:
+def terminal_display(*, with_decisions: bool = True) -> ProgressDisplay:
     """Return a display on standard error: standard output is for the results of a command."""
-    return ProgressDisplay(Console(stderr=True))
+    return ProgressDisplay(Console(stderr=True), with_decisions=with_decisions)

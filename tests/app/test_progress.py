@@ -216,6 +216,15 @@ def test_lines_of_a_log_are_not_wrapped() -> None:
     assert told.lines[2] == "devices and edges: left about 1 s, 1.20 times the plan's for what remains" and len(told.lines) == 3
 
 
+def test_decisions_can_be_left_to_the_report() -> None:
+    out = io.StringIO()
+    decision = Decision(stage="sfm", topic="t", choice="c", figure=None, unit="", reason="r")
+    with ProgressDisplay(Console(file=out), with_decisions=False) as display:
+        display(Decided(decision=decision))
+        display(Warned(stage="sfm", message="w"))
+    assert out.getvalue() == "warning sfm: w\n" and display.num_decisions == 1
+
+
 def test_a_decision_that_changes_nothing_is_for_the_report_alone(tmp_path: Path) -> None:
     told = Told()
     decision = Decision(stage="s", topic="blur", choice="0 of 3 are left out", figure=0.0, unit="", reason="r", changes_nothing=True)

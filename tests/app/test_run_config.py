@@ -60,7 +60,7 @@ def asked(tmp_path: Path) -> RunConfig:
 def started(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> RunConfig:
     """The configuration with which `radiant run` with these arguments would start."""
     configs: list[RunConfig] = []
-    monkeypatch.setattr(radiant_app.cli.run, "run_and_print", lambda config, resume, as_json: configs.append(config))
+    monkeypatch.setattr(radiant_app.cli.run, "run_and_print", lambda config, resume, as_json, verbose: configs.append(config))
     result = CliRunner().invoke(app, ["run", *map(str, arguments)])
     if result.exception is not None:
         raise result.exception
