@@ -11,6 +11,12 @@
 #endif
 
 #define RADIANT_INLINE inline __attribute__((always_inline))
+// Elements of two vectors of four, those of the second counted from 4.
+#if defined(__clang__) || __GNUC__ >= 12
+#define RADIANT_SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define RADIANT_SHUFFLE(a, b, ...) __builtin_shuffle(a, b, int32_t __attribute__((vector_size(16))){__VA_ARGS__})
+#endif
 
 namespace radiant::RADIANT_ISA {
 

@@ -38,19 +38,18 @@ RADIANT_INLINE void transpose(F rows[kLanes]) {
   }
 #else
   typedef float Quad __attribute__((vector_size(16), may_alias));
-  typedef int32_t Pick __attribute__((vector_size(16)));
   alignas(64) float from[16][16], to[16][16];
   for (int i = 0; i < 16; ++i) store(from[i], rows[i]);
   for (int i = 0; i < 16; i += 4)
     for (int j = 0; j < 16; j += 4) {
       const Quad r0 = *reinterpret_cast<Quad*>(&from[i][j]), r1 = *reinterpret_cast<Quad*>(&from[i + 1][j]);
       const Quad r2 = *reinterpret_cast<Quad*>(&from[i + 2][j]), r3 = *reinterpret_cast<Quad*>(&from[i + 3][j]);
-      const Quad low01 = __builtin_shuffle(r0, r1, Pick{0, 4, 1, 5}), high01 = __builtin_shuffle(r0, r1, Pick{2, 6, 3, 7});
-      const Quad low23 = __builtin_shuffle(r2, r3, Pick{0, 4, 1, 5}), high23 = __builtin_shuffle(r2, r3, Pick{2, 6, 3, 7});
-      *reinterpret_cast<Quad*>(&to[j][i]) = __builtin_shuffle(low01, low23, Pick{0, 1, 4, 5});
-      *reinterpret_cast<Quad*>(&to[j + 1][i]) = __builtin_shuffle(low01, low23, Pick{2, 3, 6, 7});
-      *reinterpret_cast<Quad*>(&to[j + 2][i]) = __builtin_shuffle(high01, high23, Pick{0, 1, 4, 5});
-      *reinterpret_cast<Quad*>(&to[j + 3][i]) = __builtin_shuffle(high01, high23, Pick{2, 3, 6, 7});
+      const Quad low01 = RADIANT_SHUFFLE(r0, r1, 0, 4, 1, 5), high01 = RADIANT_SHUFFLE(r0, r1, 2, 6, 3, 7);
+      const Quad low23 = RADIANT_SHUFFLE(r2, r3, 0, 4, 1, 5), high23 = RADIANT_SHUFFLE(r2, r3, 2, 6, 3, 7);
+      *reinterpret_cast<Quad*>(&to[j][i]) = RADIANT_SHUFFLE(low01, low23, 0, 1, 4, 5);
+      *reinterpret_cast<Quad*>(&to[j + 1][i]) = RADIANT_SHUFFLE(low01, low23, 2, 3, 6, 7);
+      *reinterpret_cast<Quad*>(&to[j + 2][i]) = RADIANT_SHUFFLE(high01, high23, 0, 1, 4, 5);
+      *reinterpret_cast<Quad*>(&to[j + 3][i]) = RADIANT_SHUFFLE(high01, high23, 2, 3, 6, 7);
     }
   for (int i = 0; i < 16; ++i) rows[i] = load(to[i]);
 #endif
@@ -75,7 +74,6 @@ RADIANT_INLINE void sums_of_rows(const Part* rows, float* out) {
   _mm512_mask_storeu_ps(out, (1u << kRows) - 1, sums);
 #else
   typedef float Quad __attribute__((vector_size(16)));
-  typedef int32_t Pick __attribute__((vector_size(16)));
   alignas(16) Quad q[12];
   for (int i = 0; i < 12; ++i) {
     if (i >= kRows) q[i] = Quad{};
@@ -87,9 +85,9 @@ RADIANT_INLINE void sums_of_rows(const Part* rows, float* out) {
   }
   alignas(16) float sums[12];
   for (int i = 0; i < 12; i += 4) {
-    const Quad a = __builtin_shuffle(q[i], q[i + 1], Pick{0, 4, 1, 5}) + __builtin_shuffle(q[i], q[i + 1], Pick{2, 6, 3, 7});
-    const Quad b = __builtin_shuffle(q[i + 2], q[i + 3], Pick{0, 4, 1, 5}) + __builtin_shuffle(q[i + 2], q[i + 3], Pick{2, 6, 3, 7});
-    *reinterpret_cast<Quad*>(sums + i) = __builtin_shuffle(a, b, Pick{0, 1, 4, 5}) + __builtin_shuffle(a, b, Pick{2, 3, 6, 7});
+    const Quad a = RADIANT_SHUFFLE(q[i], q[i + 1], 0, 4, 1, 5) + RADIANT_SHUFFLE(q[i], q[i + 1], 2, 6, 3, 7);
+    const Quad b = RADIANT_SHUFFLE(q[i + 2], q[i + 3], 0, 4, 1, 5) + RADIANT_SHUFFLE(q[i + 2], q[i + 3], 2, 6, 3, 7);
+    *reinterpret_cast<Quad*>(sums + i) = RADIANT_SHUFFLE(a, b, 0, 1, 4, 5) + RADIANT_SHUFFLE(a, b, 2, 3, 6, 7);
   }
   __builtin_memcpy(out, sums, kRows * sizeof(float));
 #endif

@@ -8,6 +8,9 @@
 #if defined(__linux__)
 #include <sys/mman.h>
 #endif
+#if defined(_WIN32)
+#include <malloc.h>
+#endif
 #if defined(__unix__) || defined(__APPLE__)
 #include <pthread.h>
 #endif
@@ -49,7 +52,11 @@ Pool& make_pool() {
 void* allocate_pages(std::size_t bytes) {
   const bool large = bytes >= 2 * kHugePage;
   const std::size_t alignment = large ? kHugePage : 64;
+#if defined(_WIN32)
+  void* memory = _aligned_malloc(bytes, alignment);
+#else
   void* memory = std::aligned_alloc(alignment, (bytes + alignment - 1) / alignment * alignment);
+#endif
   if (!memory) throw std::bad_alloc();
 #if defined(__linux__) && defined(MADV_HUGEPAGE)
   // Only a wish; 4 KiB pages work as well, slower.
@@ -58,7 +65,13 @@ void* allocate_pages(std::size_t bytes) {
   return memory;
 }
 
-void free_pages(void* memory) noexcept { std::free(memory); }
+void free_pages(void* memory) noexcept {
+#if defined(_WIN32)
+  _aligned_free(memory);
+#else
+  std::free(memory);
+#endif
+}
 
 void* pool_take(std::size_t bytes) {
   const std::lock_guard lock(pool.mutex);
