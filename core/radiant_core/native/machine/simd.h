@@ -5,6 +5,7 @@
 // keeps one copy of those, and it might be the AVX-512 one.
 #pragma once
 
+#include <stddef.h>
 #include <stdint.h>
 #if defined(__x86_64__)
 #include <immintrin.h>
