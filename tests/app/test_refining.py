@@ -29,7 +29,9 @@ while True:
     print(encode(Heartbeat(stage="x")), flush=True)
     time.sleep(0.1)
 """
-SEAL = "from radiant_core.io.run_store import seal, write_json\nwrite_json(Path('refused.json'), {})\nseal(Path('.'), 'key', ['refused.json'])"
+SEAL = (
+    "from radiant_core.io.run_store import seal, write_json\nwrite_json(Path('refused.json'), {})\nseal(Path('.'), 'key', ['refused.json'])"
+)
 
 
 @pytest.fixture

@@ -150,7 +150,11 @@ def admit_refinement(refinement: Refinement, scene: Splats, cameras: Cameras | N
         # Large ones may show with their centre outside of all pictures.
         weights = np.maximum(_times_shown(before, cameras), 0.5)
     chosen = np.flatnonzero(kept)
-    return Refinement(rows=rows[chosen], splats=after.select(chosen), weights=weights[chosen].astype(np.float32))
+    admitted = after.select(chosen)
+    # A quaternion's length is no part of its rotation, but it is a weight in a mean.
+    lengths = [np.linalg.norm(each.quats.astype(np.float64), axis=1, keepdims=True) for each in (before.select(chosen), admitted)]
+    quats = (admitted.quats * (lengths[0] / lengths[1])).astype(np.float32)
+    return Refinement(rows=rows[chosen], splats=replace(admitted, quats=quats), weights=weights[chosen].astype(np.float32))
 
 
 def _turned_deg(before: NDArray[np.float32], after: NDArray[np.float32]) -> FloatArray:
