@@ -1,7 +1,8 @@
 """What one poisoned refinement of four costs a scene: python -m tests.stress.poisoned_refinement SCENE OUT STEPS ATTACKERS.
 
-One of four devices (2x2, 384 px; so many of them in turn) sends a changed refinement of everything that its own photographs show, each attack by as
-much as is admitted, then beyond. Prints held-out PSNR of the whole scene with `admit_refinement` and without it.
+One of four devices (2x2, 384 px; so many of them in turn) sends a changed refinement of everything that its own
+photographs show, each attack by as much as is admitted, then beyond. Prints held-out PSNR of the whole scene with
+`admit_refinement` and without it.
 """
 
 from __future__ import annotations
