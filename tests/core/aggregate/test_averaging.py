@@ -136,7 +136,7 @@ def test_what_a_device_limits_is_admitted_whole_and_what_is_within_keeps_its_bit
 def test_no_poisoned_number_reaches_a_scene(name: str, value: float) -> None:
     """Refused where it is read, or not admitted: no value of the refined scene is another than without it."""
     array = SCENE.arrays()[name].copy()
-    array[5].flat[0] = value
+    array.reshape(len(array), -1)[5, 0] = value
     if not np.isfinite(value):
         with pytest.raises(BadInput, match=name):
             replace(SCENE, **{name: array})
