@@ -70,10 +70,10 @@ def require_emulable(system: System) -> None:
 def emulated_figures(run: Path, tree: Tree, refining: Tree | None, manifest: Manifest) -> dict[str, Any]:
     """The figures of an emulated run in the folder `run`.
 
-    Seconds and bytes sent per stage; the makespan, when the last edge's model is at the cloud, which
-    is what a plan predicts; and the end of the scene, which adds the cloud's join and, where the
-    scene is refined by the tree `refining`, that. All of the nodes' own times, without copying; None
-    with a reason if one is unknown.
+    Seconds and bytes sent per stage; the makespan, when the last edge's model is at the cloud,
+    which is what a plan predicts; and the end of the scene, which adds the cloud's join and, where
+    the scene is refined by the tree `refining`, that. All of the nodes' own times, without copying;
+    None with a reason if one is unknown.
     """
 
     def arrival_s(node: Tree, arrivals_s: Sequence[float]) -> float:

@@ -60,7 +60,7 @@ def average_bytes(num_splats: int, sh_degree: int) -> float:
     """Most bytes of a process that averages refinements of a scene, of however many senders.
 
     They are read one after another, so that beside the scene there are only their mean, one of them
-    and what it is decoded from: measured in docs/experiments/aggregation.md.
+    and what it is decoded from: `tests/stress/test_average_memory.py`.
     """
     return AVERAGE_PROCESS_BYTES + num_splats * (AVERAGE_COPIES * 4 * (11 + 3 * SH_BASES[sh_degree]) + AVERAGE_BYTES_PER_SPLAT)
 

@@ -106,7 +106,7 @@ def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Dec
 
 
 def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Decision:
-    """How much of the scene devices have refined, by the number of Gaussians that each edge sent."""
+    """How much of the scene devices have refined, by the Gaussians that each edge sent."""
     num_refined = sum(counts)
     return Decision(
         stage=stage,
