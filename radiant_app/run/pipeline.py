@@ -193,7 +193,7 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
         raise StageFailed(f"no device delivered a model that could be used. {reasons}")
     refining = Refining(dealer=dealer, moves=dealer.load_moves())
     refines = [node.id for node in refining.tree or ()]
-    # Nodes that ended without a result, or have nothing to do now, would be waited for in every count.
+    # Nodes without a result, or with nothing to do now, would be waited for in every count.
     absent = {f"devices/{device}/score" for device in dealer.missing_devices()}
     after = [stage for stage in after if stage not in absent]
     progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refines, *after)))
