@@ -47,8 +47,10 @@ class EmulatedLatency:
     devices_s: float
     """When the last device of the edge that is last had sent; of a server, when the second client
     had, so that merging began."""
+    joined_s: float
+    """When the scene was joined."""
     scene_s: float
-    """When the scene was done."""
+    """When the scene was done: refined, where it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +81,9 @@ def emulate_tree(system: System, works: Sequence[NodeWork]) -> EmulatedLatency:
         own = work_of.get(f"edges/{edge.id}")
         edge_s.append(0.0 if own is None else ready_s[-1] + _spent_s(edge, own))
     last = max(range(len(edge_s)), key=lambda index: edge_s[index])
-    scene_s = edge_s[last] + work_of["cloud"].cpu_s / CLOUD_SPEED + _refined_s(system, work_of)
-    return EmulatedLatency(edge_s=tuple(edge_s), devices_s=ready_s[last], scene_s=scene_s)
+    joined_s = edge_s[last] + work_of["cloud"].cpu_s / CLOUD_SPEED
+    scene_s = joined_s + _refined_s(system, work_of)
+    return EmulatedLatency(edge_s=tuple(edge_s), devices_s=ready_s[last], joined_s=joined_s, scene_s=scene_s)
 
 
 def _refined_s(system: System, work_of: Mapping[str, NodeWork]) -> float:
@@ -106,7 +109,7 @@ def emulate_server(system: System, works: Sequence[NodeWork]) -> EmulatedLatency
     now_s = 0.0
     for name, cpu_s in merges:
         now_s = max(now_s, sent_s[name]) + cpu_s / CLOUD_SPEED
-    return EmulatedLatency(edge_s=(), devices_s=max((sent_s[name] for name, _ in merges[:2]), default=0.0), scene_s=now_s)
+    return EmulatedLatency(edge_s=(), devices_s=max((sent_s[name] for name, _ in merges[:2]), default=0.0), joined_s=now_s, scene_s=now_s)
 
 
 def _spent_s(machine: Device | Edge, work: NodeWork) -> float:

@@ -50,7 +50,7 @@ SYSTEMS = {"paper_1": "System 1", "paper_2": "System 2"}
 """Names on the page by files of `radiant_app/systems`; a quick run has the first."""
 QUICK_PLANS: tuple[PlanMethod, ...] = ("exact", "even")
 SERVER = "Fed3DGS"
-PHASES = ("devices train and send", "edges join and send", "the cloud joins")
+PHASES = ("devices train and send", "edges join and send", "the cloud joins", "the scene is refined")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +97,8 @@ class LatencyRow:
     emulated_imbalance: float | None
     emulated_devices_s: float
     emulated_edges_s: float | None
+    emulated_joined_s: float
+    """When the scene is joined."""
     emulated_scene_s: float
     """When the scene is done: end to end."""
     measured_cpu_s: float
@@ -200,6 +202,7 @@ def _latency(system: str, recipe: Recipe, row: ArmRow, *, simulated: bool) -> La
         emulated_imbalance=imbalance(played.edge_s) if played.edge_s else None,
         emulated_devices_s=played.devices_s,
         emulated_edges_s=max(played.edge_s, default=None),
+        emulated_joined_s=played.joined_s,
         emulated_scene_s=played.scene_s,
         measured_cpu_s=sum(work.cpu_s for work in row.nodes),
         psnr_db=row.mean_psnr_db,
@@ -218,13 +221,14 @@ def _table(system: str, rows: Sequence[LatencyRow]) -> list[str]:
     """Means over seeds; with several of them, their range beside the end-to-end time."""
     lines = [
         f"| {SYSTEMS[system]} | photographs per device | imbalance, simulated | edges done s, simulated | imbalance, emulated |"
-        " edges done s, emulated | scene done s, emulated | all nodes CPU s, measured | PSNR dB | SSIM | Gaussians |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        " edges done s, emulated | joined s, emulated | scene done s, emulated | all nodes CPU s, measured | PSNR dB | SSIM | Gaussians |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     groups = _by_method(rows)
     for method, own in groups.items():
         times = [_text(own, "simulated_imbalance", 2), _text(own, "simulated_edges_s", 1)]
-        times += [_text(own, "emulated_imbalance", 2), _text(own, "emulated_edges_s", 1), _text(own, "emulated_scene_s", 1)]
+        times += [_text(own, "emulated_imbalance", 2), _text(own, "emulated_edges_s", 1)]
+        times += [_text(own, "emulated_joined_s", 1), _text(own, "emulated_scene_s", 1)]
         if len(own) > 1:
             ends_s = [row.emulated_scene_s for row in own]
             times[-1] += f" ({min(ends_s):.1f} to {max(ends_s):.1f})"
@@ -290,8 +294,8 @@ def _picture(arms: Arms, systems: Sequence[str], rows: Sequence[LatencyRow]) -> 
 def _drawn(method: str, own: Sequence[LatencyRow]) -> MethodLatency:
     from radiant_viewer.charts.end_to_end_chart import MethodLatency
 
-    devices_s, scene_s = _mean(own, "emulated_devices_s"), _mean(own, "emulated_scene_s")
+    devices_s, joined_s, scene_s = (_mean(own, f"emulated_{what}_s") for what in ("devices", "joined", "scene"))
     edges_s = devices_s if own[0].emulated_edges_s is None else _mean(own, "emulated_edges_s")
     simulated_s = None if own[0].simulated_edges_s is None else _mean(own, "simulated_edges_s")
     note = f"{_mean(own, 'psnr_db'):.2f} dB"
-    return MethodLatency(name=method, ends_s=(devices_s, edges_s, scene_s), simulated_s=simulated_s, note=note)
+    return MethodLatency(name=method, ends_s=(devices_s, edges_s, joined_s, scene_s), simulated_s=simulated_s, note=note)

@@ -15,11 +15,14 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 from radiant_app.events import Event, Listener, StageDone, StageSkipped, StageStarted
+from radiant_app.executors.emulated_node import product_bytes
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
+from radiant_app.files.run_folder import Manifest
 from radiant_core.aggregate.tree import Tree, refined_at
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import Device, Edge, System
@@ -64,20 +67,39 @@ def require_emulable(system: System) -> None:
         )
 
 
-def emulated_figures(tree: Tree, emulated: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """An emulated run's figures from stage → (started_s, ended_s): seconds per stage and makespan,
-    which is of the nodes' own times, without copying; None with a reason if one is unknown."""
+def emulated_figures(run: Path, tree: Tree, refining: Tree | None, manifest: Manifest) -> dict[str, Any]:
+    """The figures of an emulated run in the folder `run`.
+
+    Seconds and bytes sent per stage; the makespan, when the last edge's model is at the cloud,
+    which is what a plan predicts; and the end of the scene, which adds the cloud's join and, where
+    the scene is refined by the tree `refining`, that. All of the nodes' own times, without copying;
+    None with a reason if one is unknown.
+    """
 
     def arrival_s(node: Tree, arrivals_s: Sequence[float]) -> float:
         # A resumed run skips a node whose transfer was interrupted, so that its time is unknown.
         return max(arrivals_s, default=0.0) + (seconds.get(node.id, 0.0) or math.inf)
 
-    seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in emulated.items()}
-    makespan_s = max((edge.fold(arrival_s) for edge in tree.children), default=math.inf)
-    if makespan_s < math.inf:
-        return {"emulated_seconds": seconds, "emulated_makespan_s": makespan_s}
-    reason = "a node had nothing to send, or was stopped while its model was on its way."
-    return {"emulated_seconds": seconds, "emulated_makespan_s": None, "emulated_reason": reason}
+    def edges_s(part: Tree) -> float:
+        return max((edge.fold(arrival_s) for edge in part.children), default=math.inf)
+
+    def cloud_s(part: Tree) -> float:
+        times = manifest.stages.get(part.id, {"started_s": 0.0, "ended_s": 0.0})
+        return (times["ended_s"] - times["started_s"]) or math.inf
+
+    seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.emulated.items()}
+    makespan_s = edges_s(tree)
+    scene_s = makespan_s + cloud_s(tree) + (0.0 if refining is None else edges_s(refining) + cloud_s(refining))
+    sent = {node.id: product_bytes(run / node.id) for part in (tree, *(() if refining is None else (refining,))) for node in part}
+    figures: dict[str, Any] = {
+        "emulated_seconds": seconds,
+        "emulated_bytes": {stage: count for stage, count in sent.items() if stage in seconds},
+        "emulated_makespan_s": makespan_s if makespan_s < math.inf else None,
+        "emulated_scene_s": scene_s if scene_s < math.inf else None,
+    }
+    if not scene_s < math.inf:
+        figures["emulated_reason"] = "a node had nothing to send, or was stopped while its model was on its way."
+    return figures
 
 
 def _machines(system: System) -> dict[str, Device | Edge]:

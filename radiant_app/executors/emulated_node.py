@@ -32,8 +32,8 @@ PERIOD_S = 0.1
 """One period of running and pausing: shorter costs wake-ups, longer distorts short nodes."""
 BUSY_SHARE = 0.85
 """A node that got less than this part of its share is reported: its time depends on the load."""
-PRODUCTS = ("upload.safetensors", "refined.safetensors", "model.safetensors")
-"""The file that a node sends: the first of these in its folder."""
+PRODUCTS = (("upload.safetensors",), ("refined.safetensors", "rows.safetensors"), ("model.safetensors",))
+"""The files that a node sends: the first of these groups in its folder."""
 PROGRESS_S = 0.5
 SHORTEST_S = 1e-3
 _PR_SET_PDEATHSIG = 1
@@ -54,10 +54,14 @@ def main(arguments: list[str]) -> int:
     if share < BUSY_SHARE * speed:
         busy = f"it got {share:.2f} of a core instead of {speed:g}: other work kept this machine busy, so its emulated time is too long."
         _emit(Warned(stage=stage, message=busy))
-    sent = [path.stat().st_size for path in (folder / name for name in PRODUCTS) if path.is_file()]
-    # A device that cannot deliver sends nothing.
-    _deliver(f"{stage}{UPLINK}", sent[0] if sent else 0, bytes_per_s)
+    _deliver(f"{stage}{UPLINK}", product_bytes(folder), bytes_per_s)
     return 0
+
+
+def product_bytes(folder: Path) -> int:
+    """Bytes that a node sends; 0 for a device that cannot deliver."""
+    sizes = ([path.stat().st_size for path in (folder / name for name in names) if path.is_file()] for names in PRODUCTS)
+    return sum(next((group for group in sizes if group), []))
 
 
 def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int, float]:

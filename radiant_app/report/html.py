@@ -16,6 +16,7 @@ from radiant_app.files.run_folder import Manifest, software_versions
 from radiant_app.files.system_file import load_system
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.prediction_error import SYSTEM_NAME, gantt_rows
+from radiant_core.aggregate.tree import refined_at
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_atomic
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -42,6 +43,9 @@ GIVEN = {
     },
 }
 """What the nodes of a tier were given, by whether one owner pooled the photographs."""
+
+REFINING = {"devices": "refine", "edges": "average", "cloud": "finish"}
+"""What the nodes of a tier do when the scene is refined."""
 
 GANTT_TEXT = {
     False: "Predicted for machines that all work at once; measured here, where processes wait for a free core. Nothing was sent.",
@@ -121,13 +125,19 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
         images["gantt"] = gantt_picture(rows, "Predicted and measured", GANTT_TEXT[bool(manifest.emulated)])
     images["timeline"] = timeline_picture(_timeline_rows(manifest.stages), title="Measured on this machine")
     if manifest.emulated:
-        images["timeline_emulated"] = timeline_picture(_timeline_rows(manifest.emulated), title="Emulated speeds and links")
+        images["timeline_emulated"] = timeline_picture(timeline_of_emulation(manifest), title="Emulated speeds and links")
     for view in ("regions", "cameras", "splats", *(["seams"] if has_borders else [])):
         images[view] = screenshot(run, view)
     folder.mkdir(exist_ok=True)
     for name, image in images.items():
         save_png(folder / f"{name}.png", image)
     return {name: folder / f"{name}.png" for name in images}
+
+
+def timeline_of_emulation(manifest: Manifest) -> list[Any]:
+    """The rows of emulated machines, and of the cloud, which they wait for."""
+    cloud = {stage: manifest.stages[stage] for stage in ("cloud", refined_at("cloud")) if stage in manifest.stages}
+    return _timeline_rows({**manifest.emulated, **cloud})
 
 
 def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
@@ -146,8 +156,8 @@ def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
     rows = []
     nodes = {stage: times for stage, times in stages.items() if not stage.endswith(UPLINK)}
     for stage, times in sorted(nodes.items(), key=lambda item: item[1]["started_s"]):
-        parts_of_nodes = {"score": "evaluate", "refine": "refine"}
-        kind = parts_of_nodes.get(stage.rsplit("/", 1)[-1]) or kinds[stage.split("/")[0]]
+        tier, part = stage.split("/")[0], stage.rsplit("/", 1)[-1]
+        kind = {"score": "evaluate", "refine": REFINING.get(tier)}.get(part) or kinds[tier]
         sending = stages.get(stage + UPLINK, {"started_s": times["ended_s"], "ended_s": times["ended_s"]})
         parts = ((kind, times["started_s"], sending["started_s"]), ("send", sending["started_s"], sending["ended_s"]))
         spans = tuple(

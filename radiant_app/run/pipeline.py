@@ -28,7 +28,8 @@ from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
 from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
-from radiant_app.run.refining import Refining, will_refine
+from radiant_app.run.refining import Refining, left_out_decision, will_refine
+from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
     list_nodes,
@@ -116,10 +117,11 @@ def run(
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
         photographs = _locate_photographs(config, system, progress)
         plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
-        dealer, tree = _join(config, photographs, plan, progress)
+        dealer, tree, refining = _join(config, photographs, plan, progress)
         deal_files(dealer.scene_folder, ["scene.ply"], config.out)
-        emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
-        more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **emulation}
+        emulation = emulated_figures(config.out, tree, refining.tree, manifest) if config.emulated else {}
+        refined = {"refined": dealer.refined is not None, "not_refined": refining.left_out()}
+        more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe.cloud_plan, more)
         manifest.status = "done"
         write_report(config.out, manifest, metrics)
@@ -149,8 +151,9 @@ def _locate_photographs(config: RunConfig, system: System, progress: Progress) -
     return PooledPhotographs.reconstruct(config, progress)
 
 
-def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
-    """Fold the tree of a plan and score the scene; StageFailed where no model is usable."""
+def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree, Refining]:
+    """Fold the tree of a plan, refine the scene and score it; StageFailed where no model is
+    usable."""
     first_key, num_devices = plan_key(plan.cloud, plan.edges), devices_with_photographs(plan.edges)
     if photographs.positions is not None:
         plan = load_replan(config.out, plan)
@@ -174,9 +177,10 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     tree = tree_of_plan(plan.cloud, plan.edges)
     before, after = photographs.stages(tree)
     nodes = [node.id for node in tree]
-    refining = [refined_at(node) for node in nodes] if will_refine(recipe, tree) else []
-    progress.manifest.keep_stages({*before, *after, *nodes, *refining})
-    progress.listen(Outlined(stages=(*(stage for stage in before if stage in progress.manifest.stages), *nodes, *refining, *after)))
+    expected = [refined_at(node) for node in nodes] if will_refine(recipe, tree) else []
+    progress.manifest.keep_stages({*before, *after, *nodes, *expected})
+    located = [stage for stage in before if stage in progress.manifest.stages]
+    progress.listen(Outlined(stages=(*located, *nodes, *expected, *after)))
     listen = make_time_left_listener(config, plan.system, plan.edges, progress)
     retry_policy = RetryPolicy(may_fail=photographs.may_fail, deadlines=listen)
     if photographs.positions is not None:
@@ -187,21 +191,34 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     if not dealer.has_model("cloud"):
         reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
         raise StageFailed(f"no device delivered a model that could be used. {reasons}")
-    _refine(config, dealer, plan.system, progress)
-    photographs.score(dealer, executor, progress)
-    return dealer, tree
-
-
-def _refine(config: RunConfig, dealer: Dealer, system: System, progress: Progress) -> None:
-    """Refine the joined scene on the devices; it stays as it is where none of them can."""
     refining = Refining(dealer=dealer, moves=dealer.load_moves())
+    refines = [node.id for node in refining.tree or ()]
+    # Nodes without a result, or with nothing to do now, would be waited for in every count.
+    absent = {f"devices/{device}/score" for device in dealer.missing_devices()}
+    after = [stage for stage in after if stage not in absent]
+    progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refines, *after)))
+    _refine(config, refining, plan.system, progress)
+    progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *filter(refining.is_done, refines), *after)))
+    photographs.score(dealer, executor, progress)
+    return dealer, tree, refining
+
+
+def _refine(config: RunConfig, refining: Refining, system: System, progress: Progress) -> None:
+    """Refine the joined scene on the devices; it stays as it is where none of them can."""
+    for decision in refining.plan.decisions:
+        progress.listen(Decided(decision=decision))
     if (tree := refining.tree) is None:
         return
-    policy = RetryPolicy(may_fail=lambda node, error: True)
+    times = expected_times(refining, progress.manifest)
+    deadlines = RefiningDeadlines(expected_s=times, deadline_factor=config.execution.deadline_factor)
+    policy = RetryPolicy(may_fail=lambda node, error: True, deadlines=deadlines)
     make_executor(config, system, progress, policy).fold(tree, refining.prepare, progress.listen)
-    dealer.refined = refining.scene_folder
-    if dealer.refined is None:
+    refining.dealer.refined = refining.scene_folder
+    if refining.dealer.refined is None:
         progress.listen(Warned(stage=tree.id, message="the scene stays as it was joined: no refinement arrived; --resume tries again."))
+    if left_out := refining.left_out():
+        num_devices = sum(node.tier == "device" for node in tree)
+        progress.listen(Decided(decision=left_out_decision(tree.id, left_out, num_devices)))
 
 
 def _write_metrics(config: RunConfig, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:

@@ -10,29 +10,50 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.workers.delivering import DELIVERIES, identify_part, sign_task
+from radiant_app.workers.inbox import REFUSED_NAME
 from radiant_app.workers.refining import REFINED_SCENE
 from radiant_app.workers.tasks import SIGNED, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refined_at
+from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import CAMERAS_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, TASK_NAME, save_task, task_key
-from radiant_core.io.run_store import content_key, is_sealed
+from radiant_core.hierarchy.refining_plan import LEAST_DEVICES, RefiningPlan, plan_refining
+from radiant_core.io.messages import CAMERAS_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, SUMMARY_NAME, TASK_NAME, save_task, task_key
+from radiant_core.io.run_store import content_key, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 
 SCENE_NAME = "scene.ply"
 
 
+LATE = "its process ended, or was given up, before its refinement was there; the warnings say how."
+UNUSED = "its edge sent no refinement that could be used."
+
+
 def will_refine(recipe: Recipe, tree: Tree) -> bool:
-    """Whether the scene of this tree is refined: the settings ask for it, and devices differ."""
-    return recipe.aggregate.refine_epochs > 0 and sum(node.tier == "device" for node in tree) > 1
+    """Whether refining this tree's scene is to be expected: the settings ask for it, and devices
+    differ. Which nodes do it is known when their models are in the scene."""
+    return recipe.aggregate.refine_epochs > 0 and sum(node.tier == "device" for node in tree) >= LEAST_DEVICES
+
+
+def left_out_decision(stage: str, left_out: Mapping[str, str], num_devices: int) -> Decision:
+    """That the scene was refined, or stays as it is, without these of so many devices."""
+    return Decision(
+        stage=stage,
+        topic="refinement",
+        choice=f"the photographs of {', '.join(left_out)} do not refine the scene",
+        figure=float(len(left_out)),
+        unit=f"of {num_devices} devices",
+        reason="; ".join(f"{device}: {reason.rstrip('.')}" for device, reason in left_out.items()),
+    )
 
 
 @dataclass(kw_only=True)
@@ -45,24 +66,51 @@ class Refining:
     keys: dict[str, str] = field(default_factory=dict)
     """Node id → the key of its seal."""
 
+    @cached_property
+    def plan(self) -> RefiningPlan:
+        """Which devices refine, and why others do not."""
+        recipe = self.dealer.recipe
+        present = {plan.edge_id: [name for name in plan.device_ids if name in self.moves] for plan in recipe.edge_plans}
+        num_splats = int(read_json(self.dealer.run / "cloud" / SUMMARY_NAME, ("num_splats",))["num_splats"])
+        return plan_refining(recipe, present, num_splats)
+
     @property
     def tree(self) -> Tree | None:
-        """The nodes that refine; None where the settings ask for none, or one device knows all."""
-        if not self.dealer.recipe.aggregate.refine_epochs or len(self.moves) < 2:
-            return None
+        """The nodes that refine; None where there are none."""
         edges = []
-        for plan in self.dealer.recipe.edge_plans:
-            devices = tuple(Tree(id=refined_at(f"devices/{name}"), tier="device") for name in plan.device_ids if name in self.moves)
-            if devices:
-                edges.append(Tree(id=refined_at(f"edges/{plan.edge_id}"), tier="edge", children=devices))
-        return Tree(id=refined_at("cloud"), tier="cloud", children=tuple(edges))
+        for edge, names in self.plan.devices.items():
+            devices = tuple(Tree(id=refined_at(f"devices/{name}"), tier="device") for name in names)
+            edges.append(Tree(id=refined_at(f"edges/{edge}"), tier="edge", children=devices))
+        return Tree(id=refined_at("cloud"), tier="cloud", children=tuple(edges)) if edges else None
+
+    def left_out(self) -> dict[str, str]:
+        """Device that was to refine the scene and did not → the reason."""
+        found: dict[str, str] = {}
+        for edge, names in self.plan.devices.items():
+            average = refined_at(f"edges/{edge}")
+            refused = self._refused_at(average)
+            # What the cloud did not get of an edge, it did not get of its devices.
+            of_edge = self._refused_at(refined_at("cloud")).get(edge) or (None if self.is_done(average) else UNUSED)
+            for name in names:
+                reason = refused.get(name) or of_edge
+                if not self.is_done(refined_at(f"devices/{name}")):
+                    reason = LATE
+                if reason is not None:
+                    found[name] = reason
+        return found
+
+    def is_done(self, node: str) -> bool:
+        """Whether the node with this id is done in this run."""
+        return node in self.keys and is_sealed(self.dealer.run / node, self.keys[node])
+
+    def _refused_at(self, node: str) -> dict[str, str]:
+        return read_json(self.dealer.run / node / REFUSED_NAME) if self.is_done(node) else {}
 
     @property
     def scene_folder(self) -> Path | None:
         """Where the refined scene lies; None before it is made."""
         node = refined_at("cloud")
-        made = node in self.keys and is_sealed(self.dealer.run / node, self.keys[node])
-        return (self.dealer.run / node / REFINED_SCENE).parent if made else None
+        return (self.dealer.run / node / REFINED_SCENE).parent if self.is_done(node) else None
 
     def prepare(self, node: Tree) -> NodeTask | None:
         """Fill the node's folder and return its task; None if nothing arrived to be averaged."""
@@ -118,7 +166,7 @@ class Refining:
             shutil.rmtree(folder / place, ignore_errors=True)
         senders = []
         for child in node.children:
-            if child.id in self.keys and is_sealed(self.dealer.run / child.id, self.keys[child.id]):
+            if self.is_done(child.id):
                 senders.append(Path(child.id).parent.name)
                 deal_files(self.dealer.run / child.id, [REFINED_NAME, ROWS_NAME], folder / "inbox" / senders[-1])
                 deal_files(self.dealer.run / child.id, [RECORD_NAME, SIGNATURE_NAME], folder / DELIVERIES / senders[-1])

@@ -7,11 +7,12 @@ uploads of the senders that are registered there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from radiant_app.workers.delivering import belongs_to_run, deliver, find_refusals
+from radiant_app.workers.inbox import REFUSED_NAME
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
@@ -22,12 +23,16 @@ from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.messages import CAMERAS_NAME, load_refinement, save_refinement
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_scene
-from radiant_core.io.run_store import read_json
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.splats import Splats
 
 REFINED_SCENE = "refined/scene.ply"
 """The scene that the cloud writes, in its refine/."""
+MIN_ADMITTED = 0.9
+"""A refinement of which a smaller share counts is warned about: of honest ones 99.9 % do."""
+NOT_ADMITTED = "the others changed more than refining does, or are not shown by its cameras."
+NOTHING_REFINED = "it changed no Gaussian of the scene; its decisions say where memory was too small."
 
 
 def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> Sequence[str]:
@@ -55,19 +60,39 @@ def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Seq
     scene = load_ply(folder / "scene.ply")
     moves, inbox = dict(zip(task.senders, task.corrections, strict=True)), folder.parent / "inbox"
     shown = {name: correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]) for name in task.senders}
-    arrived = _receive(folder, task, scene, reporter)
-    refinement = join_refinements([admit_refinement(each, scene, shown[name]) for name, each in arrived.items()], scene)
-    return _save_and_sign(folder, refinement, scene, task.upload, reporter)
+    refused: dict[str, str] = {}
+
+    def admitted() -> Iterator[Refinement]:
+        for name, each in _receive(folder, task, scene, refused, reporter):
+            kept = admit_refinement(each, scene, shown[name])
+            if len(kept.rows) < MIN_ADMITTED * len(each.rows):
+                reporter.warn(f"of the refinement of {name} {len(kept.rows):,} of {len(each.rows):,} Gaussians count: {NOT_ADMITTED}")
+            if len(each.rows) and not len(kept.rows):
+                refused[name] = f"none of its {len(each.rows):,} Gaussians counts: {NOT_ADMITTED}"
+            yield kept
+
+    refinement = join_refinements(admitted(), scene)
+    write_json(folder / REFUSED_NAME, refused)
+    return [REFUSED_NAME, *_save_and_sign(folder, refinement, scene, task.upload, reporter)]
 
 
 def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Sequence[str]:
     """Put the mean of what the edges sent into the scene."""
     scene = load_ply(folder / "scene.ply")
-    refinements = [admit_refinement(each, scene) for each in _receive(folder, task, scene, reporter).values()]
-    reporter.decide(refinement_decision(reporter.stage, refinements, scene))
+    counts: list[int] = []
+    refused: dict[str, str] = {}
+
+    def admitted() -> Iterator[Refinement]:
+        for _, each in _receive(folder, task, scene, refused, reporter):
+            counts.append(len((kept := admit_refinement(each, scene)).rows))
+            yield kept
+
+    refined = refine_scene(scene, admitted())
+    reporter.decide(refinement_decision(reporter.stage, counts, scene))
+    write_json(folder / REFUSED_NAME, refused)
     (folder / REFINED_SCENE).parent.mkdir(exist_ok=True)
-    save_ply(folder / REFINED_SCENE, refine_scene(scene, refinements))
-    return [REFINED_SCENE]
+    save_ply(folder / REFINED_SCENE, refined)
+    return [REFINED_SCENE, REFUSED_NAME]
 
 
 def photographs_of(own: Path) -> Path:
@@ -82,18 +107,22 @@ def correct_cameras(cameras: Cameras, corrections: Sequence[Move]) -> Cameras:
     return cameras
 
 
-def _receive(folder: Path, task: FinishTask, scene: Splats, reporter: EventReporter) -> dict[str, Refinement]:
-    """The refinements that can be used, by sender, in their order."""
+def _receive(
+    folder: Path, task: FinishTask, scene: Splats, refused: dict[str, str], reporter: EventReporter
+) -> Iterator[tuple[str, Refinement]]:
+    """The refinements that can be used, one at a time, in the order of their senders; the others'
+    reasons are added to `refused`, those of senders that changed nothing too."""
     places = {name: folder / "inbox" / name for name in task.senders}
     rejected = find_refusals(folder, task.senders, places, "refinement", folder.parent) if belongs_to_run(folder) else {}
-    found: dict[str, Refinement] = {}
     for (name, place), num_dealt in zip(places.items(), task.num_dealt, strict=True):
         refinement = rejected.get(name) or load_refinement(place, scene, num_dealt)
         if isinstance(refinement, str):
+            refused[name] = refinement
             reporter.warn(f"the refinement of {name} is left out: {refinement}")
-        else:
-            found[name] = refinement
-    return found
+            continue
+        if not len(refinement.rows):
+            refused[name] = NOTHING_REFINED
+        yield name, refinement
 
 
 def _save_and_sign(folder: Path, refinement: Refinement, scene: Splats, upload: UploadFormat, reporter: EventReporter) -> list[str]:

@@ -52,8 +52,21 @@ def system(speeds: tuple[float | None, float] = (1.0, 0.5), bytes_per_s: float =
 def test_a_tree_waits_for_its_slowest_device_and_edge() -> None:
     # b: 3 / 0.5 + 4000 / 1000 = 10; ab: 10 + 4 / 0.8 + 6000 / 2000 = 18; c: 1 + 0.5 + 0.5 + 0.25.
     played = emulate_tree(system(), WORKS)
-    assert played == EmulatedLatency(edge_s=(18.0, 2.25, 0.0), devices_s=10.0, scene_s=25.0)
+    assert played == EmulatedLatency(edge_s=(18.0, 2.25, 0.0), devices_s=10.0, joined_s=25.0, scene_s=25.0)
     assert imbalance(played.edge_s) == pytest.approx((18 - 6.75) / 6.75)
+
+
+def test_refining_adds_its_slowest_edge_and_the_clouds_end() -> None:
+    # b: 1 / 0.5 + 3000 / 1000 = 5; ab: 5 + 0.4 / 0.8 + 1000 / 2000 = 6; c: 0.5 + 1 + 0.25 + 0.25; the cloud: 2.
+    refining = (
+        NodeWork(stage="devices/b/refine", cpu_s=1.0, sent_bytes=3000),
+        NodeWork(stage="edges/ab/refine", cpu_s=0.4, sent_bytes=1000),
+        NodeWork(stage="devices/c/refine", cpu_s=0.5, sent_bytes=1000),
+        NodeWork(stage="edges/c/refine", cpu_s=0.25, sent_bytes=500),
+        NodeWork(stage="cloud/refine", cpu_s=2.0),
+    )
+    played = emulate_tree(system(), [*WORKS, *refining])
+    assert played == EmulatedLatency(edge_s=(18.0, 2.25, 0.0), devices_s=10.0, joined_s=25.0, scene_s=33.0)
 
 
 @pytest.mark.parametrize("factor", [0.25, 0.5])
@@ -78,7 +91,7 @@ def test_a_server_takes_in_one_client_after_another_and_waits_for_none_that_it_r
         for name in names:
             now_s = max(now_s, arrivals_s[name]) + merges[name].cpu_s
         played = emulate_server(system(), [*WORKS[:3], *(merges[name] for name in names)])
-        assert played == EmulatedLatency(edge_s=(), devices_s=max(arrivals_s[name] for name in names[:2]), scene_s=now_s)
+        assert played == EmulatedLatency(edge_s=(), devices_s=max(arrivals_s[name] for name in names[:2]), joined_s=now_s, scene_s=now_s)
 
 
 def test_waiting_is_no_cpu_time() -> None:
@@ -120,7 +133,7 @@ def test_every_time_is_marked_and_nothing_is_made_twice(folder: Path, monkeypatc
     part = latency_part(arms_of(folder), [0], True)
     header, _, *lines = [line for line in part.text.splitlines() if line.startswith("|")]
     times = [title.strip() for title in header.split("|") if " s" in title or "imbalance" in title]
-    assert len(times) == 6 and all(title.rsplit(", ")[-1] in ("simulated", "emulated", "measured") for title in times)
+    assert len(times) == 7 and all(title.rsplit(", ")[-1] in ("simulated", "emulated", "measured") for title in times)
     assert [line.split("|")[1].strip() for line in lines] == ["exact plan", "even plan"]
     rows = {row["method"]: row for row in part.figures["latency"]}
     for row in part.figures["rows"]:
@@ -130,7 +143,7 @@ def test_every_time_is_marked_and_nothing_is_made_twice(folder: Path, monkeypatc
         stages = [node["stage"] for node in row["nodes"]]
         assert stages[-1].split("/")[0] == "cloud" and len(stages) == len(set(stages))
         slowest_s = max(node["cpu_s"] for node in row["nodes"] if node["stage"].count("/") == 1 and node["stage"].startswith("devices/"))
-        assert 0 < own["emulated_devices_s"] < own["emulated_edges_s"] < own["emulated_scene_s"]
+        assert 0 < own["emulated_devices_s"] < own["emulated_edges_s"] < own["emulated_joined_s"] < own["emulated_scene_s"]
         # The slowest device need not be of the edge that is last.
         assert slowest_s < own["emulated_scene_s"]
     assert rows["even plan"]["photographs"] == (2, 2, 2, 2, 2)

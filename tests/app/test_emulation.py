@@ -23,7 +23,8 @@ from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import load_system
-from radiant_core.aggregate.tree import Tree
+from radiant_app.report.html import timeline_of_emulation
+from radiant_core.aggregate.tree import Tree, refined_at
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, seal
 from radiant_core.plan.system import System
@@ -112,14 +113,49 @@ def test_what_is_emulated_says_so_and_the_cloud_is_measured(tmp_path: Path) -> N
     executor(system(tmp_path, (0.5, 0.5)), {}).fold(TREE, preparer(tmp_path), lambda event: manifest.record(event, time.monotonic()))
     assert set(manifest.stages) == {"cloud"}
     assert set(manifest.emulated) == {f"{node}{end}" for node in ("devices/a", "devices/b", "edges/e") for end in ("", "/uplink")}
-    figures = emulated_figures(TREE, manifest.emulated)
+    figures = emulated_figures(tmp_path, TREE, None, manifest)
     seconds = figures["emulated_seconds"]
     slowest_s = max(seconds["devices/a"], seconds["devices/b"])
     assert figures["emulated_makespan_s"] == pytest.approx(slowest_s + seconds["edges/e"], abs=1e-9)
+    cloud_s = manifest.stages["cloud"]["ended_s"] - manifest.stages["cloud"]["started_s"]
+    assert figures["emulated_scene_s"] == pytest.approx(figures["emulated_makespan_s"] + cloud_s, abs=1e-9)
     manifest.keep_stages({"cloud", "devices/a"})
     assert set(manifest.emulated) == {"devices/a", "devices/a/uplink"}
-    lost = emulated_figures(TREE, manifest.emulated)
-    assert lost["emulated_makespan_s"] is None and "on its way" in lost["emulated_reason"]
+    lost = emulated_figures(tmp_path, TREE, None, manifest)
+    assert lost["emulated_makespan_s"] is lost["emulated_scene_s"] is None and "on its way" in lost["emulated_reason"]
+
+
+def test_refining_is_played_too_with_the_bytes_of_its_rows(tmp_path: Path) -> None:
+    """2,000 bytes of Gaussians and 1,000,000 of rows over 8 Mbit/s take a second; a node's time and bytes count for the scene alone."""
+    manifest = Manifest(folder=tmp_path, config={})
+    fleet = executor(system(tmp_path, (0.5, 0.5), (8.0, FAST_LINK)), {})
+    begun_s = time.monotonic()
+
+    def record(event: Event) -> None:
+        manifest.record(event, time.monotonic() - begun_s)
+
+    fleet.fold(TREE, preparer(tmp_path), record)
+    refining = TREE.map_ids(refined_at)
+
+    def prepare(node: Tree) -> NodeTask:
+        task = preparer(tmp_path)(node)
+        (task.folder / "refined.safetensors").write_bytes(bytes(2_000))
+        (task.folder / "rows.safetensors").write_bytes(bytes(1_000_000 if node.id == "devices/a/refine" else 10))
+        return task
+
+    fleet.fold(refining, prepare, record)
+    sending = manifest.emulated["devices/a/refine/uplink"]
+    assert sending["ended_s"] - sending["started_s"] == pytest.approx(1.002, abs=0.15)
+    figures = emulated_figures(tmp_path, TREE, refining, manifest)
+    assert figures["emulated_bytes"]["devices/a/refine"] == 1_002_000 and figures["emulated_bytes"]["devices/a"] == 1
+    seconds = figures["emulated_seconds"]
+    slowest_s = max(seconds[f"devices/{name}/refine"] for name in "ab")
+    clouds_s = sum(manifest.stages[node]["ended_s"] - manifest.stages[node]["started_s"] for node in ("cloud", "cloud/refine"))
+    expected_s = figures["emulated_makespan_s"] + clouds_s + slowest_s + seconds["edges/e/refine"]
+    assert figures["emulated_scene_s"] == pytest.approx(expected_s, abs=1e-9)
+    rows = {row.name: [span.stage for span in row.spans] for row in timeline_of_emulation(manifest)}
+    assert rows["devices/a/refine"] == ["refine", "send"] and rows["edges/e/refine"][0] == "average"
+    assert rows["cloud/refine"] == ["finish"] and rows["cloud"] == ["merge"]
 
 
 def test_a_device_that_did_not_get_its_share_is_named(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.commands.replan import ReplanRequest, replan_files
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
+from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import access_by_tier
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.captured import Captured, _locate_by_poses, _middle, _warn_of_unplaced
@@ -41,6 +42,7 @@ from radiant_core.io.messages import load_task, save_task
 from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene
+from radiant_core.io.run_store import read_json
 from radiant_core.plan.revision.replan import FleetChange
 from radiant_core.sfm.given_poses import read_given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
@@ -337,6 +339,12 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     assert list(result.metrics["missing"]) == ["south-1"] and "triangulated" in result.metrics["missing"]["south-1"]
     assert any(isinstance(event, Warned) and event.stage == "devices/south-1" for event in events)
     assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100
+    assert (result.metrics["refined"], result.metrics["not_refined"]) == (False, {}), "one device alone is left, which knows all"
+    decisions = read_json(config.out / "manifest.json")["decisions"]
+    assert [one["choice"] for one in decisions if one["stage"] == "cloud/refine"] == ["the scene stays as it was joined"]
+    progress = read_progress(config.out)
+    ended = {stage.stage for stage in progress.stages if stage.state == "done"}
+    assert set(progress.expected) <= ended and "cloud/refine" not in progress.expected, "the count of stages ends"
     new = replan_files(ReplanRequest(source=config.out, out=tmp_path / "new.json"), ProgressDisplay(Console(file=io.StringIO())))
     dealt = next(plan for plan in load_plan(config.out / "plan.json")[1] if "south-1" in plan.device_ids)
     assert f"photographs that never arrived, of south-1 ({len(dealt.cameras_of('south-1'))}): have them taken again" in new["warnings"]

@@ -13,7 +13,7 @@ first and the cloud averages the edges, whose weights are rounded down to powers
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,12 +24,19 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.numerics import FloatArray, check_array
-from radiant_core.splats import Splats
+from radiant_core.splats import SH_BASES, Splats
 
-MAX_MOVE, MAX_GROWTH, MAX_BRIGHTER, MAX_DENSER = 10.0, 1.0, 1.0, 3.0
-"""The most that refining may change: place in sizes of the Gaussian, logarithm of its size, first
-harmonic, logit of its opacity. In the town 3.2, 0.22, 0.12 and 0.5 were the largest of 45,209."""
+MAX_MOVE, MAX_TURN_DEG = 0.75, 20.0
+MAX_CHANGES = {"log_scales": 0.3, "logit_opacities": 0.75, "sh0": 0.2, "shN": 0.05}
+"""The most that refining may change, up or down: place in sizes of the Gaussian, its rotation, and
+values of its other parameters. Devices keep to it, so that whatever exceeds it is not theirs."""
+MARGIN = 0.97
+"""Share of it that devices keep to: an upload in 16 bits rounds."""
 NO_CAMERAS = concatenate_cameras([])
+BLOCK_ROWS = 65536
+"""Gaussians averaged at a time, whose values are float64 meanwhile."""
+AVERAGE_PROCESS_BYTES, AVERAGE_COPIES, AVERAGE_BYTES_PER_SPLAT = 150_000_000, 4, 60
+"""Of a worker with its libraries; of the scene; beside these."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,23 +56,45 @@ class Refinement:
             raise BadInput("a refinement has rows that do not rise from 0 on, or weights that are not positive: send it again.")
 
 
-def average_refinements(refinements: Sequence[Refinement], scene: Splats) -> Refinement:
+def average_bytes(num_splats: int, sh_degree: int) -> float:
+    """Most bytes of a process that averages refinements of a scene, of however many senders.
+
+    They are read one after another, so that beside the scene there are only their mean, one of them
+    and what it is decoded from: `tests/stress/test_average_memory.py`.
+    """
+    return AVERAGE_PROCESS_BYTES + num_splats * (AVERAGE_COPIES * 4 * (11 + 3 * SH_BASES[sh_degree]) + AVERAGE_BYTES_PER_SPLAT)
+
+
+def average_refinements(refinements: Iterable[Refinement], scene: Splats) -> Refinement:
     """The weighted mean of refinements of `scene` (N), of the Gaussians that
     any of them has. Raises BadInput for one with a `refinement_problem`."""
-    total = np.zeros(len(scene))
-    sums = {name: np.zeros(array.shape) for name, array in scene.arrays().items()}
+    mean, weights = _mean(refinements, scene)
+    rows = np.flatnonzero(weights)
+    return Refinement(rows=rows, splats=mean.select(rows), weights=weights[rows].astype(np.float32))
+
+
+def _mean(refinements: Iterable[Refinement], scene: Splats) -> tuple[Splats, FloatArray]:
+    """`scene` with the running mean of its refinements in place, and their summed weights (N,); of
+    an iterator one refinement at a time is held."""
+    weights = np.zeros(len(scene))
+    mean = {name: array.copy() for name, array in scene.arrays().items()}
     for each in refinements:
         if (problem := refinement_problem(each, scene)) is not None:
             raise BadInput(problem)
-        total[each.rows] += each.weights
-        # q and −q are one rotation, and their mean none.
-        turned = np.sign((each.splats.quats * scene.quats[each.rows]).sum(axis=1, keepdims=True))
-        near = replace(each.splats, quats=np.where(turned < 0, -each.splats.quats, each.splats.quats))
-        for name, array in near.arrays().items():
-            sums[name][each.rows] += array * _per_row(each.weights, array.ndim)
-    rows = np.flatnonzero(total)
-    arrays = {name: (values[rows] / _per_row(total[rows], values.ndim)).astype(np.float32) for name, values in sums.items()}
-    return Refinement(rows=rows, splats=replace(scene.select(rows), **arrays), weights=total[rows].astype(np.float32))
+        for start in range(0, len(each.rows), BLOCK_ROWS):
+            part = slice(start, start + BLOCK_ROWS)
+            rows = each.rows[part]
+            weights[rows] += each.weights[part]
+            share = each.weights[part] / weights[rows]
+            # q and −q are one rotation, and their mean none.
+            turned = (each.splats.quats[part] * scene.quats[rows]).sum(axis=1) < 0
+            for name, array in mean.items():
+                value = each.splats.arrays()[name][part].astype(np.float64)
+                if name == "quats":
+                    value[turned] *= -1
+                before = array[rows].astype(np.float64)
+                array[rows] = before + (value - before) * _per_row(share, array.ndim)
+    return replace(scene, **mean), weights
 
 
 def refinement_problem(refinement: Refinement, scene: Splats, num_dealt: float = float("inf")) -> str | None:
@@ -83,6 +112,24 @@ def refinement_problem(refinement: Refinement, scene: Splats, num_dealt: float =
     return check_splats(splats, NO_CAMERAS)
 
 
+def limit_changes(before: Splats, after: Splats) -> Splats:
+    """`after` as near to `before` (N each) as refining may change it; what is nearer keeps its
+    bits."""
+    shift = after.means.astype(np.float64) - before.means
+    far_m = np.linalg.norm(shift, axis=1)
+    most_m = MARGIN * MAX_MOVE * np.exp(before.log_scales.astype(np.float64).max(axis=1, initial=-np.inf))
+    arrays = {name: array.copy() for name, array in after.arrays().items()}
+    chosen = far_m > most_m
+    arrays["means"][chosen] = before.means[chosen] + shift[chosen] * (most_m[chosen] / far_m[chosen])[:, None]
+    chosen = _turned_deg(before.quats, after.quats) > MARGIN * MAX_TURN_DEG
+    arrays["quats"][chosen] = _turned_by(before.quats[chosen], after.quats[chosen], MARGIN * MAX_TURN_DEG)
+    for name, most in MAX_CHANGES.items():
+        start = before.arrays()[name].astype(np.float64)
+        chosen = np.abs(arrays[name] - start) > MARGIN * most
+        arrays[name][chosen] = np.clip(arrays[name], start - MARGIN * most, start + MARGIN * most)[chosen]
+    return replace(after, **arrays)
+
+
 def admit_refinement(refinement: Refinement, scene: Splats, cameras: Cameras | None = None) -> Refinement:
     """What of a refinement counts: Gaussians that changed no more than refining does and, where the
     sender's `cameras` are known, that these show, weighted by how many of them do.
@@ -93,19 +140,41 @@ def admit_refinement(refinement: Refinement, scene: Splats, cameras: Cameras | N
     before = scene.select(rows)
     moved = np.linalg.norm(after.means.astype(np.float64) - before.means, axis=1)
     kept = moved <= MAX_MOVE * np.exp(before.log_scales.astype(np.float64).max(axis=1, initial=-np.inf))
-    kept &= (after.log_scales - before.log_scales <= MAX_GROWTH).all(axis=1)
-    kept &= (np.abs(after.sh0 - before.sh0) <= MAX_BRIGHTER).all(axis=(1, 2))
-    kept &= after.logit_opacities - before.logit_opacities <= MAX_DENSER
+    kept &= _turned_deg(before.quats, after.quats) <= MAX_TURN_DEG
+    for name, most in MAX_CHANGES.items():
+        change = np.abs(after.arrays()[name].astype(np.float64) - before.arrays()[name])
+        kept &= (change <= most).reshape(len(rows), -1).all(axis=1)
     weights = refinement.weights.astype(np.float64)
     if cameras is not None:
         kept &= reached_by(before, cameras)
         # Large ones may show with their centre outside of all pictures.
         weights = np.maximum(_times_shown(before, cameras), 0.5)
     chosen = np.flatnonzero(kept)
-    return Refinement(rows=rows[chosen], splats=after.select(chosen), weights=weights[chosen].astype(np.float32))
+    admitted = after.select(chosen)
+    # A quaternion's length is no part of its rotation, but it is a weight in a mean.
+    lengths = [np.linalg.norm(each.quats.astype(np.float64), axis=1, keepdims=True) for each in (before.select(chosen), admitted)]
+    quats = (admitted.quats * (lengths[0] / lengths[1])).astype(np.float32)
+    return Refinement(rows=rows[chosen], splats=replace(admitted, quats=quats), weights=weights[chosen].astype(np.float32))
 
 
-def join_refinements(refinements: Sequence[Refinement], scene: Splats) -> Refinement:
+def _turned_deg(before: NDArray[np.float32], after: NDArray[np.float32]) -> FloatArray:
+    """Angles (N,) between rotations by quaternions (N,4) of any length; 180 where one has none."""
+    first, second = before.astype(np.float64), after.astype(np.float64)
+    lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
+    cosines = np.abs((first * second).sum(axis=1)) / np.where(lengths > 0, lengths, np.inf)
+    return np.rad2deg(2 * np.arccos(np.minimum(cosines, 1.0)))
+
+
+def _turned_by(before: NDArray[np.float32], after: NDArray[np.float32], angle_deg: float) -> FloatArray:
+    """Unit quaternions (N,4) on the way from rotations to others that differ, by that angle."""
+    first, second = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (before.astype(np.float64), after.astype(np.float64)))
+    cosines = (first * second).sum(axis=1, keepdims=True)
+    aside = np.where(cosines < 0, -second, second) - first * np.abs(cosines)
+    half = np.deg2rad(angle_deg / 2)
+    return np.cos(half) * first + np.sin(half) * aside / np.linalg.norm(aside, axis=1, keepdims=True)
+
+
+def join_refinements(refinements: Iterable[Refinement], scene: Splats) -> Refinement:
     """What an edge sends on: the mean of its devices' refinements, with weights rounded down to
     powers of two, which say less of where photographs were taken."""
     mean = average_refinements(refinements, scene)
@@ -120,13 +189,9 @@ def _times_shown(splats: Splats, cameras: Cameras) -> FloatArray:
     return times
 
 
-def refine_scene(scene: Splats, refinements: Sequence[Refinement]) -> Splats:
+def refine_scene(scene: Splats, refinements: Iterable[Refinement]) -> Splats:
     """`scene` with the mean of its refinements in place; other Gaussians keep their bits."""
-    refinement = average_refinements(refinements, scene)
-    arrays = {name: array.copy() for name, array in scene.arrays().items()}
-    for name, array in refinement.splats.arrays().items():
-        arrays[name][refinement.rows] = array
-    return replace(scene, **arrays)
+    return _mean(refinements, scene)[0]
 
 
 def _per_row(values: NDArray[np.floating], ndim: int) -> NDArray[np.float64]:

@@ -9,7 +9,6 @@ from radiant_core.decisions import Decision
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from radiant_core.aggregate.averaging import Refinement
     from radiant_core.aggregate.balance import Balance
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.join import Check, Joined
@@ -106,13 +105,13 @@ def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Dec
     )
 
 
-def refinement_decision(stage: str, refinements: Sequence[Refinement], scene: Splats) -> Decision:
-    """How much of the scene devices have refined, by what edges sent."""
-    num_refined = sum(len(each.rows) for each in refinements)
+def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Decision:
+    """How much of the scene devices have refined, by the Gaussians that each edge sent."""
+    num_refined = sum(counts)
     return Decision(
         stage=stage,
         topic="refinement",
-        choice=f"the scene is refined by the photographs below {len(refinements)} edges",
+        choice=f"the scene is refined by the photographs below {len(counts)} edges",
         figure=float(num_refined),
         unit=f"refined Gaussians arrived, of {len(scene):,}",
         reason="joining shows models only pictures of models; devices show it their photographs",

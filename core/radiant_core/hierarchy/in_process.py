@@ -19,6 +19,7 @@ from radiant_core.hierarchy.edge import join_edge
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, EdgeModel, SceneModel, device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refine import refine_device
+from radiant_core.hierarchy.refining_plan import plan_refining
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
 from radiant_core.scene import SfmScene
@@ -77,8 +78,10 @@ def _refine(
 ) -> InProcessRun:
     """The run after the devices in the scene have refined it."""
     splats = joined.scene.splats
+    if splats is None:
+        return joined
     present = {edge: devices_in(joined.edges[edge].corrections) for edge in devices_in(joined.scene.corrections)}
-    if splats is None or not recipe.aggregate.refine_epochs or sum(map(len, present.values())) < 2:
+    if not (refining := plan_refining(recipe, present, len(splats)).devices):
         return joined
     sent: dict[str, Refinement] = {}
 
@@ -87,7 +90,7 @@ def _refine(
         return [] if isinstance(arrived, str) else [sent.setdefault(node, arrived)]
 
     by_edge: list[Refinement] = []
-    for edge, devices in present.items():
+    for edge, devices in refining.items():
         own: list[Refinement] = []
         for device in devices:
             node, rows = refined_at(f"devices/{device}"), recipe.cameras_of(device)
@@ -98,7 +101,7 @@ def _refine(
         reporter_of(node)
         by_edge += [admit_refinement(each, splats) for each in send(node, join_refinements(own, splats))]
     reporter = reporter_of(refined_at("cloud"))
-    reporter.decide(refinement_decision(reporter.stage, by_edge, splats))
+    reporter.decide(refinement_decision(reporter.stage, [len(each.rows) for each in by_edge], splats))
     return replace(joined, scene=replace(joined.scene, splats=refine_scene(splats, by_edge)), refinements=sent)
 
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.averaging import Refinement
+from radiant_core.aggregate.averaging import Refinement, limit_changes
 from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.decisions import Decision
 from radiant_core.geometry.coverage import reached_by
@@ -84,6 +84,7 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     )
     options = fit_options(task.backend, reporter, machine, lambda: training_key(start, views, config, bare))
     fitted = fit_splats(start, views, config, replace(options, steps=bare.steps, statistics_bytes=bare.statistics_bytes)).splats
+    fitted = limit_changes(start, fitted)
     kept = np.flatnonzero(_changed(start, fitted))
     return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=np.ones(len(kept), np.float32))
 

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from radiant_core.aggregate import averaging
 from radiant_core.aggregate.averaging import (
     Refinement,
     admit_refinement,
     average_refinements,
     join_refinements,
+    limit_changes,
     refine_scene,
     refinement_problem,
 )
 from radiant_core.errors import BadInput
+from radiant_core.io.messages import passed_refinement
 from tests.core.scenes import cameras_above, ground_splats
 
 SCENE = ground_splats(200)
@@ -84,15 +89,92 @@ def test_a_sender_changes_only_what_its_cameras_show_and_no_more_than_refining_d
     assert 0 < len(own.rows) < len(SCENE) and own.weights.max() == 1
     shown = cameras.any_sees(SCENE.means)
     assert set(np.flatnonzero(shown)) <= set(own.rows.tolist())
-    part = refined([3, 5, 7, 9, 11], 0.1)
-    splats = part.splats
-    means, scales, sh0, logits = (array.copy() for array in (splats.means, splats.log_scales, splats.sh0, splats.logit_opacities))
-    means[0] += 1e3
-    scales[1] += 4.9
-    sh0[2] = 50
-    logits[3] += 9
-    hostile = replace(part, splats=replace(splats, means=means, log_scales=scales, sh0=sh0, logit_opacities=logits))
-    assert admit_refinement(hostile, SCENE).rows.tolist() == [11]
+
+
+def test_changes_beyond_what_refining_does_count_in_no_direction() -> None:
+    everything = np.arange(len(SCENE))
+    for name, most in averaging.MAX_CHANGES.items():
+        for sign in (-1, 1):
+            changed = SCENE.arrays()[name].copy()
+            changed[3:5] += np.float32(sign * 1.01 * most)
+            changed[7:9] += np.float32(sign * 0.99 * most)
+            hostile = Refinement(rows=everything, splats=replace(SCENE, **{name: changed}), weights=np.ones(len(SCENE), np.float32))
+            lost = {3, 4} if changed.size else set()
+            assert set(everything) - set(admit_refinement(hostile, SCENE).rows.tolist()) == lost, (name, sign)
+    sizes = np.exp(SCENE.log_scales.max(axis=1))
+    means, quats = SCENE.means.copy(), SCENE.quats.copy()
+    means[3, 0] += 1.01 * averaging.MAX_MOVE * sizes[3]
+    means[5, 1] += 0.99 * averaging.MAX_MOVE * sizes[5]
+    quats[7:9] = averaging._turned_by(SCENE.quats[7:9], SCENE.quats[7:9, [1, 0, 3, 2]] * [-1, 1, -1, 1], averaging.MAX_TURN_DEG + 1)
+    quats[9:11] = averaging._turned_by(SCENE.quats[9:11], SCENE.quats[9:11, [1, 0, 3, 2]] * [-1, 1, -1, 1], averaging.MAX_TURN_DEG - 1)
+    quats[11] *= -3
+    hostile = Refinement(rows=everything, splats=replace(SCENE, means=means, quats=quats), weights=np.ones(len(SCENE), np.float32))
+    assert set(everything) - set(admit_refinement(hostile, SCENE).rows.tolist()) == {3, 7, 8}
+
+
+@pytest.mark.parametrize("amount", [0.0, 1e-3, 0.1, 30.0])
+def test_what_a_device_limits_is_admitted_whole_and_what_is_within_keeps_its_bits(amount: float) -> None:
+    rng = np.random.default_rng(3)
+    changed = {name: (array + amount * rng.normal(size=array.shape)).astype(np.float32) for name, array in SCENE.arrays().items()}
+    fitted = replace(SCENE, **changed)
+    limited = limit_changes(SCENE, fitted)
+    everything = Refinement(rows=np.arange(len(SCENE)), splats=limited, weights=np.ones(len(SCENE), np.float32))
+    arrived = passed_refinement(everything, "float16", SCENE)
+    assert not isinstance(arrived, str) and len(admit_refinement(arrived, SCENE).rows) == len(SCENE)
+    near = admit_refinement(replace(everything, splats=fitted), SCENE).rows
+    assert len(near) == (len(SCENE) if amount <= 1e-3 else 0 if amount > 1 else len(near))
+    inner = np.setdiff1d(near, np.flatnonzero([(limited.quats != fitted.quats).any(axis=1)][0]))
+    for name, array in limited.select(inner).arrays().items():
+        np.testing.assert_allclose(array, fitted.select(inner).arrays()[name], atol=0.04)
+    if amount <= 1e-3:
+        for name, array in limited.arrays().items():
+            np.testing.assert_array_equal(array, fitted.arrays()[name])
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "log_scales", "logit_opacities", "sh0"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, -3e38])
+def test_no_poisoned_number_reaches_a_scene(name: str, value: float) -> None:
+    """Refused where it is read, or not admitted: no value of the refined scene is another than without it."""
+    array = SCENE.arrays()[name].copy()
+    array.reshape(len(array), -1)[5, 0] = value
+    if not np.isfinite(value):
+        with pytest.raises(BadInput, match=name):
+            replace(SCENE, **{name: array})
+        return
+    weights = np.full(len(SCENE), 9, np.float32)
+    hostile = Refinement(rows=np.arange(len(SCENE)), splats=replace(SCENE, **{name: array}), weights=weights)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if refinement_problem(hostile, SCENE) is None:
+            for key, values in refine_scene(SCENE, [admit_refinement(hostile, SCENE)]).arrays().items():
+                np.testing.assert_allclose(values, SCENE.arrays()[key], rtol=1e-6)
+
+
+def test_many_refinements_are_held_one_at_a_time() -> None:
+    """The mean of an iterator equals the float64 mean of all, and no refinement outlives the next one."""
+    rng, alive, made = np.random.default_rng(1), [], []
+
+    def arriving() -> Iterator[Refinement]:
+        for _ in range(12):
+            assert sum(one() is not None for one in alive) <= 1
+            chosen = np.flatnonzero(rng.random(len(SCENE)) < 0.5)
+            part = SCENE.select(chosen)
+            noise = rng.normal(0, 0.1, part.sh0.shape).astype(np.float32)
+            one = Refinement(
+                rows=chosen, splats=replace(part, sh0=part.sh0 + noise), weights=rng.integers(1, 30, len(chosen)).astype(np.float32)
+            )
+            made.append((chosen, one.splats.sh0.astype(np.float64), one.weights.astype(np.float64)))
+            alive.append(weakref.ref(one))
+            yield one
+            del one
+
+    refined_scene = refine_scene(SCENE, arriving())
+    sums, total = np.zeros(SCENE.sh0.shape), np.zeros(len(SCENE))
+    for rows, values, weights in made:
+        sums[rows] += values * weights[:, None, None]
+        total[rows] += weights
+    sent = total > 0
+    np.testing.assert_allclose(refined_scene.sh0[sent], (sums[sent] / total[sent, None, None]), atol=1e-6)
+    np.testing.assert_array_equal(refined_scene.sh0[~sent], SCENE.sh0[~sent])
 
 
 def test_an_edge_tells_powers_of_two_and_opposite_quaternions_are_one_rotation() -> None:

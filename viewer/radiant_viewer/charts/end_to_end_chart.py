@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import BLUE, GREEN, GREY, ORANGE, unit_rgb
+from radiant_viewer.layers.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, unit_rgb
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, titled_figure
 
 PANEL_PX, LABEL_PX, NOTE_PX, ROW_PX, TOP_PX, HEAD_PX, FOOT_PX = 620, 250, 190, 46, 62, 30, 46
 KEYS_PX = 34
-COLORS = tuple(map(unit_rgb, (BLUE, ORANGE, GREEN)))
+COLORS = tuple(map(unit_rgb, (BLUE, ORANGE, GREEN, PURPLE)))
 """Of the phases in turn."""
 
 

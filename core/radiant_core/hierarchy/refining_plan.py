@@ -1,0 +1,79 @@
+"""Which devices refine a joined scene, by whose edges. Once per run.
+
+Those whose models are in the scene, below edges whose memory holds its average; none where the
+settings ask for none, the cloud's memory does not hold it, or fewer than two are left: one device
+alone has fitted its model to all of its photographs before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from radiant_core.aggregate.averaging import average_bytes
+from radiant_core.aggregate.tree import refined_at
+from radiant_core.decisions import Decision
+from radiant_core.hierarchy.recipe import Recipe
+
+LEAST_DEVICES = 2
+STAGE = refined_at("cloud")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefiningPlan:
+    """Who refines, and why others with a model in the scene do not."""
+
+    devices: Mapping[str, Sequence[str]]
+    """Edge → its devices that refine; empty where the scene stays as it was joined."""
+    decisions: tuple[Decision, ...] = ()
+
+
+def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_splats: int) -> RefiningPlan:
+    """Plan the refining of a scene.
+
+    Args:
+        recipe: settings, and the limits of memory of its system.
+        present: edge → its devices whose models are in the scene.
+        num_splats: Gaussians of the scene.
+
+    Returns:
+        The devices by edge, and a decision wherever the settings ask for more.
+    """
+    if not recipe.aggregate.refine_epochs:
+        return RefiningPlan(devices={})
+    needed = average_bytes(num_splats, recipe.train.sh_degree)
+    cloud, limits = recipe.system.cloud, {edge.id: edge.memory_bytes for edge in recipe.system.edges}
+    if cloud.memory_bytes is not None and cloud.memory_bytes < needed:
+        return RefiningPlan(devices={}, decisions=(_too_large("the scene is not refined", needed, "the cloud", cloud.memory_bytes),))
+    kept, decisions = {}, []
+    for edge, devices in present.items():
+        limit = limits.get(edge)
+        if devices and limit is not None and limit < needed:
+            decisions.append(_too_large(f"the scene is not refined by {', '.join(devices)}", needed, edge, limit))
+        elif devices:
+            kept[edge] = tuple(devices)
+    if (num_left := sum(map(len, kept.values()))) < LEAST_DEVICES:
+        return RefiningPlan(devices={}, decisions=(*decisions, _too_few(num_left)))
+    return RefiningPlan(devices=kept, decisions=tuple(decisions))
+
+
+def _too_large(choice: str, needed_bytes: float, where: str, limit_bytes: float) -> Decision:
+    return Decision(
+        stage=STAGE,
+        topic="refinement",
+        choice=choice,
+        figure=needed_bytes / 1e9,
+        unit="GB needed to average what devices refine",
+        reason=f"memory_gb of {where} allows {limit_bytes / 1e9:.2f}",
+    )
+
+
+def _too_few(num_devices: int) -> Decision:
+    return Decision(
+        stage=STAGE,
+        topic="refinement",
+        choice="the scene stays as it was joined",
+        figure=float(num_devices),
+        unit="devices could refine it",
+        reason=f"a device alone has fitted its model to its photographs before: {LEAST_DEVICES} are needed",
+    )

@@ -1,0 +1,81 @@
+"""How long the nodes that refine a scene may take, from what their own nodes took before. Once per
+run.
+
+    device   the time of its process beside training, and that of training × the share of its steps
+             × how much larger the scene is than its model
+    edge     the time of joining × how much larger the scene is than its model; the cloud: as it is
+
+Refining has no cost curve and needs none: each of its machines has just been measured. The rule is
+that of trainings and joins (`time_left.py`): given up after `execution.deadline_factor` times as
+long, never within a minute, and a warning at `OVERDUE_FACTOR` times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+from radiant_app.files.run_folder import Manifest
+from radiant_app.run.refining import Refining
+from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
+from radiant_core.aggregate.tree import refined_at
+from radiant_core.io.messages import SUMMARY_NAME
+from radiant_core.io.run_store import read_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefiningDeadlines:
+    """`Deadlines` of the nodes that refine."""
+
+    expected_s: Mapping[str, float]
+    """Node id → seconds it should take; a node that is absent has no deadline."""
+    deadline_factor: float
+    """A node is given up after this many times as long; 0: never."""
+
+    def overdue_reason(self, node_id: str, ran_s: float) -> str | None:
+        """See `Deadlines`."""
+        return self._reason_over(node_id, ran_s, OVERDUE_FACTOR)
+
+    def timeout_reason(self, node_id: str, ran_s: float) -> str | None:
+        """See `Deadlines`."""
+        return self._reason_over(node_id, ran_s, self.deadline_factor) if self.deadline_factor else None
+
+    def exclude_pause(self, node_ids: Collection[str], seconds: float) -> None:
+        """See `Deadlines`: the times of these nodes predict nothing anyway."""
+
+    def _reason_over(self, node_id: str, ran_s: float, factor: float) -> str | None:
+        expected_s = self.expected_s.get(node_id)
+        if expected_s is None or ran_s < max(LEAST_S, factor * expected_s):
+            return None
+        return f"it has run for {ran_s:.0f} s, where its own work before the scene was joined says {expected_s:.0f} s"
+
+
+def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
+    """Seconds that each node of a refinement should take; one whose own time is not known gets the
+    median of its tier."""
+    dealer, scene = refining.dealer, _summary(refining.dealer.run / "cloud")
+    times = {**manifest.stages, **manifest.emulated}
+    expected: dict[str, float] = {}
+    for node in refining.tree or ():
+        own = node.id.removesuffix(refined_at(""))
+        process_s = times[own]["ended_s"] - times[own]["started_s"] if own in times else 0.0
+        if process_s <= 0:
+            continue
+        summary = _summary(dealer.run / own)
+        larger = max(1.0, scene.get("num_splats", 0) / max(1, summary.get("num_splats", 0)))
+        trained_s = min(process_s, summary.get("train_s", 0.0)) if node.tier == "device" else 0.0
+        num_steps = dealer.recipe.aggregate.refine_epochs * dealer.photographs.num_dealt(own.rsplit("/", 1)[-1]) if trained_s else 0
+        beside_s = (process_s - trained_s) * (1.0 if node.tier == "device" else larger)
+        expected[node.id] = beside_s + trained_s * larger * num_steps / max(1, summary.get("num_steps", 0))
+    for node in refining.tree or ():
+        alike = [expected[other.id] for other in refining.tree or () if other.tier == node.tier and other.id in expected]
+        if alike:
+            expected.setdefault(node.id, median(alike))
+    return expected
+
+
+def _summary(folder: Path) -> Mapping[str, float]:
+    path = folder / SUMMARY_NAME
+    return read_json(path) if path.is_file() else {}

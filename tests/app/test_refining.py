@@ -1,0 +1,135 @@
+"""Refining a scene where a device is late or sends nothing: how long it is waited for, and who tells of it. Processes are stand-ins."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from radiant_app.events import Event, Warned
+from radiant_app.executors.fold import RetryPolicy
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.files.run_folder import Manifest
+from radiant_app.run import refining_deadlines
+from radiant_app.run.refining import LATE, UNUSED, Refining, left_out_decision
+from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
+from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
+from radiant_app.workers.refining import NOTHING_REFINED
+from radiant_core.aggregate.tree import Tree
+from radiant_core.io.run_store import seal, write_json
+from tests.app.test_faults import planned
+
+HANG = """
+from radiant_app.events import Heartbeat, encode
+import time
+while True:
+    print(encode(Heartbeat(stage="x")), flush=True)
+    time.sleep(0.1)
+"""
+SEAL = (
+    "from radiant_core.io.run_store import seal, write_json\nwrite_json(Path('refused.json'), {})\nseal(Path('.'), 'key', ['refused.json'])"
+)
+
+
+@pytest.fixture
+def refining(tmp_path: Path) -> Refining:
+    """Two edges of two devices, the scene of which has twice the Gaussians of any model."""
+    dealer, tree = planned(tmp_path)
+    for node in tree:
+        (tmp_path / node.id).mkdir(parents=True)
+        size = {"num_splats": 2000 if node.tier == "cloud" else 1000}
+        write_json(tmp_path / node.id / "summary.json", size | {"num_steps": 200, "train_s": 20.0})
+    return Refining(dealer=dealer, moves={node.name: () for node in tree if node.tier == "device"})
+
+
+def manifest_of(refining: Refining, seconds: dict[str, float]) -> Manifest:
+    stages = {stage: {"started_s": 5.0, "ended_s": 5.0 + spent_s} for stage, spent_s in seconds.items()}
+    return Manifest(folder=refining.dealer.run, config={}, stages=stages)
+
+
+def nodes_of(refining: Refining, tier: str) -> list[Tree]:
+    assert refining.tree is not None
+    return [node for node in refining.tree if node.tier == tier]
+
+
+def test_refining_is_expected_to_take_as_long_as_its_share_of_what_was_measured(refining: Refining) -> None:
+    devices, edges = nodes_of(refining, "device"), nodes_of(refining, "edge")
+    owners = [node.id.removesuffix("/refine") for node in devices]
+    seconds = {owners[0]: 26.0, owners[1]: 32.0, "edges/edge-1": 7.0, "cloud": 3.0}
+    expected = expected_times(refining, manifest_of(refining, seconds))
+    epochs = refining.dealer.recipe.aggregate.refine_epochs
+    dealt = [refining.dealer.photographs.num_dealt(Path(owner).name) for owner in owners]
+    # 20 of a process's seconds trained, 0.1 s a step on half the scene's Gaussians.
+    times = [spent_s - 20 + 2 * 0.1 * epochs * count for spent_s, count in zip((26.0, 32.0), dealt, strict=False)]
+    assert [expected[node.id] for node in devices[:2]] == pytest.approx(times)
+    assert [expected[node.id] for node in devices[2:]] == pytest.approx([sum(times) / 2] * 2), "the median of those that are known"
+    assert [expected[node.id] for node in edges] == [14.0, 14.0] and expected["cloud/refine"] == 3.0
+    assert expected_times(refining, manifest_of(refining, {})) == {}, "what was never measured has no deadline"
+    assert set(expected_times(refining, manifest_of(refining, {"cloud": 0.0}))) == set()
+
+
+def test_the_rule_is_that_of_trainings(refining: Refining) -> None:
+    del refining
+    deadlines = RefiningDeadlines(expected_s={"devices/a/refine": 30.0, "devices/b/refine": 1.0}, deadline_factor=10.0)
+    assert deadlines.timeout_reason("devices/a/refine", 299.0) is None
+    reason = deadlines.timeout_reason("devices/a/refine", 300.0)
+    assert reason == "it has run for 300 s, where its own work before the scene was joined says 30 s"
+    assert deadlines.overdue_reason("devices/a/refine", OVERDUE_FACTOR * 30) is not None
+    assert deadlines.timeout_reason("devices/b/refine", LEAST_S - 1) is None is not deadlines.timeout_reason("devices/b/refine", LEAST_S)
+    assert deadlines.timeout_reason("devices/c/refine", 1e9) is None
+    patient = replace(deadlines, deadline_factor=0.0)
+    assert patient.timeout_reason("devices/a/refine", 1e9) is None is not patient.overdue_reason("devices/a/refine", 1e9)
+
+
+def test_who_hangs_with_a_heartbeat_is_given_up_left_out_and_named(refining: Refining, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refining_deadlines, "LEAST_S", 2.0)
+    tree, run = refining.tree, refining.dealer.run
+    assert tree is not None
+    late = nodes_of(refining, "device")[1]
+
+    def command(task: NodeTask) -> list[str]:
+        work = HANG if task.stage == late.id else SEAL
+        return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\nfrom pathlib import Path\n{work}"]
+
+    def prepare(node: Tree) -> NodeTask:
+        (run / node.id).mkdir(parents=True, exist_ok=True)
+        refining.keys[node.id] = "key"
+        return NodeTask(kind=node.tier, stage=node.id, folder=run / node.id, key="key")
+
+    events: list[Event] = []
+    # The stand-ins of the others take as long as a busy machine lets them.
+    expected_s = {node.id: 0.1 if node.id == late.id else 1e4 for node in tree}
+    deadlines = RefiningDeadlines(expected_s=expected_s, deadline_factor=1.0)
+    policy = RetryPolicy(may_fail=lambda node, error: True, max_attempts=3, deadlines=deadlines)
+    LocalExecutor(num_workers=4, command=command, retry_policy=policy).fold(tree, prepare, events.append)
+    assert any(isinstance(event, Warned) and event.stage == late.id and "was given up" in event.message for event in events)
+    name = Path(late.id).parent.name
+    assert refining.left_out() == {name: LATE}
+    decision = left_out_decision("cloud/refine", refining.left_out(), 4)
+    assert name in decision.choice and (decision.figure, decision.unit) == (1.0, "of 4 devices") and "given up" in decision.reason
+
+
+def test_every_device_that_did_not_refine_the_scene_has_its_reason(refining: Refining) -> None:
+    run = refining.dealer.run
+    (first, second, third, fourth), edges = nodes_of(refining, "device"), nodes_of(refining, "edge")
+    names = [Path(node.id).parent.name for node in (first, second, third, fourth)]
+
+    def done(node: str, refused: dict[str, str]) -> None:
+        (run / node).mkdir(parents=True, exist_ok=True)
+        write_json(run / node / "refused.json", refused)
+        seal(run / node, "key", ["refused.json"])
+        refining.keys[node] = "key"
+
+    assert refining.left_out() == dict.fromkeys(names, LATE), "none has begun"
+    for node in (first, second, third, fourth):
+        done(node.id, {})
+    assert refining.left_out() == dict.fromkeys(names, UNUSED)
+    done(edges[0].id, {names[1]: "its signature is not its own."})
+    done(edges[1].id, {})
+    done("cloud/refine", {})
+    assert refining.left_out() == {names[1]: "its signature is not its own."}
+    done("cloud/refine", {Path(edges[1].id).parent.name: NOTHING_REFINED})
+    assert refining.left_out() == {names[1]: "its signature is not its own.", names[2]: NOTHING_REFINED, names[3]: NOTHING_REFINED}
