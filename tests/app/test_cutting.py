@@ -18,18 +18,19 @@ from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.files.run_folder import Manifest, recorded_config
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.cutting import LEAST_RISE
+from radiant_app.run.cutting import LEAST_RISE, looks_pay
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.progress import Progress
 from radiant_app.run.source import Plan
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.frames import Frame, Sim3
+from radiant_core.frames import Frame, Sim3, geodetic_from_enu
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.records import load_plan, save_scene
+from radiant_core.io.records import load_plan, save_plan, save_scene
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.looks import camera_looks
 from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import num_cameras_outside, plan_regions
 from radiant_core.scene import SfmScene
@@ -126,6 +127,27 @@ def test_an_orbit_is_cut_where_its_cameras_stand(tmp_path: Path) -> None:
     assert made.cloud.looks is None and 0 < decision["figure"] < LEAST_RISE
 
 
+@pytest.mark.parametrize(
+    ("stand", "look", "pays"),
+    [
+        (0.01, 0.38, True),  # lewis
+        (0.10, 0.32, True),  # street
+        (0.02, 0.07, False),  # orbit
+        (0.57, 0.58, False),  # town
+        (0.67, 0.70, False),  # caliterra
+        (0.39, 0.52, False),  # brighton: not measured, 18 photographs from straight above
+        (0.0, LEAST_RISE, True),
+        (-0.5, -0.45, False),
+        (None, 0.9, False),
+        (0.0, None, False),
+        (float("nan"), 0.9, False),
+        (0.0, float("nan"), False),
+    ],
+)
+def test_only_what_is_like_the_scenes_that_gain_is_cut_where_cameras_look(stand: float | None, look: float | None, pays: bool) -> None:
+    assert looks_pay(stand, look) is pays
+
+
 def test_it_is_forced_both_ways(street: SfmScene, tmp_path: Path) -> None:
     _, made, decision = planned(street, tmp_path / "a", cut_by="positions")
     require_cut_by(made, training_of(street).cameras.centers[:, :2])
@@ -205,3 +227,28 @@ def test_cells_of_the_benchmark_are_cut_as_a_run_is(street: SfmScene, tmp_path: 
     )
     forced = deal_cell(replace(scene, cut_by="positions"), cache, settings, Layout(num_edges=2, num_devices=2))
     assert forced.recipe.cloud_plan.looks is None
+
+
+def test_a_plan_around_constraints_is_cut_as_the_plan_that_they_refer_to(tmp_path: Path) -> None:
+    positions = np.random.default_rng(0).uniform(-100, 100, (24, 3))
+    places = geodetic_from_enu(positions, (47.0, 8.0, 400.0))
+    flight = tmp_path / "flight.csv"
+    rows = [f"w{index},{lat:.9f},{lon:.9f},60" for index, (lat, lon, _) in enumerate(places)]
+    flight.write_text("\n".join(["name,latitude,longitude,altitude", *rows]))
+    looks = np.ascontiguousarray(positions[::-1, :2])
+    system = place_edges(even_system(2, 2), looks, None, 0)
+    start = plan_regions(looks, system)
+    assert isinstance(start, CloudPlan)
+    pinned = int(np.flatnonzero(start.edge_of_camera == 0)[0])
+    expected = plan_regions(looks, system, constraints=PlanConstraints(pinned={pinned: start.edge_ids[1]}), start=start)
+    assert isinstance(expected, CloudPlan)
+    save_plan(tmp_path / "start.json", replace(start, looks=looks), ())
+    given = tmp_path / "given.toml"
+    given.write_text(f'plan = "start.json"\n[pinned]\n{start.edge_ids[1]} = ["w{pinned}"]\n')
+    request = PlanRequest(source=flight, out=tmp_path / "plan.json", system=None, method="exact", seed=0, constraints=given)
+    assert "as the plan that it goes on from" in plan(request, ProgressDisplay(Console(quiet=True)))["cut"]
+    found, _ = load_plan(tmp_path / "plan.json")
+    np.testing.assert_array_equal(found.edge_of_camera, expected.edge_of_camera)
+    np.testing.assert_array_equal(found.looks, looks)
+    with pytest.raises(BadInput, match="is cut by looks: leave it out"):
+        plan(replace(request, out=tmp_path / "other.json", cut_by="positions"), ProgressDisplay(Console(quiet=True)))
