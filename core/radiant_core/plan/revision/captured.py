@@ -56,8 +56,8 @@ def plan_of_owners(
     cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], device_of_captured: NDArray[np.int64], captured_xy: ArrayLike, *, system: System
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The regions and strips of a plan for photographs at `captured_xy` (C,2) m on devices (C,),
-    counted over all edges; the plan does not know where they look. Raises BadInput when plan and system are not of one kind, or when a
-    device captured more than its memory holds."""
+    counted over all edges; the plan does not know where they look. Raises BadInput when plan and
+    system are not of one kind, or when a device captured more than its memory holds."""
     captured = check_array("captured_xy", captured_xy, (len(device_of_captured), 2))
     require_same_system(edge_plans, system)
     counts = np.bincount(device_of_captured, minlength=len(system.devices))
