@@ -11,6 +11,9 @@ PlanMethod = Literal["exact", "paper", "paper-literal", "even", "voronoi", "kd"]
 """exact: least makespan; paper: the paper's Alg. 1 on power cells; paper-literal: Alg. 1 as
 written, with half-planes; even: equal counts per device; voronoi: nearest edge; kd: halves of equal
 counts."""
+CutBy = Literal["auto", "positions", "looks"]
+"""positions: regions and strips are cut where cameras stand; looks: where they look; auto: where
+they look if that makes strips hold clearly more of what their own devices see."""
 StepPolicy = Literal["per_photograph", "fixed"]
 """per_photograph: a device's steps follow its photographs, so that all together take as many as
 with a fixed number each; fixed: every device takes the same number."""

@@ -20,6 +20,7 @@ from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, Mod
 from radiant_app.bench.emulated_latency import NodeWork
 from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
+from radiant_core.choices import CutBy
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
 from radiant_core.evaluate.image_error import psnr_db, ssim
@@ -191,7 +192,7 @@ def _row_of(record: dict[str, Any]) -> ArmRow:
     return ArmRow(**{**record, "psnr_db": tuple(record["psnr_db"]), "ssim": tuple(record["ssim"]), "nodes": nodes})
 
 
-def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings) -> Arms:
+def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings, cut_by: CutBy = "auto") -> Arms:
     """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings;
     BadInput where the scene has too few photographs or is not of a run, or `out` is a file."""
     if out.exists() and not out.is_dir():
@@ -199,4 +200,4 @@ def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSet
     cache = ModelCache(folder=out / "models")
     if layout is None:
         return Arms(out=out, first=run_cell(scene, cache))
-    return Arms(out=out, first=deal_cell(load_bench_scene(scene, settings.train.long_side_px), cache, settings, layout))
+    return Arms(out=out, first=deal_cell(load_bench_scene(scene, settings.train.long_side_px, cut_by), cache, settings, layout))

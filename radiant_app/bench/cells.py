@@ -20,11 +20,12 @@ from shapely import MultiPoint, Point
 from radiant_app.bench.options import OF_RUN
 from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
+from radiant_app.run.cutting import Planned, choose_cut, plan_places
 from radiant_app.run.prediction_error import SYSTEM_NAME
 from radiant_app.workers.sources import load_scored_scene, masks_folder_of
 from radiant_core import __version__
 from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.choices import PlanMethod, UploadFormat
+from radiant_core.choices import CutBy, PlanMethod, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy.device import device_model, fit_prepared, prepare_training
@@ -35,11 +36,9 @@ from radiant_core.io.messages import load_task
 from radiant_core.io.records import load_plan, load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.devices.device_split import split_edges
-from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.edge_sites import place_edges
-from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.regions.region_plan import PlanInfeasible
 from radiant_core.plan.system import Device, Edge, System
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
@@ -135,6 +134,8 @@ class BenchScene:
     images: Path
     masks: Path | None
     long_side_px: int
+    cut_by: CutBy = "auto"
+    """What the regions and strips of its cells are cut by."""
 
     @cached_property
     def views(self) -> TrainingViews:
@@ -148,7 +149,7 @@ class BenchScene:
         return TrainingViews(cameras=cameras, images=load_images(self.images, cameras))
 
 
-def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
+def load_bench_scene(source: Path, long_side_px: int, cut_by: CutBy = "auto") -> BenchScene:
     """A run, a folder of `radiant sfm` or a COLMAP project; BadInput if none can be held out."""
     scene, _, images = load_scored_scene(source)
     held = held_out_mask(scene.cameras.names)
@@ -162,6 +163,7 @@ def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
         images=images,
         masks=masks_folder_of(source),
         long_side_px=long_side_px,
+        cut_by=cut_by,
     )
 
 
@@ -210,11 +212,19 @@ class Cell:
         alike = {name: getattr(first, name) for name in ("init_s", "train_s", "model_bytes", "uplink_bytes_per_s")}
         edges = [replace(e, devices=tuple(replace(own, **alike) for own in e.devices)) for e in self.recipe.system.edges]
         system = replace(self.recipe.system, edges=tuple(edges))
-        return self.recipe.with_plan(*_make_plan(self.name, self.scene.training, system, "even"))
+        return self.recipe.with_plan(*self._make_plan(system, "even"))
 
     def planned(self, method: PlanMethod) -> Recipe:
         """The same recipe by the plan of another method; BadInput where it leaves no plan."""
-        return self.recipe.with_plan(*_make_plan(self.name, self.scene.training, self.recipe.system, method))
+        return self.recipe.with_plan(*self._make_plan(self.recipe.system, method))
+
+    def _make_plan(self, system: System, method: PlanMethod) -> Planned:
+        """By the same places and edges as the cell's own plan."""
+        plan = self.recipe.cloud_plan
+        made = plan_places(plan.places_of(self.scene.training.cameras.centers[:, :2]), system, method)
+        if isinstance(made, PlanInfeasible):
+            raise BadInput(f"{self.name}: {made.reason}")
+        return replace(made[0], looks=plan.looks), made[1]
 
     @cached_property
     def devices(self) -> dict[str, DeviceModel]:
@@ -271,8 +281,13 @@ def deal_cell(
 def deal_system(scene: BenchScene, cache: ModelCache, settings: DeviceSettings, system: System, name: str) -> Cell:
     """The scene dealt to a system by the exact plan; edges without a position as in a run."""
     positions = scene.training.cameras.centers[:, :2]
-    placed = place_edges(system, positions, None, 0)
-    cloud_plan, edge_plans = _make_plan(name, scene.training, placed, "exact")
+    cut = choose_cut(scene.training, scene.cut_by, "exact", lambda places: plan_places(places, place_edges(system, places, None, 0)))
+    places = cut.places_of(positions)
+    placed = place_edges(system, places, None, 0)
+    made = plan_places(places, placed)
+    if isinstance(made, PlanInfeasible):
+        raise BadInput(f"{name}: {made.reason}")
+    cloud_plan, edge_plans = cut.mark(made[0]), made[1]
     recipe = Recipe(
         system=placed,
         cloud_plan=cloud_plan,
@@ -318,11 +333,3 @@ def run_cell(run: Path, cache: ModelCache) -> Cell:
     )
     name = f"{scene.name}-{OF_RUN}-s{recipe.train.seed}"
     return Cell(name=name, scene=scene, layout=_layout_around(recipe.system), recipe=recipe, cache=cache)
-
-
-def _make_plan(name: str, training: SfmScene, system: System, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    positions = training.cameras.centers[:, :2]
-    plan = plan_regions(positions, system, method=method)
-    if isinstance(plan, PlanInfeasible):
-        raise BadInput(f"{name}: {plan.reason}")
-    return plan, split_edges(positions, plan, system)

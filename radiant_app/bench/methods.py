@@ -38,11 +38,10 @@ from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.join import join_models
-from radiant_core.aggregate.ownership import Claims, claims_of_polygons
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.cameras import concatenate_cameras
-from radiant_core.choices import UploadFormat
+from radiant_core.choices import CutBy, UploadFormat
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.bootstrap import paired_bootstrap
 from radiant_core.evaluate.metric import Metric
@@ -50,6 +49,7 @@ from radiant_core.hierarchy.in_process import run_in_process
 from radiant_core.hierarchy.messages import DeviceModel
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import passed_on, refinement_bytes, sent_bytes
+from radiant_core.plan.regions.claims import Claims, claims_of_polygons
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.results import TrainProgress
@@ -79,6 +79,8 @@ class MethodBench:
     num_steps: int = 500
     upload: UploadFormat = "float16"
     """What devices and edges send."""
+    cut_by: CutBy = "auto"
+    """What regions and strips are cut by, as in a run."""
     max_gaussians: int | None = None
     """Most Gaussians of any method's model: of a larger one those are left that show most to the
     training cameras, and nothing is fitted again. None: as many as a method makes."""
@@ -92,7 +94,8 @@ class MethodBench:
 
 def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
     """All rows; per scene and method, means with the paired difference to the paper's preset."""
-    arms = load_arms(bench.scene, bench.out, bench.layout, bench_settings(bench.long_side_px, bench.num_steps, bench.upload))
+    settings = bench_settings(bench.long_side_px, bench.num_steps, bench.upload)
+    arms = load_arms(bench.scene, bench.out, bench.layout, settings, bench.cut_by)
     cells = [arms.first]
     if bench.layout is not None:
         spread = [(placement, seed) for placement in range(bench.num_placements) for seed in range(bench.num_seeds)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal, get_args
 
+from radiant_core.choices import CutBy
 from radiant_core.errors import BadInput
 
 BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper"]
@@ -24,6 +25,7 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "methods": _ON_MODELS,
     "layout": ("methods",),
     "num_placements": ("methods",),
+    "cut_by": ("methods",),
     "max_gaussians": ("methods",),
     "out": _ON_MODELS,
     "baseline": ("sfm", "plan", "raster"),
@@ -39,7 +41,7 @@ _FLAGS = {
 }
 OF_RUN = "run"
 """The layout of a cell that has the plan, the settings and the seed of the run `scene`."""
-_OF_A_LAYOUT = ("quick", "num_seeds", "num_placements", "long_side_px")
+_OF_A_LAYOUT = ("quick", "num_seeds", "num_placements", "long_side_px", "cut_by")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +74,8 @@ class BenchOptions:
     """Edges x devices per edge, or `OF_RUN`."""
     num_placements: int = 1
     """Placements of the edges."""
+    cut_by: CutBy = "auto"
+    """What regions and strips are cut by, as in a run."""
     max_gaussians: int | None = None
     """Every method's model is reduced to so many."""
     out: Path | None = None

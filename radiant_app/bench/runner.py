@@ -88,6 +88,7 @@ def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
         num_seeds=options.num_seeds or 1,
         long_side_px=options.long_side_px or (160 if options.quick else 384),
         num_steps=60 if options.quick else 500,
+        cut_by=options.cut_by,
         max_gaussians=options.max_gaussians,
     )
     rows, metrics = bench_methods(bench)

@@ -9,6 +9,7 @@ import typer
 
 from radiant_app.bench.options import BenchName, BenchOptions
 from radiant_app.cli.option_types import BenchPlot, BenchScene, LongSide
+from radiant_core.choices import CutBy
 
 
 def bench(
@@ -27,6 +28,7 @@ def bench(
     method: Annotated[list[str] | None, typer.Option(help="methods: those compared; paper: sections; train: ablations; else all.")] = None,
     layout: Annotated[str, typer.Option(help="methods: edges x devices per edge; run: plan and settings of the run.")] = "2x2",
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
+    cut_by: Annotated[CutBy, typer.Option(help="methods: what regions are cut by, as in a run.")] = "auto",
     max_gaussians: Annotated[int | None, typer.Option(min=1, help="methods: reduce every method's model to as many.")] = None,
     out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train: folder of models; a later call resumes.")] = None,
     baseline: Annotated[Path | None, typer.Option(help="sfm, plan, raster: earlier figures; exit code 1 where one is worse.")] = None,
@@ -49,6 +51,7 @@ def bench(
         methods=tuple(method or ()),
         layout=layout,
         num_placements=placements,
+        cut_by=cut_by,
         max_gaussians=max_gaussians,
         out=out,
         baseline=baseline,

@@ -9,7 +9,7 @@ import typer
 
 from radiant_app.cli.config_options import option
 from radiant_core.aggregate.config import AggregatePreset
-from radiant_core.choices import LpipsNetwork, Matching, PlanMethod
+from radiant_core.choices import CutBy, LpipsNetwork, Matching, PlanMethod
 from radiant_core.train.config import Preset
 
 GroundOption = Annotated[float | None, typer.Option("--ground", help="Altitude of the ground in the waypoints' metres, else 0.")]
@@ -19,6 +19,7 @@ BufferOption = Annotated[
     typer.Option("--buffer", help="Capture what a neighbour has too where it sees 20% of this region, or stands within 15m of it."),
 ]
 DeadlineOption = Annotated[float | None, typer.Option("--deadline", min=0, help="Seconds within which an edge takes buffer captures.")]
+CutByOption = Annotated[CutBy, option("plan.cut_by")]
 RasterCellOption = Annotated[float | None, option("plan.raster_cell_m")]
 BenchScene = Annotated[
     Path | None,

@@ -37,6 +37,7 @@ from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster, raster_decision
+from radiant_app.run.cutting import Cut, choose_cut, follow_cut, plan_places
 from radiant_app.run.predictions import (
     depends_on_training,
     planned_training,
@@ -47,7 +48,8 @@ from radiant_app.run.predictions import (
 )
 from radiant_app.workers.regions import plan_from_raster
 from radiant_app.workers.sources import load_scene_of
-from radiant_core.choices import PlanMethod
+from radiant_core.choices import CutBy, PlanMethod
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson
@@ -58,6 +60,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.looks import camera_looks
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
@@ -104,6 +107,8 @@ class PlanRequest:
     """Factor on the shortest makespan allowed where that brings cameras nearer to their edges."""
     slack_curve: bool = False
     """Whether several slacks are planned, too, for a table and a picture of what each buys."""
+    cut_by: CutBy = "auto"
+    """Of a scene: whether regions are cut where cameras stand or where they look."""
     constraints: Path | None = None
     """File of what is fixed, locked or pinned."""
     content: ContentRequest = field(default_factory=ContentRequest)
@@ -112,12 +117,14 @@ class PlanRequest:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PlanInput:
-    """What is planned: positions (C,2) m about `origin`, names (C), content (C,) where known."""
+    """What is planned: positions (C,2) m about `origin`, names (C), content (C,) where known, and
+    the scene, if it is one."""
 
     positions: FloatArray
     origin: FloatArray | None
     names: Sequence[str]
     content: FloatArray | None = None
+    scene: SfmScene | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,6 +136,8 @@ class _Plan:
     compared: tuple[ComparedPlan, ...] = ()
     warnings: tuple[str, ...] = ()
     """What its predictions are to be taken with."""
+    cut: Decision | None = None
+    """What a scene's regions are cut by; None for waypoints."""
     curve: tuple[SlackPoint, ...] = ()
 
 
@@ -155,11 +164,11 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
     positions = scene.cameras.centers[:, :2]
-    cameras = _PlanInput(positions=positions, origin=origin, names=scene.cameras.names, content=_points_seen(scene))
+    cameras = _PlanInput(positions=positions, origin=origin, names=scene.cameras.names, content=_points_seen(scene), scene=scene)
     made = _make_plan(cameras, system, request, report)
     content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    pictures = side_pictures(positions, scene.frame.unit, made.cloud, made.compared, made.curve)
+    pictures = side_pictures(made.cloud.places_of(positions), scene.frame.unit, made.cloud, made.compared, made.curve)
     pictures[GANTT] = plan_gantt(made.system, made.edges)
     pictures[MAP] = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
@@ -175,7 +184,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     made = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
     content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    pictures = side_pictures(positions[:, :2], "m", made.cloud, made.compared, made.curve)
+    pictures = side_pictures(made.cloud.places_of(positions[:, :2]), "m", made.cloud, made.compared, made.curve)
     pictures[GANTT] = plan_gantt(made.system, made.edges)
     pictures[MAP] = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
@@ -238,16 +247,22 @@ def _points_seen(scene: SfmScene) -> FloatArray | None:
 
 def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
-    positions = cameras.positions
-    system = place_edges_by_raster(system, positions, cameras.origin, request.raster_cell_m, request.seed)
+    num_cameras = len(cameras.positions)
     training, warnings = None, ()
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
         training = training_key_of(train, request.train_preset)
-        system = with_step_law(system, train, len(positions))
-        system, _, warnings = with_camera_limits(system, train, len(positions))
+        system = with_step_law(system, train, num_cameras)
+        system, _, warnings = with_camera_limits(system, train, num_cameras)
     given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
     start, constraints = (None, None) if given is None else (given.start, given.constraints)
+
+    def place(places: FloatArray) -> System:
+        return place_edges_by_raster(system, places, cameras.origin, request.raster_cell_m, request.seed)
+
+    cut = _cut(cameras, request, start, place)
+    positions, looks = (cameras.positions, None) if cut is None else (cut.places_of(cameras.positions), cut.looks)
+    system = place(positions)
     if request.raster_cell_m is not None:
         if request.slack is not None or constraints is not None:
             raise BadInput("--slack and --constraints need positions and --raster-cell-m plans without them: choose one.")
@@ -272,7 +287,28 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
     edges = split_edges(positions, cloud, system)
     if training is not None:
         warnings = (*warnings, *prediction_warnings(system, edges, training))
-    return _Plan(cloud=cloud, edges=edges, system=system, compared=compared, warnings=warnings, curve=curve)
+    made = _Plan(cloud=replace(cloud, looks=looks), edges=edges, system=system, compared=compared, warnings=warnings, curve=curve)
+    return made if cut is None else replace(made, cut=cut.decision)
+
+
+def _cut(cameras: _PlanInput, request: PlanRequest, start: CloudPlan | None, place: Callable[[FloatArray], System]) -> Cut | None:
+    """What a scene's plan is cut by; None for waypoints, of which only positions are known. A plan
+    around constraints is cut as the plan that they refer to."""
+    scene = cameras.scene
+    if start is not None:
+        if request.cut_by not in ("auto", start.cut_by):
+            raise BadInput(f"--cut-by is {request.cut_by}, the plan that the constraints refer to is cut by {start.cut_by}: leave it out.")
+        looks = camera_looks(scene) if scene is not None and start.looks is not None else start.looks
+        if looks is not None and len(looks) != len(cameras.positions):
+            raise BadInput(f"the plan that the constraints refer to is of {len(looks)} cameras, there are {len(cameras.positions)}.")
+        return follow_cut(looks)
+    if scene is None:
+        if request.cut_by == "looks":
+            raise BadInput("--cut-by is looks, and positions alone do not say where cameras look: give a scene, or leave it out.")
+        return None
+    return choose_cut(
+        scene, request.cut_by, request.method, lambda places: plan_places(places, place(places), request.method, request.paper)
+    )
 
 
 def _raster_note(cell_m: float, plan: CloudPlan) -> str:
@@ -298,6 +334,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "status": cloud.status,
         "method": cloud.method,
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
+        **({} if made.cut is None else {"cut": f"{made.cut.choice}: {made.cut.reason}"}),
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
         "picture": str(beside(out, MAP)),

@@ -105,7 +105,8 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
         require_file_to_be(path)
     before = _read_run(request) if request.source.is_dir() else _read_plan(request)
     joining = None if request.join is None else load_system(request.join)
-    placed = place_edges(_grow_system(before, joining), before.positions[:, :2], before.origin, request.seed)
+    places = before.cloud.places_of(before.positions[:, :2])
+    placed = place_edges(_grow_system(before, joining), places, before.origin, request.seed)
     placed, warnings = _limit_to_memory(placed, len(before.positions))
     old, joined = _split_system(placed, before.system)
     positions = before.positions[:, :2]

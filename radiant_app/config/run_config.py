@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
-from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
+from radiant_core.choices import CutBy, LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
@@ -122,6 +122,9 @@ class PlanOptions:
     voronoi; kd: halves of equal counts."""
     file: Annotated[Path | None, Option(name="--plan")] = None
     """Plan made by `radiant plan` before capture; else what was captured is planned."""
+    cut_by: CutBy = "auto"
+    """positions: regions and strips are cut where cameras stand; looks: at what they look at; auto:
+    at that where it makes devices see clearly more of their own strips."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
     """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(
@@ -142,6 +145,8 @@ class PlanOptions:
             raise BadInput(f"raster_cell_m is {self.raster_cell_m}, expected a side in metres, or 0 to plan from positions.")
         if self.file is not None and self.method != "exact":
             raise BadInput("--plan keeps to a plan that is made and --plan-method makes another: leave one of them out.")
+        if self.file is not None and self.cut_by != "auto":
+            raise BadInput(f"--plan keeps to a plan that is made and --cut-by {self.cut_by} cuts another: leave one of them out.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,6 +311,9 @@ class RunConfig:
             raise BadInput(f"seed is {self.seed}, expected 0 to {MAX_SEED}.")
         if self.frames != "known" and self.sfm.poses is not None:
             raise BadInput(f"poses are given and frames is {self.frames!r}: give them with --frames known.")
+        if self.frames != "shared" and self.plan.cut_by == "looks":
+            reason = "where cameras look is known once they are reconstructed together"
+            raise BadInput(f"--cut-by is looks: {reason}, and with --frames {self.frames} each device places its own: use --frames shared.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and self.sfm.masks is not None:

@@ -79,7 +79,7 @@ class PooledPhotographs:
         """The plan of the training photographs."""
         training = self.training
         origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
-        system, cloud, edges = plan_stage(self.config, system, training.cameras.centers[:, :2], origin, progress)
+        system, cloud, edges = plan_stage(self.config, system, training.cameras.centers[:, :2], origin, progress, training)
         return Plan(system=system, cloud=cloud, edges=edges)
 
     def check(self, train: TrainConfig) -> None:

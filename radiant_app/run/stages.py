@@ -13,6 +13,7 @@ from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.run.cloud_planning import place_edges_by_raster, plan_at_cloud
+from radiant_app.run.cutting import choose_cut, plan_places
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import (
     planned_training,
@@ -40,6 +41,7 @@ from radiant_core.plan.revision.captured import plan_captured, require_same_syst
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.render.rasterize import resolve_backend
+from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import fit_to_backend
 
@@ -55,13 +57,18 @@ def list_nodes(system: System) -> tuple[str, ...]:
 
 
 def plan_stage(
-    config: RunConfig, system: System, positions: FloatArray, origin: FloatArray | None, progress: Progress
+    config: RunConfig,
+    system: System,
+    positions: FloatArray,
+    origin: FloatArray | None,
+    progress: Progress,
+    scene: SfmScene | None = None,
 ) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
     """Plan positions (C,2) m about `origin` (3,) lat lon alt (None: no GPS); writes plan.json.
 
-    Raises BadInput when no plan fits.
+    `scene`: the same cameras with their sparse points; None where these are not known. Raises
+    BadInput when no plan fits.
     """
-    system = place_edges_by_raster(system, positions, origin, config.cell_m, config.seed)
     train = planned_training(config.train.preset, config.train.overrides)
     if config.train.step_policy == "per_photograph":
         system = with_step_law(system, train, len(positions))
@@ -69,13 +76,17 @@ def plan_stage(
         system = with_own_frames(system, len(positions))
     if config.plan.file is not None:
         # Captured photographs stay on their devices, whatever memory those have.
-        cloud_plan, edge_plans = plan_captured(*load_plan_in_frame(config.plan.file, origin), positions, system=system)
+        system = place_edges_by_raster(system, positions, origin, config.cell_m, config.seed)
+        planned, edge_plans, waypoints = load_plan_in_frame(config.plan.file, origin)
+        # Only an owner of all photographs knows where they look.
+        planned = planned if config.frames == "shared" else replace(planned, looks=None)
+        cloud_plan, edge_plans = plan_captured(planned, edge_plans, waypoints, positions, system=system)
         warnings = ()
     else:
         system, decision, warnings = with_camera_limits(system, train, len(positions), BYTES_FACTORS[config.upload])
         if decision is not None:
             progress.listen(Decided(decision=decision))
-        cloud_plan, edge_plans = _make_plan(config, system, positions, progress)
+        system, cloud_plan, edge_plans = _make_plan(config, system, (positions, origin, scene), progress)
     save_plan(
         config.out / "plan.json", cloud_plan, edge_plans, warnings=warn_about_predictions(config, system, edge_plans, progress, warnings)
     )
@@ -83,14 +94,27 @@ def plan_stage(
     return system, cloud_plan, edge_plans
 
 
-def _make_plan(config: RunConfig, system: System, positions: FloatArray, progress: Progress) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def _make_plan(
+    config: RunConfig, system: System, cameras: tuple[FloatArray, FloatArray | None, SfmScene | None], progress: Progress
+) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
+    """Plan cameras at (C,2) m about an origin, of a scene where that is known."""
+    positions, origin, scene = cameras
+
+    def place(places: FloatArray) -> System:
+        return place_edges_by_raster(system, places, origin, config.cell_m, config.seed)
+
+    method, paper = config.plan.method, config.plan.paper
+    cut = choose_cut(scene, config.plan.cut_by, method, lambda places: plan_places(places, place(places), method, paper))
+    progress.listen(Decided(decision=cut.decision))
+    places = cut.places_of(positions)
+    system = place(places)
     if config.cell_m is not None:
-        regions = plan_at_cloud(config, config.cell_m, system, positions, progress)
-        return regions, split_edges(positions, regions, system)
-    cloud_plan = plan_regions(positions, system, method=config.plan.method, paper=config.plan.paper)
+        cloud_plan = plan_at_cloud(config, config.cell_m, system, places, progress)
+    else:
+        cloud_plan = plan_regions(places, system, method=method, paper=paper)
     if isinstance(cloud_plan, PlanInfeasible):
         raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system_file} and add --resume.")
-    return cloud_plan, split_edges(positions, cloud_plan, system)
+    return system, cut.mark(cloud_plan), split_edges(places, cloud_plan, system)
 
 
 def warn_about_predictions(
@@ -117,9 +141,8 @@ def load_plan_in_frame(path: Path, origin: FloatArray | None) -> tuple[CloudPlan
         raise BadInput(f"{path} is on the globe and the photographs have no GPS frame: leave out --plan, or give photographs with GPS.")
     # Over a site, two local frames differ by a shift: their axes turn by 1e-4 per kilometre.
     shift = enu_from_geodetic(waypoints.origin[None], origin)[0, :2]
-    moved = replace(cloud_plan, sites=cloud_plan.sites + shift, borders=tuple(border + shift for border in cloud_plan.borders))
     edges = tuple(replace(plan, strips=tuple(strip + shift for strip in plan.strips)) for plan in edge_plans)
-    return moved, edges, enu_from_geodetic(waypoints.lat_lon_alt, origin)[:, :2]
+    return cloud_plan.moved(shift), edges, enu_from_geodetic(waypoints.lat_lon_alt, origin)[:, :2]
 
 
 def require_plan(path: Path, system: System) -> None:

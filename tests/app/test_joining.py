@@ -18,10 +18,10 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import run
 from radiant_app.workers import nodes, training
 from radiant_core.aggregate import join_memory
-from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.transport.upload import load_upload
+from radiant_core.plan.regions.claims import claims_of_polygons
 from radiant_core.splats import Splats, concatenate_splats
 from tests.joined_again import held_out_db, joined_again
 

@@ -20,10 +20,10 @@ from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.join_memory import plan_join_memory
-from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.plan.regions.claims import claims_of_cells
 from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import train_preset
 from radiant_core.train.trainer import FitOptions

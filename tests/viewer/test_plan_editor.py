@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from shapely.geometry import Polygon
 
 from radiant_app.files.system_file import even_system
 from radiant_core.errors import BadInput
+from radiant_core.io.records import load_plan, load_plan_waypoints
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.regions.edge_sites import place_edges
@@ -34,6 +36,7 @@ from radiant_viewer.editing.plan_edits import (
     RemoveEdge,
     SetSlack,
 )
+from radiant_viewer.editing.plan_files import PlanSetting, load_other_plan, save_edited_plan
 
 Plan = tuple[CloudPlan, tuple[EdgePlan, ...]]
 UTM = (5.0e5, 5.2e6)
@@ -315,6 +318,47 @@ def test_a_whole_plan_can_be_adopted_and_two_plans_compared() -> None:
         PlanEditor(PlanSubject(names=subject.names[1:], positions=subject.positions[1:]), system, plan)
     with pytest.raises(BadInput, match="use the system it was planned for"):
         PlanEditor(subject, even_system(3, 2), plan)
+
+
+def test_a_plan_that_is_cut_where_cameras_look_is_edited_by_that_and_saved_where_they_stand(tmp_path: Path) -> None:
+    stood, system, (cloud, edges) = planned()
+    # The same places are looked at from elsewhere.
+    looks, stands = stood.on_map, stood.positions[::-1].copy()
+    subject = PlanSubject(names=stood.names, positions=stands, looks=looks, origin=np.array([47.0, 8.0, 400.0]))
+    editor, twin = PlanEditor(subject, system, (replace(cloud, looks=looks), edges)), PlanEditor(stood, system, (cloud, edges))
+    camera = stood.names[int(np.flatnonzero(cloud.edge_of_camera == 0)[0])]
+    for edit in (
+        MoveEdge(edge=cloud.edge_ids[0], position=(120.0, 80.0)),
+        PinCameras(cameras=(camera,), edge=cloud.edge_ids[1]),
+        AddEdge(edge="new", position=(10.0, 10.0), like=cloud.edge_ids[1]),
+        RemoveEdge(edge=cloud.edge_ids[2]),
+    ):
+        editor.apply(edit)
+        twin.apply(edit)
+        assert np.array_equal(editor.state.cloud.edge_of_camera, twin.state.cloud.edge_of_camera)
+        np.testing.assert_array_equal(editor.state.cloud.places_of(stands[:, :2]), looks)
+    setting = PlanSetting(
+        system=system,
+        reason="",
+        edits_path=None,
+        waypoints=None,
+        ground_m=None,
+        system_text=lambda system: "",
+        constraints_text=lambda constraints, names, start: "",
+    )
+    save_edited_plan(tmp_path / "mine.json", subject, editor.state, setting)
+    saved, waypoints = load_plan(tmp_path / "mine.json")[0], load_plan_waypoints(tmp_path / "mine.json")
+    assert waypoints is not None
+    # Latitude and longitude are rounded to micrometres on the way.
+    apart = stands[:, :2] - waypoints.positions_m[:, :2]
+    np.testing.assert_allclose(apart, np.broadcast_to(apart[0], apart.shape), atol=1e-2)
+    np.testing.assert_allclose(saved.places_of(stands[:, :2]), looks - apart[0], atol=1e-2)
+    again = load_other_plan(tmp_path / "mine.json", subject)
+    np.testing.assert_allclose(again.cloud.places_of(stands[:, :2]), looks, atol=1e-6)
+    with pytest.raises(BadInput, match="cut where cameras stand, this one where they look"):
+        PlanEditor(subject, system, (replace(cloud, looks=looks), edges)).apply(AdoptPlan(name="other", cloud=cloud, edges=edges))
+    with pytest.raises(BadInput, match="cut where cameras look, this one where they stand"):
+        PlanEditor(stood, system, (replace(cloud, looks=looks), edges))
 
 
 def test_a_plan_without_cameras_or_with_poisoned_positions_is_refused() -> None:

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.balance import Balance, balance_teachers, exposure_balance
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.ownership import Claims, Ownership, ownership
+from radiant_core.aggregate.ownership import Ownership, ownership
 from radiant_core.aggregate.retrain import retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tiles import retrain_by_tiles
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db, psnr_db_of_mse
+from radiant_core.plan.regions.claims import Claims
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from shapely import Polygon, contains_xy, distance, points, prepare
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.geometry.coverage import coverage
-from radiant_core.numerics import FloatArray, check_array
-from radiant_core.plan.regions.power_diagram import assign
+from radiant_core.numerics import check_array
+from radiant_core.plan.regions.claims import Claims
 
 KEPT_COVERAGE = 0.8
 """An owner keeps a place that its cameras cover at least this well, compared with the best."""
 CONTESTED_COVERAGE = 0.1
 """A place is contested where a second model covers it this well, compared with the best."""
-
-Claims = Callable[[FloatArray], NDArray[np.int64]]
-"""Positions (P,2) m → whose region each lies in (P,), as the plan says."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,30 +50,3 @@ def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | No
         owner = np.where(keeps, claimed, owner)
     second = np.partition(covered, -2, axis=1)[:, -2] if len(cameras) > 1 else np.zeros(len(checked))
     return Ownership(owner=owner, contested=(second > 0) & (second >= CONTESTED_COVERAGE * best))
-
-
-def claims_of_cells(sites: FloatArray, weights: FloatArray) -> Claims:
-    """Claims of the cells of a power diagram, sites (M,2) m and weights (M,) m²."""
-    sites = check_array("sites", sites, (None, 2))
-    weights = check_array("weights", weights, (len(sites),))
-    return lambda positions: assign(positions, sites, weights)
-
-
-def claims_of_polygons(polygons: Sequence[FloatArray]) -> Claims | None:
-    """Claims of polygons (V,2) m; outside of all the nearest. None where none has corners."""
-    areas = {index: Polygon(polygon) for index, polygon in enumerate(polygons) if len(polygon) > 2}
-    if not areas:
-        return None
-    indices = np.array(list(areas), np.int64)
-    prepare(list(areas.values()))
-
-    def claim(positions: FloatArray) -> NDArray[np.int64]:
-        inside = np.array([contains_xy(area, positions[:, 0], positions[:, 1]) for area in areas.values()])
-        nearest = inside.argmax(axis=0)
-        # Distances take ten times as long: only of those in none.
-        outside = np.flatnonzero(~inside.any(axis=0))
-        places = points(positions[outside])
-        nearest[outside] = np.argmin([distance(area, places) for area in areas.values()], axis=0)
-        return indices[nearest]
-
-    return claim

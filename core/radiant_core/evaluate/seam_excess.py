@@ -55,7 +55,7 @@ class BorderError:
     """Errors of one photograph at one border, MSE of colours in 0..1 in dB (larger is worse)."""
 
     side: str
-    """Edge in whose region the camera stands."""
+    """Edge in whose region the camera stands, or looks if the plan was cut by that."""
     beyond: str
     """Edge on the other side of the border."""
     before_db: float
@@ -100,7 +100,7 @@ def border_errors(
     half_band_m = _half_band_m(plan)
     if half_band_m is None:
         return
-    sides = edge_owners(cameras.centers[:, :2], plan)
+    sides = edge_owners(cameras.centers[:, :2] if plan.looks is None else plan.places_of(cameras.centers[:, :2]), plan)
     for index, (view, photograph) in enumerate(zip(renders, photographs, strict=True)):
         if view.image.shape != photograph.shape:
             raise BadInput(f"the render of {view.name!r} has the shape {view.image.shape}, its photograph {photograph.shape}.")

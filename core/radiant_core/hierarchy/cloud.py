@@ -19,13 +19,13 @@ from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.extend import NewRegion, extend_scene
 from radiant_core.aggregate.join import Joined, cut_at_borders, join_models
 from radiant_core.aggregate.join_memory import JoinMemory, plan_join_memory
-from radiant_core.aggregate.ownership import Claims, claims_of_cells
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN, join_decisions, report_join_memory
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.joining import Arrivals, admit, join_key
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
+from radiant_core.plan.regions.claims import Claims, claims_of_cells
 from radiant_core.plan.system import Cloud
 from radiant_core.train.trainer import FitOptions
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from radiant_core.aggregate.join import Joined, cut_at_borders, join_models
 from radiant_core.aggregate.join_memory import plan_join_memory
-from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
@@ -27,6 +26,7 @@ from radiant_core.hierarchy.joining import admit, join_key, received_files
 from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel, EdgeTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.io.run_store import key_of_files
+from radiant_core.plan.regions.claims import claims_of_polygons
 from radiant_core.splats import Splats, morton_order
 from radiant_core.train.trainer import FitOptions
 

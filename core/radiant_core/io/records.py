@@ -273,6 +273,8 @@ def _parse_field(name: str, value: Any) -> Any:
         return value
     if name == "history":
         return tuple(float(makespan_s) for makespan_s in value)
+    if name == "looks":
+        return None if value is None else check_array("looks", value, (None, 2))
     if name == "lower_bound_s":
         return float(value)
     if name in ("slack", "num_outside"):

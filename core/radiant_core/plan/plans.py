@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -47,6 +47,9 @@ class CloudPlan:
     """What was fixed, locked or pinned, one sentence each."""
     num_outside: int = 0
     """Cameras outside their own power cell."""
+    looks: FloatArray | None = None
+    """(C,2) m where each camera looks, if regions and strips were cut by that; None: by where it
+    stands."""
 
     def __post_init__(self) -> None:
         count = len(self.edge_ids)
@@ -59,6 +62,8 @@ class CloudPlan:
         object.__setattr__(self, "edge_time_s", check_array("edge_time_s", self.edge_time_s, (count,)))
         object.__setattr__(self, "edge_of_camera", check_array("edge_of_camera", self.edge_of_camera, (None,), np.int64))
         object.__setattr__(self, "borders", tuple(check_array("borders", border, (None, 2)) for border in self.borders))
+        if self.looks is not None:
+            object.__setattr__(self, "looks", check_array("looks", self.looks, (len(self.edge_of_camera), 2)))
         if len(self.borders) != count:
             raise BadInput(f"the plan has {len(self.borders)} borders for {count} edges: give one polygon per edge.")
         if len(self.edge_of_camera) and not (self.edge_of_camera.min() >= 0 and self.edge_of_camera.max() < count):
@@ -68,6 +73,27 @@ class CloudPlan:
     def counts(self) -> NDArray[np.int64]:
         """Cameras per edge (E,)."""
         return np.bincount(self.edge_of_camera, minlength=len(self.edge_ids))
+
+    @property
+    def cut_by(self) -> Literal["positions", "looks"]:
+        """What regions and strips were cut by, as in `choices.CutBy`."""
+        return "positions" if self.looks is None else "looks"
+
+    def places_of(self, positions: FloatArray) -> FloatArray:
+        """What the plan was cut by, (C,2) m: where cameras look, else the `positions` (C,2) m where
+        they stand. Raises BadInput for positions of other cameras."""
+        if len(positions) != len(self.edge_of_camera):
+            raise BadInput(f"the plan is of {len(self.edge_of_camera)} cameras, there are positions of {len(positions)}: plan again.")
+        return positions if self.looks is None else self.looks
+
+    def moved(self, shift: FloatArray) -> CloudPlan:
+        """The same plan about an origin that lies at -`shift` (2,) m."""
+        return replace(
+            self,
+            sites=self.sites + shift,
+            borders=tuple(border + shift for border in self.borders),
+            looks=None if self.looks is None else self.looks + shift,
+        )
 
     @property
     def makespan_s(self) -> float:

@@ -11,7 +11,6 @@ import pytest
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.join import Joined, join_models, teacher_views
-from radiant_core.aggregate.ownership import Claims, claims_of_cells
 from radiant_core.aggregate.retrain import retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
@@ -20,6 +19,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.regions.claims import Claims, claims_of_cells
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import train_preset

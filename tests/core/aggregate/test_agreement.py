@@ -11,11 +11,11 @@ import pytest
 from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, find_contradictions
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.join import Check, join_models
-from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.plan.regions.claims import claims_of_cells
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import SH_C0, Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig

@@ -10,10 +10,10 @@ import pytest
 from radiant_core.aggregate import join
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.join import NUM_COMPARED, Check, Joined, cut_at_borders, join_models
-from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.retrain import Retrained
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.hierarchy.decisions import join_decisions
+from radiant_core.plan.regions.claims import claims_of_cells
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.trainer import FitOptions

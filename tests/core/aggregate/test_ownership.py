@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons, ownership
+from radiant_core.aggregate.ownership import ownership
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.geometry.coverage import coverage
+from radiant_core.plan.regions.claims import claims_of_cells, claims_of_polygons
 from tests.core.scenes import cameras_above
 
 WEST, EAST = cameras_above([(-2, -1), (-2, 1)]), cameras_above([(2, -1), (2, 1)])

@@ -10,12 +10,12 @@ import pytest
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.join import join_models, teacher_views
-from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.retrain import Retrained, retrain
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.tiles import MARGIN_PX, MIN_SIDE_PX, crop_cameras, most_fitted, retrain_by_tiles, tile_labels, tiles_of
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.geometry.coverage import reached_by
+from radiant_core.plan.regions.claims import claims_of_cells
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import train_preset

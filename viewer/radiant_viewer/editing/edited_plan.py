@@ -32,6 +32,8 @@ class PlanSubject:
     ground: float | None = None
     altitude_known: bool = True
     """Whether the origin has a true altitude, as in `Frame`."""
+    looks: FloatArray | None = None
+    """(C,2) where the cameras look, if plans are cut by that; None: by where they stand."""
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -39,11 +41,13 @@ class PlanSubject:
         if len(set(self.names)) != len(self.names):
             raise BadInput("a camera's name comes twice: give every one its own.")
         object.__setattr__(self, "positions", check_array("positions", self.positions, (len(self.names), 3)))
+        if self.looks is not None:
+            object.__setattr__(self, "looks", check_array("looks", self.looks, (len(self.names), 2)))
 
     @property
     def on_map(self) -> FloatArray:
-        """Positions (C,2)."""
-        return np.ascontiguousarray(self.positions[:, :2])
+        """What plans are cut by (C,2): where cameras look or stand."""
+        return np.ascontiguousarray(self.positions[:, :2] if self.looks is None else self.looks)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,9 +71,12 @@ class EditedPlan:
 
 def initial_plan(subject: PlanSubject, system: System, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> EditedPlan:
     """Return an existing plan unchanged, with its edges at its own sites; BadInput where plan,
-    cameras and system do not fit."""
+    cameras and system do not fit, or where it is cut by something else."""
     require_plan_of(len(subject.names), cloud, edges)
     require_same_system(edges, system)
+    if (cloud.looks is None) != (subject.looks is None):
+        other, own = ("look", "stand") if subject.looks is None else ("stand", "look")
+        raise BadInput(f"that plan is cut where cameras {other}, this one where they {own}: open it by itself.")
     wishes = PlanWishes(
         system=_move_to_sites(system, cloud),
         constraints=PlanConstraints(),
@@ -94,6 +101,7 @@ def solve_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) ->
     )
     if isinstance(found, PlanInfeasible):
         raise BadInput(found.reason)
+    found = replace(found, looks=subject.looks)
     return EditedPlan(wishes=wishes if constraints else replace(wishes, reference=found), cloud=found)
 
 

@@ -60,6 +60,7 @@ def plan_subject(run: RunView) -> PlanSubject:
     return PlanSubject(
         names=tuple(run.scene.cameras.names[index] for index in planned.tolist()),
         positions=run.scene.cameras.centers[planned],
+        looks=run.cloud_plan.looks,
         unit=run.unit,
         origin=frame.origin_lat_lon_alt if frame.kind == "metric" else None,
         altitude_known=frame.altitude_known,
@@ -144,8 +145,9 @@ def shift_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) 
     if not shift.any():
         return plan
     cloud, edges = plan
-    moved = replace(cloud, sites=cloud.sites + shift, borders=tuple(border + shift if len(border) else border for border in cloud.borders))
-    return moved, tuple(replace(edge, strips=tuple(strip + shift if len(strip) else strip for strip in edge.strips)) for edge in edges)
+    return cloud.moved(shift), tuple(
+        replace(edge, strips=tuple(strip + shift if len(strip) else strip for strip in edge.strips)) for edge in edges
+    )
 
 
 def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
@@ -160,7 +162,7 @@ def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypo
         lat_lon_alt=geodetic_from_enu(subject.positions, subject.origin),
         absolute=subject.altitude_known,
         altitude_known=subject.altitude_known,
-        ground_m=None if subject.ground is None else _altitude_m(subject.on_map.mean(axis=0), subject.ground, subject.origin),
+        ground_m=None if subject.ground is None else _altitude_m(subject.positions[:, :2].mean(axis=0), subject.ground, subject.origin),
     )
     return waypoints, enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]
 
@@ -193,9 +195,10 @@ def _reorder(
     places = np.array([place_of[name] for name in names])
     owners = np.empty_like(cloud.edge_of_camera)
     owners[places] = cloud.edge_of_camera
+    looks = None if cloud.looks is None else cloud.looks[np.argsort(places)]
     dealt = []
     for edge in edges:
         moved = places[edge.camera_indices]
         order = np.argsort(moved)
         dealt.append(replace(edge, camera_indices=moved[order], device_of_camera=edge.device_of_camera[order]))
-    return replace(cloud, edge_of_camera=owners), tuple(dealt)
+    return replace(cloud, edge_of_camera=owners, looks=looks), tuple(dealt)

@@ -109,10 +109,11 @@ def headline(cloud: CloudPlan) -> str:
 def certificate_text(cloud: CloudPlan) -> str:
     """Return the proven quality of the plan, one sentence."""
     outside = cloud.num_outside
+    verb, place = ("lie", "in") if cloud.looks is None else ("look", "into")
     lie = (
-        f"{outside} camera{'s lie' if outside != 1 else ' lies'} outside the drawn region"
+        f"{outside} camera{f's {verb}' if outside != 1 else f' {verb}s'} outside the drawn region"
         if outside
-        else "every camera lies in its own cell"
+        else f"every camera {verb}s {place} its own cell"
     )
     if cloud.status == "optimal":
         return f"Certified optimal: no plan of these machines is faster; {lie}."

@@ -54,7 +54,7 @@ def camera_figures(
     own = roles.edge_of_camera
     distance = np.full(count, np.nan)
     planned = own >= 0
-    distance[planned] = np.linalg.norm(centers[planned, :2] - cloud_plan.sites[own[planned]], axis=1)
+    distance[planned] = np.linalg.norm(cloud_plan.places_of(centers[planned, :2]) - cloud_plan.sites[own[planned]], axis=1)
     columns: dict[str, NDArray[Any]] = {
         "name": np.array(cameras.names, dtype=str),
         "region": np.array([*roles.edge_ids, ""])[own],

@@ -2,8 +2,9 @@
 
 Without them an image near a border trains only the side its camera stands on. A position comes into
 question for every other region into which it sees at least `min_share` of its footprint, or whose
-border is at most `within_m` away; it goes to the device of the nearest strip. Per edge those that
-see most come first, as many as fit into memory and keep the edge within `deadline_s`:
+border is at most `within_m` away (from where it looks, if the plan was cut by that); it goes to the
+device of the nearest strip. Per edge those that see most come first, as many as fit into memory and
+keep the edge within `deadline_s`:
     T = max_n T_n(own + extra) + F(own + extra) + Σ_n H_n(own + extra) / B
 An edge whose devices are not known takes none. Once per plan.
 """
@@ -73,7 +74,7 @@ def plan_buffers(
 ) -> tuple[EdgeBuffer, ...]:
     """One `EdgeBuffer` per edge for cameras (P,2) m; shares (P,E) as `region_shares`, needed for
     `min_share` alone. BadInput when positions, shares, plan and system do not belong together."""
-    positions = check_array("positions", positions, (len(cloud.edge_of_camera), 2))
+    positions = cloud.places_of(check_array("positions", positions, (len(cloud.edge_of_camera), 2)))
     require_plan_of(len(positions), cloud, edges)
     require_same_system(edges, system)
     if rule.min_share is not None and (shares is None or (shares.num_images, shares.num_regions) != (len(positions), len(edges))):

@@ -132,6 +132,7 @@ def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) 
     return replace(
         regions,
         edge_of_camera=edge_of_camera,
+        looks=None,
         edge_time_s=edge_time_s,
         lower_bound_s=lower_bound_s,
         status=status,

@@ -43,16 +43,21 @@ def plan_captured(
     require_same_system(edge_plans, system)
     if not len(captured):
         raise BadInput("no photograph was captured: check the folder, or plan again.")
-    device_of_captured = device_of_planned(edge_plans, len(planned))[nearest_planned(planned, captured)]
-    return plan_of_owners(cloud_plan, edge_plans, device_of_captured, captured, system=system)
+    nearest = nearest_planned(planned, captured)
+    # A photograph looks as far from where it was taken as its waypoint does.
+    looks = None if cloud_plan.looks is None else captured + (cloud_plan.looks - planned)[nearest]
+    device_of_captured = device_of_planned(edge_plans, len(planned))[nearest]
+    places = captured if looks is None else looks
+    cloud, edges = plan_of_owners(cloud_plan, edge_plans, device_of_captured, places, system=system)
+    return replace(cloud, looks=looks), edges
 
 
 def plan_of_owners(
     cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], device_of_captured: NDArray[np.int64], captured_xy: ArrayLike, *, system: System
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The regions and strips of a plan for photographs at `captured_xy` (C,2) m on devices (C,),
-    counted over all edges. Raises BadInput when plan and system are not of one kind, or when a
-    device captured more than its memory holds."""
+    counted over all edges; the plan does not know where they look. Raises BadInput when plan and
+    system are not of one kind, or when a device captured more than its memory holds."""
     captured = check_array("captured_xy", captured_xy, (len(device_of_captured), 2))
     require_same_system(edge_plans, system)
     counts = np.bincount(device_of_captured, minlength=len(system.devices))
@@ -161,6 +166,7 @@ def _add_bound(
     return replace(
         cloud_plan,
         edge_of_camera=edge_of_camera,
+        looks=None,
         edge_time_s=edge_time_s,
         lower_bound_s=lower_bound_s,
         status=status,

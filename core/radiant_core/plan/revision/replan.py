@@ -124,11 +124,12 @@ def replan(  # noqa: PLR0913
     joining: System | None = None,
     tolerance: float = 0.0,
 ) -> Replan | ReplanInfeasible:
-    """The new plan of positions (P,2) m; captured (P,) bool, none without it; tolerance: share by
+    """The new plan of positions (P,2) m, or of where they look if the old one was cut by that;
+    captured (P,) bool, none without it; tolerance: share by
     which the makespan may exceed the least, to move fewer. Every edge of `system` and `joining`
     needs a position. Raises BadInput when plan, positions and system do not belong together, for
     unknown ids and tolerance < 0."""
-    positions = check_array("positions", positions, (len(cloud_plan.edge_of_camera), 2))
+    positions = cloud_plan.places_of(check_array("positions", positions, (len(cloud_plan.edge_of_camera), 2)))
     fixed = np.zeros(len(positions), bool) if captured is None else check_array("captured", captured, (len(positions),), np.int64) > 0
     if not (np.isfinite(tolerance) and tolerance >= 0):
         raise BadInput(f"tolerance is {tolerance}, expected a finite share of at least 0.")
@@ -379,6 +380,7 @@ def _result(  # noqa: PLR0913
         status="optimal" if at_bound and certified else "converged" if at_bound else "stopped",
         certified=certified,
         history=(makespan_s,),
+        looks=cloud_plan.looks,
     )
     return Replan(
         system=system,
