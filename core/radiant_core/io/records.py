@@ -239,7 +239,9 @@ def _ids(values: Any) -> tuple[str, ...]:
 
 
 def _plan_values(plan: CloudPlan | EdgePlan) -> dict[str, Any]:
-    return {field.name: _plain_value(getattr(plan, field.name)) for field in fields(plan)}
+    values = {field.name: _plain_value(getattr(plan, field.name)) for field in fields(plan)}
+    # Files of plans that are cut where cameras stand are as ever, for earlier versions too.
+    return {name: value for name, value in values.items() if name != "looks" or value is not None}
 
 
 def _plain_value(value: Any) -> Any:
