@@ -118,7 +118,7 @@ def _in_light_of(scene: Splats, views: TrainingViews, task: RefineTask, reporter
             stage=reporter.stage,
             topic="light of the photographs",
             choice="photographs are fitted in the light of the scene",
-            figure=100 * float(np.abs(lights.log_gains).max()),
+            figure=100 * float(np.expm1(np.abs(lights.log_gains).max())),
             unit="% brighter or darker in a channel",
             reason=f"from {MIN_GAIN:.0%} of a device or a spread of {MIN_SPREAD:.0%} on the scene would change its light",
         )
