@@ -43,7 +43,7 @@ from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
 from radiant_core.light.canonical import light_of_score
 from radiant_core.light.captures import Captures
-from radiant_core.light.solve import LONG_SIDE_PX
+from radiant_core.light.solve import COMPARED_PX
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.placement import AUTO, Placement
@@ -316,7 +316,7 @@ def _score_model(out: Path, models: tuple[Splats, PreparedTraining], cameras: Ca
     cameras, used = select_scored(cameras, photos.masks, lambda message: stage.emit(Warned(stage=stage.name, message=message)))
     light = None
     if training.config.light != "none":
-        trained = load_training_views(photos.images, training.scene.cameras.scaled(LONG_SIDE_PX), photos.masks)
+        trained = load_training_views(photos.images, training.scene.cameras.scaled(COMPARED_PX), photos.masks)
         light = light_of_score(model, trained, cameras, photos.captures, training.config.light)
     if light is not None:
         stage.emit(Decided(decision=light.decision(stage.name)))

@@ -48,7 +48,7 @@ from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.light.canonical import LightOfScore, light_of_score, show_in_light
 from radiant_core.light.captures import load_captures
 from radiant_core.light.lights import Lights
-from radiant_core.light.solve import LONG_SIDE_PX
+from radiant_core.light.solve import COMPARED_PX
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import RenderedView, render_views
@@ -215,7 +215,7 @@ def _light_of_score(
     """The light of this machine's photographs beside the scene's, by those it trained on."""
     if task.light == "none":
         return None
-    trained = load_training_views(images, _trained_cameras(own, task).scaled(LONG_SIDE_PX), own / MASKS)
+    trained = load_training_views(images, _trained_cameras(own, task).scaled(COMPARED_PX), own / MASKS)
     trained = replace(trained, cameras=_correct_cameras(trained.cameras, task))
     light = light_of_score(scene, trained, _correct_cameras(held_out, task), load_captures(own), task.light, task.backend)
     if light is not None:

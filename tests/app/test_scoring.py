@@ -127,7 +127,7 @@ def test_figures_of_another_scene_are_not_used_where_scoring_anew_fails(run: Pat
     save_ply(run / "cloud" / "scene.ply", SCENE)
     machine = ScoringMachine(stage="evaluation", inputs=(file.parent / HELD_OUT_NAME,))
     config = RunConfig(source=tmp_path, out=run)
-    recipe = SimpleNamespace(train=SimpleNamespace(long_side_px=192), backend="native")
+    recipe = SimpleNamespace(train=SimpleNamespace(long_side_px=192, light="none"), backend="native")
     scoring = Scoring(config=config, recipe=cast(Any, recipe), machines=[machine], scene_folder=run / "cloud")
     given_up = SimpleNamespace(fold=lambda tree, prepare, listen: [prepare(node) for node in tree])
     with pytest.raises(StageFailed, match="ended without figures on every machine that has any; --resume"):

@@ -82,7 +82,7 @@ def light_of_score(
 
     Args:
         model: the Gaussians that are scored, whose light is the canonical one.
-        trained: the training photographs (V) as they were taken, at any size from `LONG_SIDE_PX`
+        trained: the training photographs (V) as they were taken, at any size from `COMPARED_PX`
             of `solve` on, with cameras in the frame of the model.
         held_out: the cameras (K) of the others, in that frame; their pixels are not needed.
         captures: of all by name, as far as EXIF gives any.

@@ -39,7 +39,7 @@ WIDTH = 2.0
 FIRST_SCALE, LEAST_SCALE = 0.05, 1e-6
 BLUR_PX = 3
 NUM_PLACES = 64
-LONG_SIDE_PX, SAMPLES, OPAQUE = 192, 2_000, 0.95
+COMPARED_PX, SAMPLES, OPAQUE = 192, 2_000, 0.95
 """Size of the renders compared, pixels of each that are, and the opacity that these have."""
 GAIN_SPREAD, TERM_SPREAD = 1.0, 0.3
 """Standard deviations that log gains and terms of a vignetting have beforehand: what photographs
@@ -84,7 +84,7 @@ class SeenLights:
 def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "auto") -> SeenLights:
     """The light of V photographs relative to a model: gains keep their mean, since the model's own
     light is the canonical one. Cameras are in the frame of the model."""
-    cameras = views.cameras.scaled(LONG_SIDE_PX)
+    cameras = views.cameras.scaled(COMPARED_PX)
     found: list[tuple[NDArray[np.int64], FloatArray, FloatArray]] = []
     places: list[FloatArray] = []
     for index, render in enumerate(render_views(model, cameras, backend)):
