@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from radiant_app.bench.options import OF_RUN
 from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.run.prediction_error import SYSTEM_NAME
-from radiant_app.workers.sources import load_scored_scene, masks_folder_of
+from radiant_app.workers.sources import captures_of, load_scored_scene, masks_folder_of
 from radiant_core import __version__
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.choices import PlanMethod, UploadFormat
@@ -34,6 +34,7 @@ from radiant_core.hierarchy.reporter import Recorder, Reporter
 from radiant_core.io.messages import load_task
 from radiant_core.io.records import load_plan, load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.light.captures import Captures
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -135,6 +136,8 @@ class BenchScene:
     images: Path
     masks: Path | None
     long_side_px: int
+    captures: Captures = field(default_factory=dict)
+    """When photographs were taken and how exposed, as far as that is known."""
 
     @cached_property
     def views(self) -> TrainingViews:
@@ -162,6 +165,7 @@ def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
         images=images,
         masks=masks_folder_of(source),
         long_side_px=long_side_px,
+        captures=captures_of(source),
     )
 
 

@@ -147,13 +147,14 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     if cameras is not None:
         cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
         trained = load_cameras(scored / TRAINED_NAME) if (scored / TRAINED_NAME).is_file() else None
+        own = read_json(scored / OWN_NAME) if (scored / OWN_NAME).is_file() else {}
         return _HeldOut(
             cameras=cameras,
             photographs=scored / "photos",
             masks=scored / MASKS,
             untrained=load_splats(scored / INITIAL_NAME),
             trained=trained,
-            trained_photographs=Path(read_json(scored / OWN_NAME).get("training_images", scored / "photos")),
+            trained_photographs=Path(own.get("training_images", scored / "photos")),
             captures=load_captures(scored),
         )
     if (folder / "delivered").is_dir():
