@@ -163,10 +163,10 @@ def _solve_channel(
     design = _design(view, squared, camera_of, num_cameras)
     # Without albedos there is one empty row of places.
     place = np.zeros(0, np.int64) if observed.place is None else np.unique(observed.place[rows], return_inverse=True)[1]
-    shape = num_rows, int(place.max(initial=0)) + 1
+    shape = (num_rows, int(place.max(initial=0)) + 1)
     of_place = sparse.csr_matrix((np.ones(len(place)), (np.arange(len(place)), place)), shape=shape)
     prior = sparse.diags(np.repeat([GAIN_SPREAD**-2.0, TERM_SPREAD**-2.0], [count, num_cameras * NUM_TERMS]))
-    weights, solution, scale = np.ones(num_rows), np.zeros(design.shape[1]), FIRST_SCALE
+    weights, solution, scale = np.ones(num_rows), np.zeros(count + NUM_TERMS * num_cameras), FIRST_SCALE
     for _ in range(NUM_ROUNDS):
         weighted = design.T.multiply(weights).tocsr()
         shown = of_place.T.multiply(weights).tocsr()

@@ -67,8 +67,8 @@ def test_ratios_keep_the_mean_gain() -> None:
 def test_each_set_that_shares_places_has_its_own_gauge() -> None:
     observed, gains = planted(np.random.default_rng(3), num_places=3_000)
     half = observed.view < NUM_VIEWS // 2
-    place = np.where(half, observed.place, 3_000 + observed.place)
     assert observed.place is not None
+    place = np.where(half, observed.place, 3_000 + observed.place)
     lights = solve_lights(replace(observed, place=place), CAMERAS)
     for part in (slice(0, NUM_VIEWS // 2), slice(NUM_VIEWS // 2, NUM_VIEWS)):
         own = gains[part] - gains[part].mean(axis=0)
@@ -80,6 +80,7 @@ def test_poison_is_as_if_it_were_not_there(poison: float) -> None:
     observed, _ = planted(np.random.default_rng(4))
     bad = np.zeros(len(observed.view), bool)
     bad[::7] = True
+    assert observed.place is not None
     clean = Observations(
         view=observed.view[~bad], squared_radii=observed.squared_radii[~bad], logs=observed.logs[~bad], place=observed.place[~bad]
     )
