@@ -27,3 +27,5 @@ Trajectory = Literal["orbit", "border"]
 """orbit: once around the scene; border: along a border of two edges."""
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """What the picture of a run shows."""
+LightMode = Literal["auto", "none", "always"]
+"""auto: the light of photographs is modelled where it differs; none, always: never or anyhow."""

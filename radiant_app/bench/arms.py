@@ -30,6 +30,7 @@ from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.light.canonical import light_of_score, show_in_light
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.system import System
 from radiant_core.render.rendered_view import RenderedView, render_views
@@ -144,7 +145,16 @@ class Arms:
     def views(self, cell: Cell, arm: Arm) -> list[RenderedView]:
         """The arm's model at the held-out cameras."""
         self.row(cell, arm)
-        return list(render_views(load_splats(self._model_file(cell, arm)), self.scene.held_out_views.cameras))
+        return self._renders(load_splats(self._model_file(cell, arm)), cell)
+
+    def _renders(self, splats: Splats, cell: Cell) -> list[RenderedView]:
+        """A model at the held-out cameras, in the light that is predicted of the photographs."""
+        scene, cameras = self.scene, self.scene.held_out_views.cameras
+        views = list(render_views(splats, cameras))
+        if (light := light_of_score(splats, scene.views, cameras, scene.captures, cell.recipe.train.light)) is None:
+            return views
+        shown = enumerate(views)
+        return [replace(view, image=show_in_light(view.image, light.held_out, index, cameras)) for index, view in shown]
 
     @cached_property
     def photographs(self) -> list[FloatArray]:
@@ -163,7 +173,7 @@ class Arms:
         return [np.where(view.alpha >= OPAQUE, view.depth, 0) for view in views]
 
     def _score(self, cell: Cell, arm: Arm, made: Made) -> ArmRow:
-        images = [view.image for view in render_views(made.splats, self.scene.held_out_views.cameras)]
+        images = [view.image for view in self._renders(made.splats, cell)]
         pairs = list(zip(images, self.photographs, strict=True))
         error = band_and_interior_psnr_db(images, self.photographs, self.masks(cell))
         return ArmRow(

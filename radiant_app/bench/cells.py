@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.run.cutting import Planned, choose_cut, plan_places
 from radiant_app.run.prediction_error import SYSTEM_NAME
-from radiant_app.workers.sources import load_scored_scene, masks_folder_of
+from radiant_app.workers.sources import captures_of, load_scored_scene, masks_folder_of
 from radiant_core import __version__
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.choices import CutBy, PlanMethod, UploadFormat
@@ -35,6 +35,7 @@ from radiant_core.hierarchy.reporter import Recorder, Reporter
 from radiant_core.io.messages import load_task
 from radiant_core.io.records import load_plan, load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.light.captures import Captures
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.edge_sites import place_edges
@@ -136,6 +137,8 @@ class BenchScene:
     long_side_px: int
     cut_by: CutBy = "auto"
     """What the regions and strips of its cells are cut by."""
+    captures: Captures = field(default_factory=dict)
+    """When photographs were taken and how exposed, as far as that is known."""
 
     @cached_property
     def views(self) -> TrainingViews:
@@ -164,6 +167,7 @@ def load_bench_scene(source: Path, long_side_px: int, cut_by: CutBy = "auto") ->
         masks=masks_folder_of(source),
         long_side_px=long_side_px,
         cut_by=cut_by,
+        captures=captures_of(source),
     )
 
 

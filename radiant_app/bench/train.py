@@ -28,8 +28,9 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import terminal_display, track_items
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.sources import load_scored_scene, masks_folder_of, reconstruct_source, sfm_task
+from radiant_app.workers.sources import captures_of, detect_source, load_scored_scene, masks_folder_of, reconstruct_source, sfm_task
 from radiant_core import __version__
+from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
 from radiant_core.evaluate.color_correction import correct_colors
@@ -37,11 +38,14 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.hierarchy.device import fit_prepared, prepare_training
+from radiant_core.hierarchy.device import PreparedTraining, fit_prepared, prepare_training
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.light.canonical import LightOfScore, light_of_score, show_in_light
+from radiant_core.light.captures import Captures, read_captures
+from radiant_core.light.solve import COMPARED_PX
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.render.rendered_view import render_views
@@ -51,6 +55,7 @@ from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_images, load_training_views
+from radiant_core.train.results import TrainResult
 from radiant_viewer.charts.curve_chart import CurvePoint
 
 BUDGETS_S = (60.0, 180.0, 600.0)
@@ -81,7 +86,8 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "degree 0": {"sh_degree": 0},
     "degree 2": {"sh_degree": 2},
     "degree 3": {"sh_degree": 3},
-    "exposures": {"exposure": "affine"},
+    "exposures": {"exposure": "affine", "light": "none"},
+    "light as it was taken": {"light": "none"},
 }
 
 
@@ -112,8 +118,8 @@ class TrainBench:
 class TrainedRow:
     """One trained model: its variant and budget, its cost and its quality.
 
-    Per held-out image psnr_db, and psnr_cc_db of the render after an affine correction of its
-    colours, since a model cannot predict the exposure of a photograph.
+    Per held-out image psnr_db, of the render in the light that is predicted where the variant
+    models light, and psnr_cc_db after an affine correction of its colours to the photograph's.
     """
 
     variant: str
@@ -144,6 +150,7 @@ class _Source:
     scene: SfmScene
     images: Path
     masks: Path | None
+    captures: Captures
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -239,15 +246,16 @@ def _config(preset: str, long_side_px: int) -> TrainConfig:
 def _load(source: Path, work: Path) -> _Source:
     try:
         scene, _, images = load_scored_scene(source)
-        masks = masks_folder_of(source)
+        masks, captures = masks_folder_of(source), captures_of(source)
     except BadInput:
         task = sfm_task(source, SfmConfig(), None, Placement())
         display = terminal_display()
         with stage_bar(display, "sfm"):
             result = reconstruct_source(task, work / "sfm", EventReporter(stage="sfm", emit=display).sfm_progress)
         scene, images, masks = result.scene, result.undistorted_folder, None
+        captures = read_captures(detect_source(source)[1], scene.cameras.names)
     name = source.resolve().parent.name if source.name in ("images", "sfm") else source.resolve().name
-    return _Source(name=name, scene=scene, images=images, masks=masks)
+    return _Source(name=name, scene=scene, images=images, masks=masks, captures=captures)
 
 
 def _splits(source: _Source, firsts: Sequence[int]) -> list[_Split]:
@@ -298,8 +306,11 @@ def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float
     photographs = load_images(split.source.images, scored)
     weights = pixel_weights(split.source.masks, scored)
     used = [None] * len(photographs) if weights is None else [used_pixels(each) for each in weights]
-    triples = zip(render_views(result.splats, scored), photographs, used, strict=True)
-    figures = [_psnrs_db(view.image, photograph / 255, own) for view, photograph, own in triples]
+    renders = [view.image for view in render_views(result.splats, scored)]
+    if (light := _light(split, prepared, result, scored)) is not None:
+        renders = [show_in_light(image, light.held_out, index, scored) for index, image in enumerate(renders)]
+    triples = zip(renders, photographs, used, strict=True)
+    figures = [_psnrs_db(image, photograph / 255, own) for image, photograph, own in triples]
     return TrainedRow(
         variant=variant,
         budget_s=budget_s,
@@ -311,6 +322,14 @@ def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float
         psnr_cc_db=tuple(corrected for _, corrected in figures),
         split=split.first,
     )
+
+
+def _light(split: _Split, prepared: PreparedTraining, result: TrainResult, scored: Cameras) -> LightOfScore | None:
+    """The light of the photographs held out beside the model's, as it is predicted."""
+    if prepared.config.light == "none":
+        return None
+    trained = load_training_views(split.source.images, prepared.scene.cameras.scaled(COMPARED_PX), split.source.masks)
+    return light_of_score(result.splats, trained, scored, split.source.captures, prepared.config.light)
 
 
 def _psnrs_db(image: ArrayLike, photograph: ArrayLike, used: Used) -> tuple[float, float]:

@@ -10,7 +10,7 @@ One photograph is in memory at a time.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ import numpy as np
 from radiant_app.commands.steps import require_file_to_be, stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
-from radiant_app.workers.sources import detect_source, load_scored_scene, masks_folder_of
-from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME
+from radiant_app.workers.sources import captures_of, detect_source, load_scored_scene, masks_folder_of
+from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.choices import LpipsNetwork
@@ -30,9 +30,13 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.photos.listing import list_photographs
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_splats
-from radiant_core.io.run_store import write_json
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.upload import load_upload
+from radiant_core.light.canonical import LightOfScore, light_of_score
+from radiant_core.light.captures import Captures, load_captures, read_captures
+from radiant_core.light.solve import COMPARED_PX
 from radiant_core.splats import Splats
+from radiant_core.train.photographs import load_training_views
 
 DEFAULT_LONG_SIDE_PX = 1_600
 """Where no run says a size: larger photographs are reduced to it, as 3DGS and its successors do."""
@@ -59,6 +63,12 @@ class _HeldOut:
     photographs: Path
     masks: Path | None = None
     untrained: Splats | None = None
+    trained: Cameras | None = None
+    """Those of the training photographs, which tell in which light the others were taken; None:
+    that is not asked."""
+    trained_photographs: Path | None = None
+    """Their folder; None: that of the held-out ones."""
+    captures: Captures = field(default_factory=dict)
     copies: tuple[str, ...] = ()
     """Warnings about photographs that repeat others and are neither held out nor trained on."""
 
@@ -73,7 +83,8 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     _require_sizes(held_out.cameras, lpips)
     cameras, used = select_scored(held_out.cameras, held_out.masks, warn=lambda message: None)
     photographs = [held_out.photographs / name for name in cameras.names]
-    views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=held_out.untrained)
+    light = _light_of(splats, cameras, held_out)
+    views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=held_out.untrained, light=light)
     started_s = time.monotonic()
     rows = []
     with stage_bar(display, "evaluate") as report:
@@ -87,6 +98,8 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
         "long_side_px": int(cameras.sizes_wh.max()),
         "seconds": round(time.monotonic() - started_s, 2),
     }
+    if light is not None:
+        result["light"] = light.decision("evaluation").choice
     if held_out.copies:
         result["copies"] = " ".join((*held_out.copies, "A model that another program trained on them has seen what is scored."))
     if result["psnr_db"] < np.mean([row["mean_color_psnr_db"] for row in rows]):
@@ -94,6 +107,16 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     if request.out is not None:
         write_json(request.out, result)
     return result
+
+
+def _light_of(model: Splats, cameras: Cameras, held_out: _HeldOut) -> LightOfScore | None:
+    """The light of held-out photographs beside the model's, where it differs and the training
+    photographs are here."""
+    images = held_out.trained_photographs or held_out.photographs
+    if held_out.trained is None or not all((images / name).is_file() for name in held_out.trained.names):
+        return None
+    trained = load_training_views(images, held_out.trained.scaled(COMPARED_PX), held_out.masks)
+    return light_of_score(model, trained, cameras, held_out.captures, "auto")
 
 
 def load_scored_cameras(run: Path) -> Cameras | None:
@@ -123,7 +146,17 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     cameras = load_scored_cameras(folder)
     if cameras is not None:
         cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
-        return _HeldOut(cameras=cameras, photographs=scored / "photos", masks=scored / MASKS, untrained=load_splats(scored / INITIAL_NAME))
+        trained = load_cameras(scored / TRAINED_NAME) if (scored / TRAINED_NAME).is_file() else None
+        own = read_json(scored / OWN_NAME) if (scored / OWN_NAME).is_file() else {}
+        return _HeldOut(
+            cameras=cameras,
+            photographs=scored / "photos",
+            masks=scored / MASKS,
+            untrained=load_splats(scored / INITIAL_NAME),
+            trained=trained,
+            trained_photographs=Path(own.get("training_images", scored / "photos")),
+            captures=load_captures(scored),
+        )
     if (folder / "delivered").is_dir():
         raise BadInput(f"the photographs of {folder} stayed on its devices, which scored it: its metrics.json has the figures.")
     kind, images, model = detect_source(folder)
@@ -137,7 +170,9 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     if kind == "colmap":
         _require_shapes(cameras, everything, images)
     cameras = cameras.scaled(request.long_side_px or DEFAULT_LONG_SIDE_PX)
-    return _HeldOut(cameras=cameras, photographs=images, masks=masks, copies=copies)
+    trained = everything.select(~held_out_mask(everything.names))
+    captures = read_captures(images, everything.names) if kind == "colmap" else captures_of(folder)
+    return _HeldOut(cameras=cameras, photographs=images, masks=masks, trained=trained, captures=captures, copies=copies)
 
 
 def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Cameras, tuple[str, ...]]:

@@ -29,7 +29,7 @@ from radiant_app.run.progress import Progress
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.sources import detect_source, has_scene, load_scored_scene, masks_folder_of
+from radiant_app.workers.sources import captures_of, detect_source, has_scene, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -41,6 +41,9 @@ from radiant_core.hierarchy.reporter import Machine
 from radiant_core.io.photos.listing import DECODED_BYTES_PER_PX
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
+from radiant_core.light.canonical import light_of_score
+from radiant_core.light.captures import Captures
+from radiant_core.light.solve import COMPARED_PX
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.placement import AUTO, Placement
@@ -135,7 +138,7 @@ def train(
             model, summary = _train_model(training, request, stage)
         with _Stage("evaluation", emit, clock) as stage:
             held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
-            figures = _score_model(request.out, (model, training.initial), held_out, photos, stage)
+            figures = _score_model(request.out, (model, training), held_out, photos, stage)
         metrics = {**figures, "training": summary, **_totals(manifest, len(model))}
         write_json(request.out / "metrics.json", metrics)
         return metrics
@@ -162,8 +165,13 @@ class _Stage:
         return EventReporter(stage=self.name, emit=self.emit)
 
 
-_Photos = tuple[Path, Path | None]
-"""The folders of a scene's photographs and of their masks."""
+@dataclass(frozen=True, kw_only=True)
+class _Photos:
+    """The folders of a scene's photographs and of their masks, and what EXIF says of them."""
+
+    images: Path
+    masks: Path | None
+    captures: Captures
 
 
 def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmScene, _Photos]:
@@ -178,7 +186,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         sfm=SfmOptions(masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m),
     )
     scene, images = sfm_stage(config, progress, request.memory_bytes)
-    return scene, (images, masks_folder_of(request.out))
+    return scene, _Photos(images=images, masks=masks_folder_of(request.out), captures=captures_of(request.out))
 
 
 def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Photos]:
@@ -195,7 +203,7 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
     scene, warnings, images = load_scored_scene(request.source)
     for message in warnings:
         listen(Warned(stage=STAGE, message=message))
-    return scene, (images, masks_folder_of(request.source))
+    return scene, _Photos(images=images, masks=masks_folder_of(request.source), captures=captures_of(request.source))
 
 
 def _prepare(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> PreparedTraining:
@@ -216,10 +224,9 @@ def _prepare(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _St
         raise BadInput(f"of {len(held_out)} photographs none is left to train on: leave out --validate.")
     for decision in (*decisions, _validation_decision(request, num_training, int(validated.sum()))):
         stage.emit(Decided(decision=decision))
-    images, masks = photos
 
     def views_of(chosen: NDArray[np.bool_]) -> TrainingViews:
-        return load_training_views(images, scene.cameras.select(np.flatnonzero(chosen)).scaled(config.long_side_px), masks)
+        return load_training_views(photos.images, scene.cameras.select(np.flatnonzero(chosen)).scaled(config.long_side_px), photos.masks)
 
     if request.memory_bytes is not None and request.out.is_dir():
         base_bytes = base_bytes_in(request.out, base_bytes)
@@ -302,11 +309,19 @@ def _validation_figures(result: TrainResult) -> dict[str, Any]:
     return {"best_step": result.best_step, "validation": [{"step": step, "psnr_db": figure} for step, figure in result.validation]}
 
 
-def _score_model(out: Path, models: tuple[Splats, Splats], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
-    """Figures of trained and first model on the held-out photographs; writes the pictures."""
-    (images, masks), (model, initial) = photos, models
-    cameras, used = select_scored(cameras, masks, lambda message: stage.emit(Warned(stage=stage.name, message=message)))
-    views = HeldOutViews(cameras=cameras, photographs=[images / name for name in cameras.names], used=used, initial=initial)
+def _score_model(out: Path, models: tuple[Splats, PreparedTraining], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
+    """Figures of the trained and the first model on the held-out photographs; writes the
+    pictures."""
+    model, training = models
+    cameras, used = select_scored(cameras, photos.masks, lambda message: stage.emit(Warned(stage=stage.name, message=message)))
+    light = None
+    if training.config.light != "none":
+        trained = load_training_views(photos.images, training.scene.cameras.scaled(COMPARED_PX), photos.masks)
+        light = light_of_score(model, trained, cameras, photos.captures, training.config.light)
+    if light is not None:
+        stage.emit(Decided(decision=light.decision(stage.name)))
+    paths = [photos.images / name for name in cameras.names]
+    views = HeldOutViews(cameras=cameras, photographs=paths, used=used, initial=training.initial, light=light)
     rows = []
     for image in score_images(model, cameras, views):
         image.save(out / "pictures")

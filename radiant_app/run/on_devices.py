@@ -37,6 +37,7 @@ from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_json
+from radiant_core.light.captures import CAPTURES_NAME
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.count_raster import middles_of_cells
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -212,7 +213,7 @@ class DevicePhotographs:
         machines = [
             ScoringMachine(
                 stage=f"devices/{device}/score",
-                inputs=tuple(run / "devices" / device / name for name in (HELD_OUT_NAME, MODEL_NAME)),
+                inputs=tuple(run / "devices" / device / name for name in (HELD_OUT_NAME, MODEL_NAME, CAPTURES_NAME)),
                 moves=tuple(moves),
                 edge=f"edges/{recipe.plan_of(device).edge_id}",
             )

@@ -36,6 +36,7 @@ from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_scene, save_cameras, save_splats
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.light.captures import CAPTURES_NAME
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
@@ -134,6 +135,10 @@ class PooledPhotographs:
         save_cameras(folder / TRAINED_NAME, self.training.cameras)
         write_json(folder / OWN_NAME, {"images": str(folder / "photos"), "training_images": str(self.images)})
         files = [folder / name for name in (HELD_OUT_NAME, INITIAL_NAME, TRAINED_NAME)]
+        (folder / CAPTURES_NAME).unlink(missing_ok=True)
+        if (config.out / "sfm" / CAPTURES_NAME).is_file():
+            deal_files(config.out / "sfm", [CAPTURES_NAME], folder)
+            files.append(folder / CAPTURES_NAME)
         given = [folder / "photos", *deal_masks(config.out, scene.cameras.names, folder), *files]
         machine = ScoringMachine(stage="evaluation", inputs=tuple(given))
         scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine], scene_folder=dealer.scene_folder)

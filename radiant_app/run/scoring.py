@@ -101,6 +101,7 @@ class Scoring:
             long_side_px=self.recipe.train.long_side_px,
             backend=self.recipe.backend,
             lpips=lpips,
+            light=self.recipe.train.light,
             owned=machine.edge is not None,
         )
         save_task(folder, task)

@@ -45,11 +45,15 @@ from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats
 from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.light.canonical import LightOfScore, light_of_score, show_in_light
+from radiant_core.light.captures import load_captures
+from radiant_core.light.lights import Lights
+from radiant_core.light.solve import COMPARED_PX
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
-from radiant_core.train.photographs import load_images
+from radiant_core.train.photographs import load_images, load_training_views
 
 LPIPS_NAME = "lpips.safetensors"
 """Weights of LPIPS in the folder where a scene is scored."""
@@ -70,6 +74,8 @@ class HeldOutViews:
     """What masks leave of each."""
     initial: Splats | None = None
     """The Gaussians before training, in the same frame; None: unknown."""
+    light: LightOfScore | None = None
+    """In which light the photographs were taken beside the model's; None: in the same."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,13 +111,17 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
     photographs = [images / name for name in cameras.names]
     leakage = _measure_leakage(own, images, task, reporter) if task.owned else None
+    scene, (plan, _) = load_ply(inbox / "scene.ply"), load_plan(inbox / "plan.json")
+    training_images = Path(places.get("training_images", images))
+    # By the photographs' own names, which EXIF is known by.
+    light = _light_of_score(scene, cameras, own, training_images, task, reporter)
     if task.owned:
         cameras = replace(cameras, names=tuple(f"{own.name}/held-out-{index:04d}" for index in range(len(cameras))))
-    views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME))
-    scene, (plan, _) = load_ply(inbox / "scene.ply"), load_plan(inbox / "plan.json")
+    views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME), light=light)
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
     scored = score_views(scene, views, task, lpips, reporter)
-    errors = measure_borders(scene, plan, own, Path(places.get("training_images", images)), task, reporter)
+    trained = TrainedPhotographs(own=own, images=training_images, light=light)
+    errors = measure_borders(scene, plan, trained, task, reporter)
     pictures = [name for image in scored for name in image.save(folder)]
     rows = [image.row for image in scored]
     write_json(folder / SCORES_NAME, {"images": rows, "borders": [asdict(error) for error in errors], "leakage": leakage})
@@ -146,6 +156,8 @@ def score_images(
     """
     rendered = render_views(model, cameras, backend)
     untrained = repeat(None, len(cameras)) if views.initial is None else render_views(views.initial, views.cameras, backend)
+    if views.light is not None:
+        rendered = _shown_in(views.light.held_out, rendered, cameras)
     for view, before, path, used in zip(rendered, untrained, views.photographs, views.used, strict=True):
         height, width = view.image.shape[:2]
         photograph = load_photograph(path, (width, height))
@@ -153,17 +165,35 @@ def score_images(
         yield ScoredImage(row=row, view=view, photograph=photograph, used=used)
 
 
-def measure_borders(scene: Splats, plan: CloudPlan, own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> list[BorderError]:
-    """Measure a scene at the plan's borders on the photographs in `images` that this machine, whose
-    files are in `own`, trained on."""
-    cameras = load_scene(own / "scene.safetensors").cameras if task.owned else load_cameras(own / TRAINED_NAME)
+def _shown_in(lights: Lights, rendered: Iterator[RenderedView], cameras: Cameras) -> Iterator[RenderedView]:
+    """Renders of `cameras` as photographs of these lights."""
+    for index, view in enumerate(rendered):
+        yield replace(view, image=show_in_light(view.image, lights, index, cameras))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainedPhotographs:
+    """The photographs in `images` that a machine, whose files are in `own`, trained on."""
+
+    own: Path
+    images: Path
+    light: LightOfScore | None = None
+    """As of `HeldOutViews`."""
+
+
+def measure_borders(
+    scene: Splats, plan: CloudPlan, trained: TrainedPhotographs, task: ScoreTask, reporter: EventReporter
+) -> list[BorderError]:
+    """Measure a scene at the plan's borders on photographs trained on, in the light of each."""
+    own, images, light = trained.own, trained.images, trained.light
     if len(plan.sites) < 2:
         return []
-    cameras = cameras.scaled(task.long_side_px)
+    cameras = _trained_cameras(own, task).scaled(task.long_side_px)
     weights = pixel_weights(own / MASKS, cameras)
 
     def render() -> Iterator[RenderedView]:
-        for done, view in enumerate(render_views(scene, _correct_cameras(cameras, task), task.backend), 1):
+        rendered = render_views(scene, _correct_cameras(cameras, task), task.backend)
+        for done, view in enumerate(rendered if light is None else _shown_in(light.trained, rendered, cameras), 1):
             reporter.progress(done, len(cameras), "training photographs at the borders")
             yield view
 
@@ -173,6 +203,24 @@ def measure_borders(scene: Splats, plan: CloudPlan, own: Path, images: Path, tas
     )
     used = None if weights is None else [used_pixels(each) for each in weights]
     return list(border_errors(_correct_cameras(cameras, task), render(), photographs, plan, used))
+
+
+def _trained_cameras(own: Path, task: ScoreTask) -> Cameras:
+    return load_scene(own / "scene.safetensors").cameras if task.owned else load_cameras(own / TRAINED_NAME)
+
+
+def _light_of_score(
+    scene: Splats, held_out: Cameras, own: Path, images: Path, task: ScoreTask, reporter: EventReporter
+) -> LightOfScore | None:
+    """The light of this machine's photographs beside the scene's, by those it trained on."""
+    if task.light == "none":
+        return None
+    trained = load_training_views(images, _trained_cameras(own, task).scaled(COMPARED_PX), own / MASKS)
+    trained = replace(trained, cameras=_correct_cameras(trained.cameras, task))
+    light = light_of_score(scene, trained, _correct_cameras(held_out, task), load_captures(own), task.light, task.backend)
+    if light is not None:
+        reporter.decide(light.decision(reporter.stage))
+    return light
 
 
 def _correct_cameras(cameras: Cameras, task: ScoreTask) -> Cameras:

@@ -3,7 +3,8 @@
     positions  the heads of the photographs that its task names
                → positions.json of a pooled folder; raster.json of a device's own
     field      its own photographs, poses where given
-               → {model,cameras,scene,initial,held_out}.safetensors, frame.json, own.json
+               → {model,cameras,scene,initial,held_out}.safetensors, frame.json, own.json,
+                 captures.json
 
 A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) gives the
 reason in frame.json and is done; the run goes on. It reports the number of photographs that it
@@ -137,6 +138,7 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
         # frame.json with the reason leaves the device.
         return _report_missing(folder, make_redactor("field", folder).redact(str(error)), reporter)
     from radiant_core.hierarchy.joining import number_cameras
+    from radiant_core.light.captures import read_captures, save_captures
 
     assert model.initial is not None
     save_splats(folder / INITIAL_NAME, model.initial)
@@ -144,10 +146,12 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
     save_cameras(folder / HELD_OUT_NAME, placed.scene.cameras.select(held))
     frame = save_frame(folder, placed.uncertainty)
     write_json(folder / OWN_NAME, {"images": str(placed.images)})
+    photos = folder / "photos" if task.placing.fetch else Path(task.placing.source)
+    captures = save_captures(folder, read_captures(photos, placed.scene.cameras.names))
     sent = replace(model, cameras=number_cameras(training.cameras, folder.name), uncertainty=placed.uncertainty)
     names = save_device_model(folder, sent, task.upload, reporter.warn)
     remove_checkpoints(folder)
-    return [*names, INITIAL_NAME, "scene.safetensors", HELD_OUT_NAME, frame, OWN_NAME]
+    return [*names, INITIAL_NAME, "scene.safetensors", HELD_OUT_NAME, frame, OWN_NAME, captures]
 
 
 def _photographs_key(task: PlacingTask) -> str:

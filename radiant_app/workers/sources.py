@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput
@@ -13,6 +13,9 @@ from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.world_frame.placement import Placement
+
+if TYPE_CHECKING:
+    from radiant_core.light.captures import Captures
 
 SourceKind = Literal["photographs", "colmap", "mill19"]
 
@@ -113,6 +116,13 @@ def masks_folder_of(folder: Path) -> Path | None:
     owner = _owner_of_scene(folder)
     masks = read_json(owner / "result.json").get("masks") if (owner / "result.json").is_file() else None
     return None if masks is None else owner / masks
+
+
+def captures_of(folder: Path) -> Captures:
+    """When the photographs of a scene were taken and how exposed, as far as its folder says."""
+    from radiant_core.light.captures import load_captures
+
+    return load_captures(_owner_of_scene(folder))
 
 
 def _owner_of_scene(folder: Path) -> Path:

@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from radiant_app.workers.delivering import accept_task, belongs_to_run
-from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, UploadFormat
+from radiant_core.choices import LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
@@ -158,6 +158,8 @@ class ScoreTask:
     long_side_px: PixelCount
     backend: Renderer
     lpips: LpipsNetwork | None
+    light: LightMode
+    """Whether photographs are scored in their own light, as it is predicted."""
     owned: bool
     """Whether the photographs are a device's own, whose folder is the one above: figures then come
     under numbers and with the leakage of its synthetic views."""

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from radiant_app.config.run_config import RunConfig
+from radiant_app.events import Decided
 from radiant_app.report.html import describe_unscored
 from radiant_app.run.scoring import Scoring, ScoringMachine, combine_scores
 from radiant_app.workers.evaluation import SCORES_NAME, png_bytes, run_score
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, Move, ScoreTask
 from radiant_core.cameras import Cameras
+from radiant_core.choices import LightMode
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Frame, Sim3
 from radiant_core.geometry.similarity import move_splats
@@ -24,6 +26,7 @@ from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_cameras, save_plan, save_scene, save_splats
 from radiant_core.io.run_store import read_json, seal, write_json
+from radiant_core.light.captures import save_captures
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
@@ -59,7 +62,7 @@ def scored(run: Path, stage: str, cameras: Cameras, move: Sim3 | None = None) ->
     save_ply(folder / "inbox" / "scene.ply", SCENE)
     save_plan(folder / "inbox" / "plan.json", PLAN, ())
     moves = () if move is None else (Move.of(move),)
-    task = ScoreTask(corrections=moves, long_side_px=192, backend="native", lpips=None, owned=move is not None)
+    task = ScoreTask(corrections=moves, long_side_px=192, backend="native", lpips=None, light="none", owned=move is not None)
     run_score(folder, task, EventReporter(stage=stage, emit=lambda event: None))
     return folder / SCORES_NAME
 
@@ -124,7 +127,7 @@ def test_figures_of_another_scene_are_not_used_where_scoring_anew_fails(run: Pat
     save_ply(run / "cloud" / "scene.ply", SCENE)
     machine = ScoringMachine(stage="evaluation", inputs=(file.parent / HELD_OUT_NAME,))
     config = RunConfig(source=tmp_path, out=run)
-    recipe = SimpleNamespace(train=SimpleNamespace(long_side_px=192), backend="native")
+    recipe = SimpleNamespace(train=SimpleNamespace(long_side_px=192, light="none"), backend="native")
     scoring = Scoring(config=config, recipe=cast(Any, recipe), machines=[machine], scene_folder=run / "cloud")
     given_up = SimpleNamespace(fold=lambda tree, prepare, listen: [prepare(node) for node in tree])
     with pytest.raises(StageFailed, match="ended without figures on every machine that has any; --resume"):
@@ -146,3 +149,49 @@ def test_figures_of_another_scene_are_not_used_where_scoring_anew_fails(run: Pat
 )
 def test_where_unscored_photographs_are_is_said(metrics: dict[str, Any], words: str) -> None:
     assert describe_unscored(metrics) == words
+
+
+def scored_in_light(run: Path, light: LightMode, *, noise: bool = False) -> tuple[float, dict[str, bytes], list[Any]]:
+    """PSNR, renders and decisions of the scene on every fourth of photographs whose light drifts;
+    optionally with noise in the place of these four."""
+    folder = run / "evaluation"
+    (folder / "inbox").mkdir(parents=True)
+    (folder / "photos").mkdir()
+    held = np.arange(len(CAMERAS)) % 4 == 1
+    for index, view in enumerate(render_views(TRUTH, CAMERAS)):
+        image = np.clip(view.image * np.exp(0.04 * (index - 5.5)) * 255, 0, 255).round().astype(np.uint8)
+        if noise and held[index]:
+            image = np.random.default_rng(index).integers(0, 256, image.shape).astype(np.uint8)
+        (folder / "photos" / view.name).write_bytes(png_bytes(image))
+    save_captures(folder, {name: (rank, None) for rank, name in enumerate(CAMERAS.names)})
+    save_cameras(folder / HELD_OUT_NAME, CAMERAS.select(held))
+    save_cameras(folder / TRAINED_NAME, CAMERAS.select(~held))
+    save_splats(folder / INITIAL_NAME, INITIAL)
+    write_json(folder / OWN_NAME, {"images": str(folder / "photos")})
+    save_ply(folder / "inbox" / "scene.ply", TRUTH)
+    save_plan(folder / "inbox" / "plan.json", PLAN, ())
+    events: list[Any] = []
+    task = ScoreTask(corrections=(), long_side_px=192, backend="native", lpips=None, light=light, owned=False)
+    run_score(folder, task, EventReporter(stage="evaluation", emit=events.append))
+    rows = read_json(folder / SCORES_NAME)["images"]
+    renders = {path.name: path.read_bytes() for path in (folder / "renders").iterdir()}
+    return float(np.mean([row["psnr_db"] for row in rows])), renders, [event.decision for event in events if isinstance(event, Decided)]
+
+
+def test_noise_in_the_place_of_photographs_held_out_changes_no_bit_of_their_predicted_light(tmp_path: Path) -> None:
+    plain, as_rendered, none = scored_in_light(tmp_path / "none", "none")
+    better, lit, (decision,) = scored_in_light(tmp_path / "auto", "auto")
+    _, noisy, (same,) = scored_in_light(tmp_path / "noise", "auto", noise=True)
+    assert not none and decision.topic == "light of photographs held out" and "before and after" in decision.choice
+    # 14 % of brightness between the mean and a photograph, against 1 % between neighbours in time.
+    assert better > plain + 10 and lit != as_rendered
+    assert noisy == lit and same == decision
+
+
+def test_photographs_of_one_light_are_scored_as_they_are(run: Path, tmp_path: Path) -> None:
+    scored(run, "evaluation", CAMERAS)
+    save_captures(run / "evaluation", {name: (rank, None) for rank, name in enumerate(CAMERAS.names)})
+    before = read_json(run / "evaluation" / SCORES_NAME)
+    task = ScoreTask(corrections=(), long_side_px=192, backend="native", lpips=None, light="auto", owned=False)
+    run_score(run / "evaluation", task, EventReporter(stage="evaluation", emit=lambda event: None))
+    assert read_json(run / "evaluation" / SCORES_NAME) == before

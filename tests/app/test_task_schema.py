@@ -100,6 +100,7 @@ MESSAGES: dict[str, Any] = {
         long_side_px=64,
         backend="native",
         lpips=None,
+        light="auto",
         owned=True,
     ),
     "refine": RefineNodeTask(

@@ -16,6 +16,7 @@ from radiant_core.decisions import Decision
 from radiant_core.hierarchy.decisions import density_decision, fill_decision, shapes_decision, sky_decision
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
+from radiant_core.light.canonical import canonical_validation, canonical_views
 from radiant_core.render.gsplat_backend import free_vram_bytes
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
@@ -70,6 +71,8 @@ def train_device(
         StageFailed: the training diverges.
     """
     prepared = prepare_training(task, views, reporter, machine, validation)
+    # What is trained on may be a copy in another light.
+    del views, validation
     result = fit_prepared(prepared, reporter)
     return device_model(prepared, result)
 
@@ -90,6 +93,10 @@ def prepare_training(
     _decide(reporter, decisions)
     config, decisions = fit_to_scene(config, scene, views)
     _decide(reporter, decisions)
+    views, lights, decisions = canonical_views(scene, views, config.light)
+    _decide(reporter, decisions)
+    if validation is not None and lights is not None:
+        validation = canonical_validation(lights, scene, validation)
     config, decisions = _within_cuda(config, views.cameras, task.backend, reporter.stage)
     _decide(reporter, decisions)
     reporter.decide(sky_decision(reporter.stage, sky_share(views.cameras), wanted=config.sky))

@@ -23,8 +23,9 @@ from radiant_core.decisions import Decision
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
-from radiant_core.render.contract import Backend
-from radiant_core.render.rendered_view import render_views
+from radiant_core.light.canonical import MIN_SPREAD
+from radiant_core.light.lights import in_canonical_light
+from radiant_core.light.solve import lights_from_model
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.densify.policies import NoDensification
@@ -36,8 +37,7 @@ RATE, RATE_END = 0.4, 0.5
 docs/experiments/aggregation.md."""
 MIN_GAIN = 8 / 128
 """A device whose photographs are brighter or darker than the scene by this share at mid grey, as
-`balance.MIN_LEVELS`, refines by photographs in the scene's light."""
-NUM_COMPARED, OPAQUE = 8, 0.95
+`balance.MIN_LEVELS`, refines by photographs in the scene's light, whatever `light` is."""
 
 
 def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporter: Reporter, machine: Machine = Machine()) -> Refinement:
@@ -68,7 +68,7 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
         bare = replace(bare, statistics_bytes=memory.statistics_bytes)
     if not len(start):
         return nothing
-    views = _in_light_of(start, views, task.backend, reporter)
+    views = _in_light_of(start, views, task, reporter)
     num_steps = task.epochs * len(views)
     config = replace(
         task.train,
@@ -100,32 +100,31 @@ def _changed(before: Splats, after: Splats) -> NDArray[np.bool_]:
     return np.any([(one != other).reshape(len(before), -1).any(axis=1) for one, other in pairs], axis=0)
 
 
-def _in_light_of(scene: Splats, views: TrainingViews, backend: Backend, reporter: Reporter) -> TrainingViews:
-    """The photographs as bright as the scene, where the device's as a whole are not."""
-    some = np.unique(np.linspace(0, len(views) - 1, NUM_COMPARED).astype(np.int64))
-    compared = views.select(some)
-    shown = np.zeros(3)
-    taken = np.zeros(3)
-    weights = [None] * len(compared) if compared.weights is None else compared.weights
-    for view, image, weight in zip(render_views(scene, compared.cameras, backend), compared.images, weights, strict=True):
-        opaque = (view.alpha > OPAQUE) & (True if weight is None else weight > 127)
-        shown += view.image[opaque].sum(axis=0)
-        taken += image[opaque].sum(axis=0) / 255
-    gains = np.where((taken > 0) & (shown > 0), shown / np.maximum(taken, 1e-12), 1.0)
-    if np.abs(gains - 1).max() < MIN_GAIN:
+def _in_light_of(scene: Splats, views: TrainingViews, task: RefineTask, reporter: Reporter) -> TrainingViews:
+    """The photographs in the scene's light: each where their light is modelled, else the device's
+    as a whole where they are brighter or darker."""
+    lights = lights_from_model(scene, views, task.backend).lights
+    if not lights.known.any():
         return views
+    shift = lights.log_gains[lights.known].mean(axis=0)
+    if task.train.light == "none" or (task.train.light == "auto" and lights.spread < MIN_SPREAD):
+        lights = replace(lights, log_gains=np.tile(shift, (len(lights), 1)), vignettings=np.zeros_like(lights.vignettings))
+        if np.abs(shift).max() < MIN_GAIN:
+            return views
+    else:
+        # One that shows too little of the scene is as the others are.
+        lights = replace(lights, log_gains=np.where(lights.known[:, None], lights.log_gains, shift))
     reporter.decide(
         Decision(
             stage=reporter.stage,
             topic="light of the photographs",
-            choice="photographs are fitted as bright as the scene is",
-            figure=100 * float(np.abs(gains - 1).max()),
+            choice="photographs are fitted in the light of the scene",
+            figure=100 * float(np.expm1(np.abs(lights.log_gains).max())),
             unit="% brighter or darker in a channel",
-            reason=f"by more than {MIN_GAIN:.0%} the scene would change its light at borders",
+            reason=f"from {MIN_GAIN:.0%} of a device or a spread of {MIN_SPREAD:.0%} on the scene would change its light",
         )
     )
-    images = tuple(np.clip(image * gains, 0, 255).round().astype(np.uint8) for image in views.images)
-    return replace(views, images=images)
+    return in_canonical_light(views, lights)
 
 
 def _skipped(stage: str, needed_bytes: float, limit_bytes: float) -> Decision:

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
+from radiant_core.choices import LightMode
 from radiant_core.errors import BadInput
 from radiant_core.train.densify.policies import (
     POLICIES,
@@ -90,6 +91,9 @@ class TrainConfig:
     """affine: each photograph has a learnt affine map of colours; auto: where exposures differ."""
     exposure_lr: float = 1e-3
     """Learning rate of the exposures at the start; it falls to a tenth."""
+    light: LightMode = "none"
+    """Whether photographs are trained on in one canonical light, and renders scored in the light
+    that is predicted of those held out; auto: where light differs."""
     num_looks: int = 6
     """How many times the validation views are rendered in the second half of a run."""
     sky: bool = True
@@ -127,6 +131,7 @@ class TrainConfig:
             raise BadInput(f"exposure_lr is {self.exposure_lr}, expected a positive number.")
         require_one_of(self, "adam", ("visible", "dense"))
         require_one_of(self, "exposure", ("none", "affine", "auto"))
+        require_one_of(self, "light", ("auto", "none", "always"))
         require_one_of(self, "background", ("black", "random"))
         require_one_of(self, "skip_images", ("none", "auto"))
 
@@ -145,6 +150,7 @@ _SHORT = TrainConfig(
     density=Adc(kind="planned", reset_opacity_every=NEVER),
     start_scale=0.5,
     skip_images="auto",
+    light="auto",
 )
 _PLAIN = TrainConfig(
     sh_degree=3,

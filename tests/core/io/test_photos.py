@@ -413,3 +413,41 @@ def test_segments_are_walked_to_their_ends_and_not_beyond() -> None:
     ]
     position = read_jpeg_facts(b"\xff\xd8" + b"".join(exif)).exif.lat_lon_alt
     assert position is not None and position[0] > 0, "the first of two counts"
+
+
+def with_details(order: str, details: dict[int, tuple[int, bytes]]) -> bytes:
+    """An EXIF block whose second directory holds tags with type and content."""
+    behind = b""
+    entries = []
+    begin = 8 + 2 + 12 + 4
+    after = begin + 2 + 12 * len(details) + 4
+    for tag, (kind, content) in details.items():
+        length = len(content) // {2: 1, 3: 2, 5: 8}[kind]
+        place = content.ljust(4, b"\0") if len(content) <= 4 else struct.pack(order + "I", after + len(behind))
+        behind += b"" if len(content) <= 4 else content
+        entries.append(struct.pack(order + "HHI", tag, kind, length) + place)
+    header = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
+    main = struct.pack(order + "H", 1) + struct.pack(order + "HHII", 0x8769, 4, 1, begin) + b"\0\0\0\0"
+    return header + main + struct.pack(order + "H", len(details)) + b"".join(entries) + b"\0\0\0\0" + behind
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_time_and_exposure_are_read(order: str) -> None:
+    def fraction(numerator: int, denominator: int) -> tuple[int, bytes]:
+        return 5, struct.pack(order + "2I", numerator, denominator)
+
+    details = {0x829A: fraction(1, 1000), 0x829D: fraction(28, 10), 0x8827: (3, struct.pack(order + "H", 200))}
+    details |= {0x9003: (2, b"2016:06:23 16:31:59\0"), 0x9291: (2, b"25\0")}
+    facts = read_exif(with_details(order, details))
+    assert facts.log2_exposure == pytest.approx(np.log2(200 / 1000 / 2.8**2), abs=1e-12)
+    later = read_exif(with_details(order, details | {0x9003: (2, b"2016:06:24 00:00:00\0"), 0x9291: (2, b"x\0")}))
+    assert facts.taken_s is not None and later.taken_s is not None
+    assert later.taken_s - facts.taken_s == pytest.approx(7 * 3600 + 28 * 60 + 0.75, abs=1e-6)
+
+
+@pytest.mark.parametrize("text", [b"", b"0000:00:00 00:00:00", b"2016:06:23", b"2016:13:23 16:31:59", b"\xff\xfe:06:23 16:31:59"])
+def test_a_time_that_is_none_and_an_exposure_of_zero_say_nothing(text: bytes) -> None:
+    assert read_exif(with_details("<", {0x9003: (2, text + b"\0")})).taken_s is None
+    for zero in ((0, 1), (1, 0)):
+        details = {0x829A: (5, struct.pack("<2I", *zero)), 0x829D: (5, struct.pack("<2I", 28, 10)), 0x8827: (3, struct.pack("<H", 100))}
+        assert read_exif(with_details("<", details)).log2_exposure is None

@@ -11,6 +11,7 @@ import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -27,6 +28,7 @@ BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLES_PER_PIXEL, EXTRA_SAMPLES = 0x0102, 0x0106,
 _RGB, _UNSPECIFIED = 2, 0
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH = 0x920A
+EXPOSURE_TIME, F_NUMBER, ISO_SPEED, TAKEN, TAKEN_FRACTION = 0x829A, 0x829D, 0x8827, 0x9003, 0x9291
 MAX_VALUE_BYTES = 1024
 """Of one tag: none that is read here needs more, and a directory may name thousands of 64 KiB, all
 of the same bytes."""
@@ -42,6 +44,10 @@ class ExifFacts:
     focal_mm: float | None = None
     lat_lon_alt: tuple[float, float, float] | None = None
     """Degrees north and east, metres (NaN: no altitude); None without a place on the globe."""
+    taken_s: float | None = None
+    """When it was taken, in seconds of the camera's clock."""
+    log2_exposure: float | None = None
+    """log₂(t ISO / N²): how bright the camera makes a scene, in stops."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +133,25 @@ def read_exif(tiff: bytes) -> ExifFacts:
         model=_text(main.get(MODEL)),
         focal_mm=focal_mm if focal_mm is not None and focal_mm > 0 else None,
         lat_lon_alt=_position(_directory(tiff, order, _number(main.get(GPS_POINTER)))),
+        taken_s=_seconds(_text(details.get(TAKEN)), _text(details.get(TAKEN_FRACTION))),
+        log2_exposure=_log2_exposure(*(_number(details.get(tag)) for tag in (EXPOSURE_TIME, F_NUMBER, ISO_SPEED))),
     )
+
+
+def _seconds(taken: str, fraction: str) -> float | None:
+    """Seconds of "2016:06:23 16:31:59" and the digits behind its point; None for anything else."""
+    try:
+        moment = datetime.strptime(taken, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
+    except ValueError:
+        return None
+    digits = fraction if fraction.isascii() and fraction.isdigit() else "0"
+    return moment + float(f"0.{digits}")
+
+
+def _log2_exposure(time_s: float | None, f_number: float | None, iso: float | None) -> float | None:
+    if time_s is None or f_number is None or iso is None or min(time_s, f_number, iso) <= 0:
+        return None
+    return math.log2(time_s) + math.log2(iso) - 2 * math.log2(f_number)
 
 
 Value = bytes | FloatArray

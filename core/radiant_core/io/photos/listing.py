@@ -196,13 +196,24 @@ def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | No
         raise _no_photographs(folder, unread_files(folder))
     positions = {}
     for done, name in enumerate(names, start=1):
-        with open(folder / name, "rb", opener=open_without_waiting) as file:
-            # A TIFF has its directory wherever its writer put it, often at the end.
-            num_bytes = MAX_FILE_BYTES if Path(name).suffix.lower() in SUFFIXES[3:] else EXIF_HEAD_BYTES
-            positions[name] = _facts(file.read(num_bytes))[2].lat_lon_alt
+        positions[name] = _facts(_read_head(folder / name))[2].lat_lon_alt
         if on_photo is not None:
             on_photo(done, len(names))
     return positions
+
+
+def photograph_exposures(path: Path) -> tuple[float | None, float | None]:
+    """When a photograph was taken, in seconds of its camera's clock, and its log₂ exposure, from
+    its head; None where EXIF does not say."""
+    exif = _facts(_read_head(path))[2]
+    return exif.taken_s, exif.log2_exposure
+
+
+def _read_head(path: Path) -> bytes:
+    """What holds the EXIF of a file: a TIFF has its directory wherever its writer put it, often at
+    the end."""
+    with open(path, "rb", opener=open_without_waiting) as file:
+        return file.read(MAX_FILE_BYTES if path.suffix.lower() in SUFFIXES[3:] else EXIF_HEAD_BYTES)
 
 
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:

@@ -1,0 +1,203 @@
+"""Solves the light of photographs from brightness that is known twice. Once per training and score.
+
+    minimise  Σ over observations  ρ(y_o − log g_v(o) − Σ_k a_k(v) r_o^2k − b_p(o))     per channel
+
+y are log brightnesses of places p that several photographs show (`lights_from_tracks`), whose
+albedos b are eliminated, or log ratios of photographs to renders of a model (`lights_from_model`),
+without b. ρ is Cauchy's with the scale of the median, by `NUM_ROUNDS` rounds of weighted least
+squares on a sparse matrix of V + 3 K unknowns. Each set of photographs that share places has mean
+log g = 0. A photograph with fewer than `MIN_SHARED` shared places is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import spsolve
+
+from radiant_core.cameras import Cameras
+from radiant_core.light.lights import NUM_TERMS, Lights, cameras_alike, squared_radii
+from radiant_core.numerics import FloatArray
+from radiant_core.render.contract import Backend
+from radiant_core.render.rendered_view import render_views
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_core.train.views import TrainingViews
+
+DARKEST, BRIGHTEST = 8.0, 247.0
+"""Of 255: beyond these noise and clipping decide."""
+MIN_SHARED = 20
+"""A photograph with fewer observations is not known."""
+NUM_ROUNDS = 10
+WIDTH = 2.0
+"""Of Cauchy's weights, in standard deviations by the median."""
+FIRST_SCALE, LEAST_SCALE = 0.05, 1e-6
+BLUR_PX = 3
+NUM_PLACES = 64
+COMPARED_PX, SAMPLES, OPAQUE = 192, 2_000, 0.95
+"""Size of the renders compared, pixels of each that are, and the opacity that these have."""
+GAIN_SPREAD, TERM_SPREAD = 1.0, 0.3
+"""Standard deviations that log gains and terms of a vignetting have beforehand: what photographs
+that overlap little leave open stays near 0."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observations:
+    """T observations: photograph `view` (T,), r² (T,), log brightness or ratio `logs` (T,3), NaN
+    where it says nothing; `place` (T,), or None for ratios."""
+
+    view: NDArray[np.int64]
+    squared_radii: FloatArray
+    logs: FloatArray
+    place: NDArray[np.int64] | None = None
+
+
+def lights_from_tracks(scene: SfmScene, views: TrainingViews) -> Lights:
+    """The light of V photographs by what they show at the scene's points; `views.cameras` are the
+    scene's in the same order."""
+    rows, pixels = views.observed_pixels(scene)
+    place, view = scene.observations[rows].T
+    colors = np.empty((len(rows), 3))
+    for index in np.unique(view):
+        own = view == index
+        smooth = cv2.blur(np.asarray(views.images[index], np.float32), (BLUR_PX, BLUR_PX))
+        colors[own] = smooth[pixels[own, 1], pixels[own, 0]]
+    cameras = views.cameras
+    sizes = cameras.sizes_wh[view].astype(np.float64)
+    squared = 4 * ((pixels + 0.5 - cameras.Ks[view, :2, 2]) ** 2).sum(axis=1) / (sizes**2).sum(axis=1)
+    return solve_lights(Observations(view=view, squared_radii=squared, logs=_log(colors), place=place), cameras)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenLights:
+    """The lights of V photographs, and places (n,3) that each shows, at most `NUM_PLACES`."""
+
+    lights: Lights
+    places: tuple[FloatArray, ...]
+
+
+def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "auto") -> SeenLights:
+    """The light of V photographs relative to a model: gains keep their mean, since the model's own
+    light is the canonical one. Cameras are in the frame of the model."""
+    cameras = views.cameras.scaled(COMPARED_PX)
+    found: list[tuple[NDArray[np.int64], FloatArray, FloatArray]] = []
+    places: list[FloatArray] = []
+    for index, render in enumerate(render_views(model, cameras, backend)):
+        size = (int(cameras.sizes_wh[index, 0]), int(cameras.sizes_wh[index, 1]))
+        image = cv2.resize(np.asarray(views.images[index]), size, interpolation=cv2.INTER_AREA)
+        used = render.alpha > OPAQUE
+        if views.weights is not None:
+            used &= cv2.resize(np.asarray(views.weights[index]), size, interpolation=cv2.INTER_AREA) > 127
+        rows = np.flatnonzero(used)
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(SAMPLES, len(rows))).astype(np.int64))] if len(rows) else rows
+        logs = _log(image.reshape(-1, 3)[rows].astype(np.float64)) - _log(255 * render.image.reshape(-1, 3)[rows].astype(np.float64))
+        found.append((np.full(len(rows), index), squared_radii(cameras, index).ravel()[rows], logs))
+        places.append(_places(cameras, index, render.depth, rows[:: max(1, len(rows) // NUM_PLACES)]))
+    view, squared, logs = (np.concatenate(part) for part in zip(*found, strict=True))
+    lights = solve_lights(Observations(view=view, squared_radii=squared, logs=logs), views.cameras)
+    return SeenLights(lights=lights, places=tuple(places))
+
+
+def _places(cameras: Cameras, index: int, depth: NDArray[np.float32], rows: NDArray[np.int64]) -> FloatArray:
+    """Where pixels (n,) of a camera see something, (n,3)."""
+    y, x = np.divmod(rows, depth.shape[1])
+    rays = np.column_stack([x + 0.5, y + 0.5, np.ones(len(rows))]) @ np.linalg.inv(cameras.Ks[index]).T
+    pose = cameras.cam_from_world[index]
+    return (rays * depth.ravel()[rows, None] - pose[:3, 3]) @ pose[:3, :3]
+
+
+def solve_lights(observed: Observations, cameras: Cameras) -> Lights:
+    """The lights of V photographs, those of `cameras`, by T observations; photographs that cannot
+    be known get gain 1."""
+    camera_of, num_cameras = cameras_alike(cameras)
+    count = len(cameras)
+    log_gains, vignettings = np.zeros((count, 3)), np.zeros((num_cameras, NUM_TERMS, 3))
+    known = np.ones(count, bool)
+    for channel in range(3):
+        rows = _usable(observed, channel, count)
+        enough = np.bincount(observed.view[rows], minlength=count) >= MIN_SHARED
+        known &= enough
+        if not len(rows):
+            continue
+        solution = _solve_channel(observed, rows, channel, camera_of, num_cameras)
+        log_gains[:, channel] = np.where(enough, solution[:count], 0.0)
+        vignettings[:, :, channel] = solution[count:].reshape(num_cameras, NUM_TERMS)
+    log_gains[~known] = 0.0
+    return Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, known=known)
+
+
+def _log(colors: FloatArray) -> FloatArray:
+    """Log of colours of 255, NaN where too dark, too bright, or no number."""
+    with np.errstate(invalid="ignore"):
+        usable = (colors >= DARKEST) & (colors <= BRIGHTEST)
+    return np.log(np.where(usable, colors, np.nan))
+
+
+def _usable(observed: Observations, channel: int, count: int) -> NDArray[np.int64]:
+    """Rows that can be compared: with a value, of places that two photographs with enough of them
+    show."""
+    usable = np.isfinite(observed.logs[:, channel]) & np.isfinite(observed.squared_radii)
+    place = observed.place
+    if place is None:
+        return np.flatnonzero(usable & (np.bincount(observed.view[usable], minlength=count) >= MIN_SHARED)[observed.view])
+    while True:
+        seen = np.bincount(place[usable], minlength=int(place.max(initial=-1)) + 1)
+        left = usable & (seen[place] > 1)
+        left &= (np.bincount(observed.view[left], minlength=count) >= MIN_SHARED)[observed.view]
+        if left.sum() == usable.sum():
+            return np.flatnonzero(left)
+        usable = left
+
+
+def _solve_channel(
+    observed: Observations, rows: NDArray[np.int64], channel: int, camera_of: NDArray[np.int64], num_cameras: int
+) -> FloatArray:
+    """Log gains, then the terms of each camera, (V + 3 K,) of one channel."""
+    count, num_rows = len(camera_of), len(rows)
+    view, squared, logs = observed.view[rows], observed.squared_radii[rows], observed.logs[rows, channel]
+    design = _design(view, squared, camera_of, num_cameras)
+    # Without albedos there is one empty row of places.
+    place = np.zeros(0, np.int64) if observed.place is None else np.unique(observed.place[rows], return_inverse=True)[1]
+    shape = (num_rows, int(place.max(initial=0)) + 1)
+    of_place = sparse.csr_matrix((np.ones(len(place)), (np.arange(len(place)), place)), shape=shape)
+    prior = sparse.diags(np.repeat([GAIN_SPREAD**-2.0, TERM_SPREAD**-2.0], [count, num_cameras * NUM_TERMS]))
+    weights, solution, scale = np.ones(num_rows), np.zeros(count + NUM_TERMS * num_cameras), FIRST_SCALE
+    for _ in range(NUM_ROUNDS):
+        weighted = design.T.multiply(weights).tocsr()
+        shown = of_place.T.multiply(weights).tocsr()
+        means = sparse.diags(1 / np.maximum(np.asarray(shown.sum(axis=1)).ravel(), 1e-300)) @ shown
+        cross = weighted @ of_place
+        normal, right = weighted @ design - cross @ (means @ design), weighted @ logs - cross @ (means @ logs)
+        solution = np.asarray(spsolve((normal + scale**2 * prior).tocsc(), right), np.float64)
+        residuals = logs - design @ solution
+        residuals -= of_place @ (means @ residuals)
+        scale = max(LEAST_SCALE, 1.4826 * float(np.median(np.abs(residuals))))
+        weights = 1 / (1 + (residuals / (WIDTH * scale)) ** 2)
+    return solution if observed.place is None else _center(solution, view, of_place, count)
+
+
+def _design(view: NDArray[np.int64], squared: FloatArray, camera_of: NDArray[np.int64], num_cameras: int) -> sparse.csr_matrix:
+    """The factors (T, V + 3 K) of log gains and terms in each observation."""
+    count, num_rows = len(camera_of), len(view)
+    first = count + NUM_TERMS * camera_of[view]
+    columns = np.concatenate([view, *(first + term for term in range(NUM_TERMS))])
+    values = np.concatenate([np.ones(num_rows), *(squared ** (term + 1) for term in range(NUM_TERMS))])
+    rows = np.tile(np.arange(num_rows), NUM_TERMS + 1)
+    return sparse.csr_matrix((values, (rows, columns)), shape=(num_rows, count + NUM_TERMS * num_cameras))
+
+
+def _center(solution: FloatArray, view: NDArray[np.int64], of_place: sparse.csr_matrix, count: int) -> FloatArray:
+    """The solution with mean log gain 0 of each set of photographs that share places."""
+    shows = sparse.csr_matrix((np.ones(len(view)), (view, np.arange(len(view)))), shape=(count, len(view))) @ of_place
+    _, part = connected_components(shows @ shows.T, directed=False)
+    present = np.bincount(view, minlength=count) > 0
+    sums = np.bincount(part[present], weights=solution[:count][present], minlength=part.max() + 1)
+    level = sums / np.maximum(1, np.bincount(part[present], minlength=part.max() + 1))
+    centred = solution.copy()
+    centred[:count] -= np.where(present, level[part], 0.0)
+    return centred
