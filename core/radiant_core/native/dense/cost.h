@@ -105,7 +105,7 @@ RADIANT_INLINE Footprint project(const Window& window, const DepthSource& source
   at.vx = (m[3] + t[1] * a - at.v * zx) * inverse;
   at.vy = (m[4] + t[1] * b - at.v * zy) * inverse;
   const F across = (abs(at.ux) + abs(at.uy)) * kRadiusPx, along = (abs(at.vx) + abs(at.vy)) * kRadiusPx;
-  const F right = broadcast(static_cast<float>(source.width) - 1.5f), bottom = broadcast(static_cast<float>(source.height) - 1.5f);
+  const F right = broadcast(static_cast<float>(source.width) - 2.0f), bottom = broadcast(static_cast<float>(source.height) - 2.0f);
   const F zero = broadcast(0.0f);
   at.inside = (zero < z) & (across <= at.u) & (along <= at.v) & (at.u + across < right) & (at.v + along < bottom);
   return at;

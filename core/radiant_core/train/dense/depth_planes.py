@@ -20,14 +20,14 @@ from radiant_core import _native
 from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
 
-STEP_PX = 3
+STEP_PX = 5
 """Pixels from node to node."""
 MARGIN = 1.25
 """Planes may be by this factor nearer or farther than the sparse points."""
 RANGE_QUANTILES = (0.005, 0.995)
 MIN_COSINE = 0.17
 """Surfaces steeper than 80° against the line of sight are not matched."""
-PASSES = ((5, 4.0), (3, 1.5), (2, 0.6), (1, 0.25))
+PASSES = ((4, 3.0), (2, 1.0), (1, 0.3))
 """Reach in nodes and size of random changes in pixels of each pass."""
 MIN_SPARSE = 4
 """A photograph with fewer sparse points has no range of depths."""

@@ -13,6 +13,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.train.dense.depth_planes import DepthPlanes, SparseDepths, match_planes, pixel_matrix
 from radiant_core.train.dense.fuse import DensePoints, agreed_points, concatenate_points, thinned
 from radiant_core.train.dense.sources import choose_sources
+from radiant_core.train.stored_images import shapes_of
 from radiant_core.train.views import TrainingViews
 
 LONG_SIDE_PX = 576
@@ -43,7 +44,6 @@ def dense_points(scene: SfmScene, views: TrainingViews, *, most: int, seed: int 
         found = agreed_points(maps, views.cameras, index, partners[index], views.images[index])
         if views.weights is not None and len(found):
             found = found.select(_counts(views.weights[index], found, views, index))
-        # A surface is in many photographs: what one of them holds of it can be thinned at once.
         parts.append(found)
     return thinned(concatenate_points(parts), most)
 
@@ -58,15 +58,15 @@ def depth_maps(
     scene: SfmScene, views: TrainingViews, partners: list[NDArray[np.int64]], *, seed: int, num_threads: int
 ) -> list[DepthPlanes | None]:
     """Planes of each photograph; None where it has no partner or too few sparse points."""
-    greys = [cv2.cvtColor(views.images[index], cv2.COLOR_RGB2GRAY) for index in range(len(views))]
+    shapes = shapes_of(views.images)
     sparse = sparse_depths(scene, views)
     maps: list[DepthPlanes | None] = []
     for index in range(len(views)):
         indices = [index, *map(int, partners[index][:NUM_SOURCES])]
-        if len(indices) < 2 or min(min(greys[i].shape) for i in indices) < 2:
+        if len(indices) < 2 or min(min(shapes[i][:2]) for i in indices) < 2:
             maps.append(None)
             continue
-        images = [greys[i] for i in indices]
+        images = [cv2.cvtColor(views.images[i], cv2.COLOR_RGB2GRAY) for i in indices]
         maps.append(match_planes(images, views.cameras, indices, sparse[index], seed=seed + 7919 * index, num_threads=num_threads))
     return maps
 
