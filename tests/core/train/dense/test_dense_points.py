@@ -61,7 +61,9 @@ def test_neither_threads_nor_calls_change_a_bit() -> None:
 
 def test_masked_pixels_give_no_points() -> None:
     scene, views = step_scene(0.0)
-    weights = tuple(np.where(np.arange(SIZE_WH[0]) < SIZE_WH[0] // 2, 255, 0).astype(np.uint8) * np.ones((SIZE_WH[1], 1), np.uint8) for _ in GRID)
+    weights = tuple(
+        np.where(np.arange(SIZE_WH[0]) < SIZE_WH[0] // 2, 255, 0).astype(np.uint8) * np.ones((SIZE_WH[1], 1), np.uint8) for _ in GRID
+    )
     found = dense_points(scene, replace(views, weights=weights), most=10**6)
     assert len(found) > 100
     centers = views.cameras.centers[found.views]
