@@ -29,6 +29,8 @@ MIN_CAMERA_SHARE = 1e-3
 """Points nearer to a camera than this share of the usual distance are no points."""
 MIN_SKY_SHARE = 0.03
 """Less sky than this in every image is a strip that the far ground's Gaussians cover."""
+DENSE_OPACITY = 0.5
+"""Dense points lie on surfaces; at 0.1 held-out photographs of the town begin at 9.5 dB, not 13.3."""
 FLATNESS = 0.3
 """A dense point's Gaussian is so much thinner along its normal than across it."""
 REPLACED_SPACINGS = 1.5
@@ -119,16 +121,16 @@ def with_dense_points(initial: Splats, dense: DensePoints, max_num_splats: int) 
     spacing = _neighbour_distance(dense.points)
     distances, nearest = KDTree(dense.points).query(initial.means)
     kept = np.flatnonzero(distances > REPLACED_SPACINGS * spacing[nearest])
-    chosen = np.unique(np.linspace(0, len(dense) - 1, max(1, min(len(dense), max_num_splats - len(kept)))).astype(np.int64))
+    count = min(len(dense), max_num_splats - len(kept))
+    chosen = np.linspace(0, len(dense) - 1, max(0, count)).astype(np.int64)
     flat = np.log(spacing[chosen, None] * np.array([1, 1, FLATNESS]))
-    count = len(chosen)
     seeds = Splats(
         means=dense.points[chosen].astype(np.float32),
         quats=_turns_to(dense.normals[chosen]).astype(np.float32),
         log_scales=flat.astype(np.float32),
-        logit_opacities=np.full(count, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),
+        logit_opacities=np.full(len(chosen), np.log(DENSE_OPACITY / (1 - DENSE_OPACITY)), np.float32),
         sh0=((dense.colors[chosen] / 255.0 - 0.5) / SH_C0)[:, None].astype(np.float32),
-        shN=np.zeros((count, initial.shN.shape[1], 3), np.float32),
+        shN=np.zeros((len(chosen), initial.shN.shape[1], 3), np.float32),
     )
     joined = concatenate_splats([seeds, initial.select(kept)])
     return joined.select(morton_order(joined.means))
