@@ -91,15 +91,11 @@ def test_costs_are_those_of_the_formula(num_sources: int, build: str) -> None:
     images, maps, planes = pictures(1 + num_sources), some_maps(num_sources), some_planes()
     found = call(images, maps, planes[None], instruction_set=build)
     np.testing.assert_array_equal(found[:3], planes)
-    plain = np.array(
-        [
-            [plain_cost(images, maps, (1 + 3 * c, 1 + 3 * r), planes[:, r, c].astype(float)) for c in range(SHAPE[1])]
-            for r in range(SHAPE[0])
-        ]
-    )
-    assert (plain < 1.9).sum() > 100
-    # A window at the edge of a picture may fall in or out by rounding: of 520 nodes hardly one.
-    assert (np.abs(found[3] - plain) > 1e-4).sum() <= 2
+    nodes = [(r, c) for r in range(0, SHAPE[0], 2) for c in range(r % 3, SHAPE[1], 3)]
+    plain = np.array([plain_cost(images, maps, (1 + 3 * c, 1 + 3 * r), planes[:, r, c].astype(float)) for r, c in nodes])
+    assert (plain < 1.9).sum() > 20
+    # A window at the edge of a picture may fall in or out by rounding: of 87 nodes hardly one.
+    assert (np.abs(found[3][tuple(np.transpose(nodes))] - plain) > 1e-4).sum() <= 1
 
 
 def test_the_best_candidate_is_taken() -> None:
