@@ -108,3 +108,15 @@ def apply_exposure_backward(
     image: Tensor, color_map: Tensor, shown_gradient: Tensor, image_gradient: Tensor, map_gradient: Tensor, num_threads: int = 1
 ) -> None: ...
 def find_not_finite(values: Tensor, runs: NDArray[np.int32] | None, num_threads: int = 1) -> list[int]: ...
+def match_planes(
+    reference: NDArray[np.uint8],
+    sources: Sequence[NDArray[np.uint8]],
+    maps: NDArray[np.float64],
+    candidates: NDArray[np.float32],
+    camera: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    passes: NDArray[np.float64],
+    seed: int = 0,
+    num_threads: int = 1,
+    instruction_set: str = "",
+) -> NDArray[np.float32]: ...

@@ -19,6 +19,7 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "budgets_s": ("train",),
     "num_seeds": _ON_MODELS,
     "num_splits": ("train",),
+    "num_photographs": ("train",),
     "long_side_px": _ON_MODELS,
     "ablations": ("train",),
     "plot": ("train", "methods"),
@@ -36,6 +37,7 @@ _FLAGS = {
     "budgets_s": "--budget",
     "num_seeds": "--seeds",
     "num_splits": "--splits",
+    "num_photographs": "--photographs",
     "methods": "--method",
     "num_placements": "--placements",
 }
@@ -62,6 +64,8 @@ class BenchOptions:
     """Models of each kind."""
     num_splits: int = 1
     """How many eighths of the photographs are held out, one after the other."""
+    num_photographs: int | None = None
+    """Photographs to train on, evenly chosen; None for all."""
     long_side_px: int | None = None
     """Size of the training images."""
     ablations: bool = False

@@ -78,6 +78,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "needles without limit": {"max_elongation": None},
     "any number of Gaussians": {"density.pixels_per_splat": None},
     "all photographs": {"skip_images": "none"},
+    "dense points": {"dense_points": "always"},
     "any number of steps": {"max_epochs": None},
     "rates that never settle": {"settle_epochs": None},
     "black background": {"background": "black"},
@@ -101,6 +102,8 @@ class TrainBench:
     seeds: tuple[int, ...] = (0,)
     splits: tuple[int, ...] = (0,)
     """Which photographs are held out: `first` of `held_out_mask`."""
+    num_photographs: int | None = None
+    """Train on so many of those that are not held out, evenly chosen; None for all."""
     long_side_px: int = LONG_SIDE_PX
     ablations: bool = False
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: ABLATIONS)
@@ -166,7 +169,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
     scene is any source. Raises BadInput where nothing can be held out."""
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
         source = _load(bench.scene, Path(folder))
-        splits = _splits(source, bench.splits)
+        splits = _splits(source, bench.splits, bench.num_photographs)
         if bench.ablations:
             return _ablations(bench, splits)
         halves = {budget_s / 2 for budget_s in bench.budgets_s}
@@ -205,6 +208,7 @@ def bench_of(options: BenchOptions) -> TrainBench:
         budgets_s=tuple(sorted(set(budgets_s))),
         seeds=tuple(range(num_seeds)),
         splits=tuple(range(options.num_splits)),
+        num_photographs=options.num_photographs,
         long_side_px=size,
         ablations=ablations,
         changes={name: change for name, change in ABLATIONS.items() if not options.methods or name in options.methods},
@@ -258,7 +262,7 @@ def _load(source: Path, work: Path) -> _Source:
     return _Source(name=name, scene=scene, images=images, masks=masks, captures=captures)
 
 
-def _splits(source: _Source, firsts: Sequence[int]) -> list[_Split]:
+def _splits(source: _Source, firsts: Sequence[int], num_photographs: int | None) -> list[_Split]:
     for number, first in enumerate(firsts):
         held = held_out_mask(source.scene.cameras.names, first=first)
         if held.all() or held.sum() < 2:
@@ -267,12 +271,15 @@ def _splits(source: _Source, firsts: Sequence[int]) -> list[_Split]:
                 f"{source.name} has {len(held)} placed photographs, of which split {number + 1} holds out {held.sum()}, "
                 f"but at least 2 are needed, and some to train on{then}."
             )
-    return [_split(source, first) for first in firsts]
+    return [_split(source, first, num_photographs) for first in firsts]
 
 
-def _split(source: _Source, first: int) -> _Split:
+def _split(source: _Source, first: int, num_photographs: int | None) -> _Split:
     held = held_out_mask(source.scene.cameras.names, first=first)
-    training, held_out = (source.scene.restricted_to(np.flatnonzero(part)) for part in (~held, held))
+    trained = np.flatnonzero(~held)
+    if num_photographs is not None:
+        trained = trained[np.unique(np.linspace(0, len(trained) - 1, min(num_photographs, len(trained))).astype(np.int64))]
+    training, held_out = (source.scene.restricted_to(part) for part in (trained, np.flatnonzero(held)))
     return _Split(source=source, first=first, training=training, held_out=held_out)
 
 

@@ -23,6 +23,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.dense.seeding import seed_densely
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
@@ -100,7 +101,9 @@ def prepare_training(
     config, decisions = _within_cuda(config, views.cameras, task.backend, reporter.stage)
     _decide(reporter, decisions)
     reporter.decide(sky_decision(reporter.stage, sky_share(views.cameras), wanted=config.sky))
-    initial, num_filled = first_splats(scene, views, config)
+    config, dense, decisions = seed_densely(config, scene, views)
+    _decide(reporter, decisions)
+    initial, num_filled = first_splats(scene, views, config, dense)
     reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=config.fill_in))
     bare = FitOptions(backend=task.backend, validation=validation)
     options = fit_options(task.backend, reporter, machine, lambda: training_key(initial, views, config, bare))

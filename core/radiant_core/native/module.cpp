@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "dense/bind.h"
 #include "plan/bind.h"
 #include "plan/power_cells.h"
 #include "raster/bind.h"
@@ -95,6 +96,7 @@ NB_MODULE(_native, module) {
   // Renderings may live in graphs that torch only releases at exit: nothing to warn about.
   nb::set_leak_warnings(false);
   radiant::bind_raster(module);
+  bind_dense(module);
   bind_plan(module);
   bind_training(module);
 }

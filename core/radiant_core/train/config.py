@@ -106,6 +106,9 @@ class TrainConfig:
     half-transparent Gaussian can imitate."""
     fill_in: bool = True
     """Whether places that structure from motion left empty get starting points."""
+    dense_points: Literal["none", "always"] = "none"
+    """always: photographs are matched against each other, and points that three of them agree on
+    begin the model, which then does not grow."""
     skip_images: Literal["none", "auto"] = "none"
     """auto: photographs that repeat another one, and blurred ones of which others show the same,
     are left out."""
@@ -134,6 +137,7 @@ class TrainConfig:
         require_one_of(self, "light", ("auto", "none", "always"))
         require_one_of(self, "background", ("black", "random"))
         require_one_of(self, "skip_images", ("none", "auto"))
+        require_one_of(self, "dense_points", ("none", "always"))
 
 
 # Short runs have no time for small steps: rates, Adam and growth were found on validation

@@ -13,8 +13,9 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.splats import SH_BASES, SH_C0, Splats
+from radiant_core.splats import SH_BASES, SH_C0, Splats, concatenate_splats, morton_order
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.dense.fuse import DensePoints
 from radiant_core.train.fill_in import fill_in_points
 from radiant_core.train.views import TrainingViews
 
@@ -28,6 +29,12 @@ MIN_CAMERA_SHARE = 1e-3
 """Points nearer to a camera than this share of the usual distance are no points."""
 MIN_SKY_SHARE = 0.03
 """Less sky than this in every image is a strip that the far ground's Gaussians cover."""
+DENSE_OPACITY = 0.5
+"""Dense points lie on surfaces; at 0.1 held-out photographs of the town begin at 9.5 dB, not 13.3."""
+FLATNESS = 0.3
+"""A dense point's Gaussian is so much thinner along its normal than across it."""
+REPLACED_SPACINGS = 1.5
+"""A first Gaussian nearer than so many spacings to a dense point is that point's."""
 
 
 def initial_splats(
@@ -78,17 +85,18 @@ def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_
     return distances > MIN_CAMERA_SHARE * float(np.median(distances))
 
 
-def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:
+def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig, dense: DensePoints | None = None) -> tuple[Splats, int]:
     """Return the Gaussians that training starts from: sparse points and, by `config`, fill-in
-    points and a sky.
+    points and a sky; dense points in place of those near to one.
 
     Args:
         scene: cameras and sparse points.
         views: the photographs; their cameras are those of the scene, in the same order.
         config: the settings of training.
+        dense: points that photographs agree on, if they were matched.
 
     Returns:
-        The Gaussians, and how many of them were filled in: at most what the limit leaves or a
+        The Gaussians, and how many points were filled in: at most what the limit leaves or a
         quarter of it, whichever is more.
     """
     limit = config.max_num_splats
@@ -102,7 +110,39 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
         sh_degree=config.sh_degree,
         sky_rgb=_sky_rgb(views) if config.sky else None,
     )
+    if dense is not None and len(dense) >= 4:
+        initial = with_dense_points(initial, dense, limit)
     return replace(initial, antialiased=config.antialiased), len(fill.points)
+
+
+def with_dense_points(initial: Splats, dense: DensePoints, max_num_splats: int) -> Splats:
+    """The Gaussians (N,) that lie away from the dense points (P,), P at least 4, and a flat one on
+    each of these: at most so many, of which the dense ones are thinned out first."""
+    spacing = _neighbour_distance(dense.points)
+    distances, nearest = KDTree(dense.points).query(initial.means)
+    kept = np.flatnonzero(distances > REPLACED_SPACINGS * spacing[nearest])
+    count = min(len(dense), max_num_splats - len(kept))
+    chosen = np.linspace(0, len(dense) - 1, max(0, count)).astype(np.int64)
+    flat = np.log(spacing[chosen, None] * np.array([1, 1, FLATNESS]))
+    seeds = Splats(
+        means=dense.points[chosen].astype(np.float32),
+        quats=_turns_to(dense.normals[chosen]).astype(np.float32),
+        log_scales=flat.astype(np.float32),
+        logit_opacities=np.full(len(chosen), np.log(DENSE_OPACITY / (1 - DENSE_OPACITY)), np.float32),
+        sh0=((dense.colors[chosen] / 255.0 - 0.5) / SH_C0)[:, None].astype(np.float32),
+        shN=np.zeros((len(chosen), initial.shN.shape[1], 3), np.float32),
+    )
+    joined = concatenate_splats([seeds, initial.select(kept)])
+    return joined.select(morton_order(joined.means))
+
+
+def _turns_to(normals: FloatArray) -> FloatArray:
+    """Quaternions wxyz (N,4) that turn the z axis to unit normals (N,3)."""
+    x, y, z = normals.T
+    quats = np.stack([1 + z, -y, x, np.zeros(len(z))], axis=1)
+    # Straight down every half turn about a horizontal axis does.
+    quats[1 + z < 1e-6] = (0, 1, 0, 0)
+    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
 
 
 def sky_share(cameras: Cameras) -> float:

@@ -1,0 +1,10 @@
+# Dense depth: its kernels once per instruction set, chosen at run time, with the arithmetic of the training kernels.
+foreach(set IN LISTS TRAINING_SETS)
+  add_library(dense_${set} OBJECT ${NATIVE}/dense/kernels.cpp)
+  target_compile_features(dense_${set} PRIVATE cxx_std_17)
+  target_compile_definitions(dense_${set} PRIVATE RADIANT_ISA=${set})
+  target_compile_options(dense_${set} PRIVATE -Wall -Wextra -Wno-psabi -Wno-maybe-uninitialized ${TRAINING_OPTIONS} ${TRAINING_OPTIONS_${set}})
+  set_target_properties(dense_${set} PROPERTIES POSITION_INDEPENDENT_CODE ON CXX_VISIBILITY_PRESET hidden)
+  target_sources(_native PRIVATE $<TARGET_OBJECTS:dense_${set}>)
+endforeach()
+target_sources(_native PRIVATE ${NATIVE}/dense/bind.cpp ${NATIVE}/dense/dense.cpp)

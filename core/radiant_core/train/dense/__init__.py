@@ -1,0 +1,1 @@
+"""Dense points by matching photographs, without learnt weights."""

@@ -1,0 +1,63 @@
+"""Which photographs a photograph is matched against: those that see the same points from another
+side. Once per photograph of a scene.
+
+    score(i, j) = shared points · min(1, α / 5°) · min(1, 15° / α)
+
+α is the median angle under which shared points see the two cameras: too small and depth is
+uncertain, too large and the two do not look alike. C cameras, T observations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from radiant_core.numerics import FloatArray
+from radiant_core.scene import SfmScene
+
+MIN_SHARED = 10
+"""Photographs that share fewer points are not matched."""
+BEST_ANGLES_DEG = (5.0, 15.0)
+MIN_ANGLE_DEG = 0.5
+"""From almost one place there is nothing to measure."""
+NUM_COMPARED = 16
+"""Of a photograph's partners by shared points, so many are looked at."""
+NUM_SAMPLED = 64
+"""The angle is that of so many shared points."""
+
+
+def choose_sources(scene: SfmScene, most: int) -> list[NDArray[np.int64]]:
+    """Indices of the partners of each of C cameras, at most `most`, the best first; empty where
+    nothing fits."""
+    num_cameras = len(scene.cameras)
+    point, camera = np.unique(scene.observations, axis=0).T
+    sees = csr_matrix((np.ones(len(camera), np.int32), (camera, point)), shape=(num_cameras, len(scene.points)))
+    shared = (sees @ sees.T).toarray()
+    np.fill_diagonal(shared, 0)
+    seen = [sees.indices[sees.indptr[index] : sees.indptr[index + 1]] for index in range(num_cameras)]
+    chosen = []
+    for index in range(num_cameras):
+        partners = np.argsort(-shared[index], kind="stable")[:NUM_COMPARED]
+        partners = partners[shared[index, partners] >= MIN_SHARED]
+        common = [np.intersect1d(seen[index], seen[other], assume_unique=True) for other in partners]
+        angles = np.array([_angle_deg(scene, points, index, other) for points, other in zip(common, partners, strict=True)])
+        low, high = BEST_ANGLES_DEG
+        with np.errstate(divide="ignore"):
+            scores = shared[index, partners] * np.minimum(1, angles / low) * np.minimum(1, high / angles)
+        order = np.argsort(-scores, kind="stable")
+        chosen.append(partners[order][angles[order] >= MIN_ANGLE_DEG][:most])
+    return chosen
+
+
+def _angle_deg(scene: SfmScene, points: NDArray[np.integer], one: int, other: int) -> float:
+    """Median angle at shared points between the lines to two cameras; 0 where there is none."""
+    sampled = scene.points[points[:: max(1, len(points) // NUM_SAMPLED)]]
+    centers = scene.cameras.centers
+    first, second = _directions(centers[one], sampled), _directions(centers[other], sampled)
+    return float(np.degrees(np.median(np.arccos(np.clip((first * second).sum(axis=1), -1, 1))))) if len(sampled) else 0.0
+
+
+def _directions(center: FloatArray, points: FloatArray) -> FloatArray:
+    lines = points - center
+    return lines / np.maximum(np.linalg.norm(lines, axis=1, keepdims=True), 1e-300)
