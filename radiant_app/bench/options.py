@@ -10,6 +10,8 @@ from typing import Literal, get_args
 from radiant_core.errors import BadInput
 
 BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper"]
+HoldOut = Literal["interleaved", "line"]
+"""interleaved: every eighth photograph; line: a whole line of the flight, the middle one first."""
 _ON_MODELS: tuple[BenchName, ...] = ("train", "methods", "paper")
 ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "scene": ("sfm", *_ON_MODELS),
@@ -18,6 +20,8 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "budgets_s": ("train",),
     "num_seeds": _ON_MODELS,
     "num_splits": ("train",),
+    "hold_out": ("train",),
+    "off_path": ("train", "methods"),
     "long_side_px": _ON_MODELS,
     "ablations": ("train",),
     "plot": ("train", "methods"),
@@ -34,6 +38,8 @@ _FLAGS = {
     "budgets_s": "--budget",
     "num_seeds": "--seeds",
     "num_splits": "--splits",
+    "hold_out": "--hold-out",
+    "off_path": "--off-path",
     "methods": "--method",
     "num_placements": "--placements",
 }
@@ -59,7 +65,11 @@ class BenchOptions:
     num_seeds: int | None = None
     """Models of each kind."""
     num_splits: int = 1
-    """How many eighths of the photographs are held out, one after the other."""
+    """How many eighths of the photographs, or lines, are held out, one after the other."""
+    hold_out: HoldOut = "interleaved"
+    """What a split holds out: every eighth photograph, or a whole flight line."""
+    off_path: Path | None = None
+    """Views that were never flown, as the generator writes them."""
     long_side_px: int | None = None
     """Size of the training images."""
     ablations: bool = False

@@ -1,0 +1,96 @@
+"""Which training views constrain each Gaussian. One render and its backward per view, once a model.
+
+    w_iv   = Σ over pixels of T_i α_i in view v, the pixels that Gaussian i makes there
+    views  = number of views with w_iv ≥ `MIN_SHOWN_PX`
+    angle  = largest angle at the Gaussian between two of these views' centres (its parallax)
+    shown  = Σ over views of w_iv
+
+A Gaussian of one view, or of several from one direction, may lie at any depth along their rays
+without a photograph contradicting it: from elsewhere it hangs in the air. N Gaussians, V views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from radiant_core.cameras import Cameras
+from radiant_core.numerics import FloatArray
+from radiant_core.render.contract import Backend, SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.splats import SH_C0, Splats
+
+MIN_SHOWN_PX = 0.25
+"""A view constrains a Gaussian of which it shows this many pixels."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Support:
+    """Of N Gaussians: num_views (N,), parallax_deg (N,), shown_px (N,)."""
+
+    num_views: NDArray[np.int64]
+    parallax_deg: FloatArray
+    shown_px: FloatArray
+
+    def constrained(self, num_views: int, parallax_deg: float) -> NDArray[np.bool_]:
+        """Which Gaussians (N,) so many views show, with so large an angle between two of them."""
+        return (self.num_views >= num_views) & (self.parallax_deg >= parallax_deg)
+
+
+def support_of(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> Support:
+    """The support of N Gaussians by the V cameras that they were trained on, at their sizes."""
+    shown = np.zeros(len(splats))
+    seen = np.zeros((len(cameras), len(splats)), bool)
+    # Grey, so that no colour is clamped, and with it the derivative.
+    grey = replace(splats, sh0=np.zeros_like(splats.sh0), shN=np.zeros((len(splats), 0, 3), np.float32))
+    tensors = SplatTensors.from_splats(grey, device=device_of(resolve_backend(backend)))
+    tensors.sh0.requires_grad_()
+    for index, (width, height) in enumerate(cameras.sizes_wh):
+        one = slice(index, index + 1)
+        viewmats, Ks = torch.tensor(cameras.cam_from_world[one]), torch.tensor(cameras.Ks[one])
+        tensors.sh0.grad = None
+        images = rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=0, backend=backend).images
+        images[..., 0].sum().backward()
+        if tensors.sh0.grad is not None:
+            weights = tensors.sh0.grad[:, 0, 0].cpu().numpy().astype(np.float64) / SH_C0
+            shown += weights
+            seen[index] = weights >= MIN_SHOWN_PX
+    return Support(
+        num_views=seen.sum(axis=0), parallax_deg=largest_angles_deg(splats.means.astype(np.float64), cameras.centers, seen), shown_px=shown
+    )
+
+
+def largest_angles_deg(places: FloatArray, centers: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+    """Angle (N,) at places (N,3) between two of the centres (V,3) that are `seen` (V,N) from there;
+    0 for fewer than two.
+
+    From any seen centre to the farthest one, and from that to its farthest: the largest angle of
+    centres on an arc, and never less than half of it. O(V N).
+    """
+    start = np.argmax(seen, axis=0)
+    for _ in range(2):
+        angles, farthest = _farthest_from(places, centers, seen, start)
+        start = farthest
+    return np.where(seen.sum(axis=0) > 1, angles, 0.0)
+
+
+def _farthest_from(
+    places: FloatArray, centers: FloatArray, seen: NDArray[np.bool_], start: NDArray[np.int64]
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Per place the largest angle in degrees between centre `start` (N,) and a seen one, and
+    which that is."""
+    if not len(centers):
+        return np.zeros(len(places)), start
+    reference = centers[start] - places
+    best, farthest = np.zeros(len(places)), start.copy()
+    for index, center in enumerate(centers):
+        rows = np.flatnonzero(seen[index])
+        own, away = reference[rows], center - places[rows]
+        # By the sine as well: the cosine alone knows no angle below 1e-8.
+        angle = np.arctan2(np.linalg.norm(np.cross(own, away), axis=1), (own * away).sum(axis=1))
+        wider = angle > best[rows]
+        best[rows[wider]], farthest[rows[wider]] = angle[wider], index
+    return np.degrees(best), farthest
