@@ -155,7 +155,8 @@ def largest_turn_deg(poses: FloatArray, others: FloatArray) -> float:
     """Largest angle in degrees between poses (C,4,4) and others (C,4,4) of the same cameras."""
     turns = np.einsum("cij,ckj->cik", poses[:, :3, :3], others[:, :3, :3])
     # By the sine as well: the cosine alone knows no angle below 1e-8.
-    sines = np.linalg.norm(np.stack([turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]), axis=0)
+    skew = turns - turns.transpose(0, 2, 1)
+    sines = np.linalg.norm(skew[:, [2, 0, 1], [1, 2, 0]], axis=1)
     return float(np.degrees(np.arctan2(sines, np.trace(turns, axis1=1, axis2=2) - 1)).max())
 
 

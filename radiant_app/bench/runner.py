@@ -89,6 +89,7 @@ def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
         long_side_px=options.long_side_px or (160 if options.quick else 384),
         num_steps=60 if options.quick else 500,
         max_gaussians=options.max_gaussians,
+        off_path=options.off_path,
     )
     rows, metrics = bench_methods(bench)
     typer.echo(methods_table(rows))

@@ -70,10 +70,11 @@ def largest_angles_deg(places: FloatArray, centers: FloatArray, seen: NDArray[np
     From any seen centre to the farthest one, and from that to its farthest: the largest angle of
     centres on an arc, and never less than half of it. O(V N).
     """
-    start = np.argmax(seen, axis=0)
+    if not len(centers):
+        return np.zeros(len(places))
+    angles, reference = np.zeros(len(places)), np.argmax(seen, axis=0)
     for _ in range(2):
-        angles, farthest = _farthest_from(places, centers, seen, start)
-        start = farthest
+        angles, reference = _farthest_from(places, centers, seen, reference)
     return np.where(seen.sum(axis=0) > 1, angles, 0.0)
 
 
@@ -82,8 +83,6 @@ def _farthest_from(
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Per place the largest angle in degrees between centre `start` (N,) and a seen one, and
     which that is."""
-    if not len(centers):
-        return np.zeros(len(places)), start
     reference = centers[start] - places
     best, farthest = np.zeros(len(places)), start.copy()
     for index, center in enumerate(centers):

@@ -73,7 +73,7 @@ def test_short_runs_gaps_and_huge_coordinates() -> None:
     gap = survey(1, 10)
     gap[5:, 0] += 40
     assert [line.tolist() for line in flight_lines(gap)] == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
-    assert len(flight_lines(survey(4, 6) + [5e5, 5e6, 0])) == 4
+    assert len(flight_lines(survey(4, 6) + np.array([5e5, 5e6, 0]))) == 4
     for poison in (np.nan, np.inf):
         broken = survey(2, 6)
         broken[3, 0] = poison
