@@ -11,6 +11,7 @@ without a photograph contradicting it: from elsewhere it hangs in the air. N Gau
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,12 @@ from radiant_core.splats import SH_C0, Splats
 
 MIN_SHOWN_PX = 0.25
 """A view constrains a Gaussian of which it shows this many pixels."""
+MIN_VIEWS, MIN_PARALLAX_DEG = 2, 2.0
+"""What fewer views or a smaller angle constrain may lie at any depth (docs/experiments/off_path.md)."""
+BACKGROUND = 2.0
+"""What is farther from the middle of the sparse points than this many times their reach is sky or
+horizon, which no parallax constrains and nobody walks around."""
+REACH_QUANTILE = 0.99
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,8 +47,11 @@ class Support:
         return (self.num_views >= num_views) & (self.parallax_deg >= parallax_deg)
 
 
-def support_of(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> Support:
-    """The support of N Gaussians by the V cameras that they were trained on, at their sizes."""
+def support_of(
+    splats: Splats, cameras: Cameras, backend: Backend = "auto", report: Callable[[int, int], None] = lambda done, total: None
+) -> Support:
+    """The support of N Gaussians by the V cameras that they were trained on, at their sizes;
+    `report` hears how many of them are done."""
     shown = np.zeros(len(splats))
     seen = np.zeros((len(cameras), len(splats)), bool)
     # Grey, so that no colour is clamped, and with it the derivative.
@@ -58,9 +68,22 @@ def support_of(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> S
             weights = tensors.sh0.grad[:, 0, 0].cpu().numpy().astype(np.float64) / SH_C0
             shown += weights
             seen[index] = weights >= MIN_SHOWN_PX
+        report(index + 1, len(cameras))
     return Support(
         num_views=seen.sum(axis=0), parallax_deg=largest_angles_deg(splats.means.astype(np.float64), cameras.centers, seen), shown_px=shown
     )
+
+
+def unconstrained(splats: Splats, support: Support, points: FloatArray) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) too few views constrain, the background around sparse points (P,3) apart;
+    without points nothing is background."""
+    loose = ~support.constrained(MIN_VIEWS, MIN_PARALLAX_DEG)
+    if not len(points):
+        return loose
+    middle = np.median(points, axis=0)
+    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), REACH_QUANTILE))
+    away = np.linalg.norm(splats.means.astype(np.float64) - middle, axis=1)
+    return loose & (away <= BACKGROUND * reach)
 
 
 def largest_angles_deg(places: FloatArray, centers: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
