@@ -263,23 +263,27 @@ def _load(source: Path, work: Path) -> _Source:
 
 
 def _splits(source: _Source, bench: TrainBench) -> list[_Split]:
-    cameras = source.scene.cameras
-    if bench.hold_out == "line":
-        masks = [held_out_line(cameras.names, cameras.centers, number) for number in bench.splits]
-    else:
-        masks = [held_out_mask(cameras.names, first=first) for first in bench.splits]
-    for number, held in enumerate(masks):
+    for number, first in enumerate(bench.splits):
+        held = _held_out(source, first, bench.hold_out)
         if held.all() or held.sum() < 2:
             then = f": ask for {number} split{'s' * (number > 1)}" if number else ""
             raise BadInput(
                 f"{source.name} has {len(held)} placed photographs, of which split {number + 1} holds out {held.sum()}, "
                 f"but at least 2 are needed, and some to train on{then}."
             )
-    views = None if bench.off_path is None else load_off_path(bench.off_path, cameras, bench.long_side_px)
-    return [_split(source, first, held, views) for first, held in zip(bench.splits, masks, strict=True)]
+    views = None if bench.off_path is None else load_off_path(bench.off_path, source.scene.cameras, bench.long_side_px)
+    return [_split(source, first, bench.hold_out, views) for first in bench.splits]
 
 
-def _split(source: _Source, first: int, held: NDArray[np.bool_], off_path: OffPath | None = None) -> _Split:
+def _held_out(source: _Source, first: int, hold_out: HoldOut) -> NDArray[np.bool_]:
+    cameras = source.scene.cameras
+    if hold_out == "line":
+        return held_out_line(cameras.names, cameras.centers, first)
+    return held_out_mask(cameras.names, first=first)
+
+
+def _split(source: _Source, first: int, hold_out: HoldOut = "interleaved", off_path: OffPath | None = None) -> _Split:
+    held = _held_out(source, first, hold_out)
     training, held_out = (source.scene.restricted_to(np.flatnonzero(part)) for part in (~held, held))
     return _Split(source=source, first=first, training=training, held_out=held_out, off_path=off_path)
 

@@ -102,7 +102,10 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
         sh_degree=config.sh_degree,
         sky_rgb=_sky_rgb(views) if config.sky else None,
     )
-    return replace(initial, antialiased=config.antialiased), len(fill.points)
+    # The sky, which begins almost opaque, keeps what it has.
+    logit = np.float32(np.log(config.initial_opacity / (1 - config.initial_opacity)))
+    logits = np.where(initial.logit_opacities < 0, logit, initial.logit_opacities)
+    return replace(initial, antialiased=config.antialiased, logit_opacities=logits), len(fill.points)
 
 
 def sky_share(cameras: Cameras) -> float:
