@@ -16,6 +16,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_BASES, SH_C0, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.fill_in import fill_in_points
+from radiant_core.train.thin_surfaces import lie_flat
 from radiant_core.train.views import TrainingViews
 
 INITIAL_OPACITY = 0.1
@@ -102,10 +103,12 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
         sh_degree=config.sh_degree,
         sky_rgb=_sky_rgb(views) if config.sky else None,
     )
-    # The sky, which begins almost opaque, keeps what it has.
+    # The sky, last and almost opaque, keeps what it has.
+    on_ground = initial.logit_opacities < 0
     logit = np.float32(np.log(config.initial_opacity / (1 - config.initial_opacity)))
-    logits = np.where(initial.logit_opacities < 0, logit, initial.logit_opacities)
-    return replace(initial, antialiased=config.antialiased, logit_opacities=logits), len(fill.points)
+    logits = np.where(on_ground, logit, initial.logit_opacities)
+    initial = replace(initial, antialiased=config.antialiased, logit_opacities=logits)
+    return lie_flat(initial, int(on_ground.sum()), config.initial_thickness), len(fill.points)
 
 
 def sky_share(cameras: Cameras) -> float:
