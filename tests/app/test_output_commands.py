@@ -59,13 +59,13 @@ def test_every_format_is_written_by_its_ending_and_says_what_it_rounds(run: Path
 def test_what_too_few_photographs_constrain_is_taken_out_and_can_be_put_back(tmp_path: Path) -> None:
     town = made_up_town()
     run = tmp_path / "run"
-    # A speck far below the ground, where no photograph shows it.
-    hidden = replace(town.splats.select(np.array([0])), means=np.array([[0.0, 0.0, -60.0]], np.float32))
+    # A speck above all cameras, which look down: no photograph shows it.
+    hidden = replace(town.splats.select(np.array([0])), means=np.array([[0.0, 0.0, 75.0]], np.float32))
     save_run(run, replace(town, splats=concatenate_splats([town.splats, hidden])))
     said = json.loads(radiant("export", run, tmp_path / "a.ply", "--clean", "--long-side-px", "96", "--json"))
     kept, rest = load_ply(tmp_path / "a.ply"), load_ply(Path(said["left_out_file"]))
     assert said["left_out"] == len(rest) > 0 and said["gaussians"] == len(kept) and 0 <= said["left_out_share_of_pixels"] < 0.1
-    assert -60 in rest.means[:, 2] and -60 not in kept.means[:, 2]
+    assert 75 in rest.means[:, 2] and 75 not in kept.means[:, 2]
     whole, again = load_ply(run / "scene.ply"), concatenate_splats([kept, rest])
     for name, array in whole.arrays().items():
         both = (np.sort(each.reshape(len(whole), -1), axis=0) for each in (array, again.arrays()[name]))
