@@ -22,6 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.splats import Splats
 from radiant_core.train.config import train_preset
+from tests.app.hamlet_views import add_off_path
 
 
 @pytest.fixture(scope="module")
@@ -165,16 +166,7 @@ def test_options_that_do_not_belong_together_are_refused(project: Path, tmp_path
 @pytest.fixture(scope="module")
 def off_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four views of the hamlet that were never flown."""
-    import generate
-    from scenegen.config import SceneConfig
-
-    stored = json.loads((sample_scenes_folder() / "hamlet" / "known" / "frame.json").read_text())["config"]
-    config = SceneConfig(**{**stored, "extent_m": tuple(stored["extent_m"])})
-    folder = tmp_path_factory.mktemp("off_path")
-    for name in ("images", "known"):
-        shutil.copytree(sample_scenes_folder() / "hamlet" / name, folder / name)
-    generate.generate(replace(config, off_path=4), folder)
-    return folder / "off_path"
+    return add_off_path(tmp_path_factory.mktemp("off_path"), 4)
 
 
 def test_a_model_is_scored_at_views_that_were_never_flown(project: Path, off_path: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ without a photograph contradicting it: from elsewhere it hangs in the air. N Gau
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,7 +53,7 @@ def support_of(
     """The support of N Gaussians by the V cameras that they were trained on, at their sizes;
     `report` hears how many of them are done."""
     shown = np.zeros(len(splats))
-    seen = np.zeros((len(cameras), len(splats)), bool)
+    seen: list[NDArray[np.int64]] = []
     # Grey, so that no colour is clamped, and with it the derivative.
     grey = replace(splats, sh0=np.zeros_like(splats.sh0), shN=np.zeros((len(splats), 0, 3), np.float32))
     tensors = SplatTensors.from_splats(grey, device=device_of(resolve_backend(backend)))
@@ -64,13 +64,15 @@ def support_of(
         tensors.sh0.grad = None
         images = rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=0, backend=backend).images
         images[..., 0].sum().backward()
-        if tensors.sh0.grad is not None:
-            weights = tensors.sh0.grad[:, 0, 0].cpu().numpy().astype(np.float64) / SH_C0
-            shown += weights
-            seen[index] = weights >= MIN_SHOWN_PX
+        weights = np.zeros(len(splats)) if tensors.sh0.grad is None else tensors.sh0.grad[:, 0, 0].cpu().numpy() / SH_C0
+        shown += weights
+        # A view of a large scene sees a small part of it: rows take less than a table of all.
+        seen.append(np.flatnonzero(weights >= MIN_SHOWN_PX))
         report(index + 1, len(cameras))
     return Support(
-        num_views=seen.sum(axis=0), parallax_deg=largest_angles_deg(splats.means.astype(np.float64), cameras.centers, seen), shown_px=shown
+        num_views=_counts(seen, len(splats)),
+        parallax_deg=largest_angles_deg(splats.means.astype(np.float64), cameras.centers, seen),
+        shown_px=shown,
     )
 
 
@@ -86,31 +88,38 @@ def unconstrained(splats: Splats, support: Support, points: FloatArray) -> NDArr
     return loose & (away <= BACKGROUND * reach)
 
 
-def largest_angles_deg(places: FloatArray, centers: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
-    """Angle (N,) at places (N,3) between two of the centres (V,3) that are `seen` (V,N) from there;
-    0 for fewer than two.
+def largest_angles_deg(places: FloatArray, centers: FloatArray, seen: Sequence[NDArray[np.int64]]) -> FloatArray:
+    """Angle (N,) at places (N,3) between two of the centres (V,3) that see them, of which `seen`
+    holds the rows of what each sees; 0 for fewer than two.
 
-    From any seen centre to the farthest one, and from that to its farthest: the largest angle of
+    From any seeing centre to the farthest one, and from that to its farthest: the largest angle of
     centres on an arc, and never less than half of it. O(V N).
     """
-    if not len(centers):
-        return np.zeros(len(places))
-    angles, reference = np.zeros(len(places)), np.argmax(seen, axis=0)
+    reference = np.zeros(len(places), np.int64)
+    for index in reversed(range(len(seen))):
+        reference[seen[index]] = index
+    angles = np.zeros(len(places))
     for _ in range(2):
         angles, reference = _farthest_from(places, centers, seen, reference)
-    return np.where(seen.sum(axis=0) > 1, angles, 0.0)
+    return np.where(_counts(seen, len(places)) > 1, angles, 0.0)
+
+
+def _counts(seen: Sequence[NDArray[np.int64]], count: int) -> NDArray[np.int64]:
+    """In how many of the lists each of the rows (N,) is."""
+    counts = np.zeros(count, np.int64)
+    for rows in seen:
+        counts[rows] += 1
+    return counts
 
 
 def _farthest_from(
-    places: FloatArray, centers: FloatArray, seen: NDArray[np.bool_], start: NDArray[np.int64]
+    places: FloatArray, centers: FloatArray, seen: Sequence[NDArray[np.int64]], start: NDArray[np.int64]
 ) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Per place the largest angle in degrees between centre `start` (N,) and a seen one, and
+    """Per place the largest angle in degrees between centre `start` (N,) and one that sees it, and
     which that is."""
-    reference = centers[start] - places
     best, farthest = np.zeros(len(places)), start.copy()
-    for index, center in enumerate(centers):
-        rows = np.flatnonzero(seen[index])
-        own, away = reference[rows], center - places[rows]
+    for index, rows in enumerate(seen):
+        own, away = centers[start[rows]] - places[rows], centers[index] - places[rows]
         # By the sine as well: the cosine alone knows no angle below 1e-8.
         angle = np.arctan2(np.linalg.norm(np.cross(own, away), axis=1), (own * away).sum(axis=1))
         wider = angle > best[rows]
