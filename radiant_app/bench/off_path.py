@@ -9,7 +9,7 @@ cameras do not lie where the known ones do is refused.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -85,7 +85,7 @@ class OffPath:
     """Largest distance of a camera's centre from the known one, in percent of the extent."""
     rotation_deg: float
     """Largest angle between a camera and the known one."""
-    key: str = field(default="")
+    key: str
     """Hash of all that decides the figures."""
 
     @cached_property
@@ -191,8 +191,3 @@ def _load_truth(path: Path, size_wh: NDArray[np.int64], scale: float) -> tuple[F
         ((np.arange(small) + 0.5) * (large / small)).astype(np.int64) for small, large in zip(size_wh[::-1], depth.shape, strict=True)
     )
     return scale * depth[np.ix_(rows, columns)], num_views[np.ix_(rows, columns)] >= MIN_VIEWS
-
-
-def record_of(figures: OffPathFigures | None) -> dict[str, Any] | None:
-    """The figures as a record for JSON; None for none."""
-    return None if figures is None else asdict(figures)

@@ -27,7 +27,8 @@ from radiant_core.splats import SH_C0, Splats
 MIN_SHOWN_PX = 0.25
 """A view constrains a Gaussian of which it shows this many pixels."""
 MIN_VIEWS, MIN_PARALLAX_DEG = 2, 2.0
-"""What fewer views or a smaller angle constrain may lie at any depth (docs/experiments/off_path.md)."""
+"""What fewer views or a smaller angle constrain may lie at any depth
+(docs/experiments/off_path.md)."""
 BACKGROUND = 2.0
 """What is farther from the middle of the sparse points than this many times their reach is sky or
 horizon, which no parallax constrains and nobody walks around."""
@@ -77,8 +78,8 @@ def support_of(
 
 
 def unconstrained(splats: Splats, support: Support, points: FloatArray) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) too few views constrain, the background around sparse points (P,3) apart;
-    without points nothing is background."""
+    """Which Gaussians (N,) too few views constrain, the background around sparse points (P,3)
+    apart; without points nothing is background."""
     loose = ~support.constrained(MIN_VIEWS, MIN_PARALLAX_DEG)
     if not len(points):
         return loose

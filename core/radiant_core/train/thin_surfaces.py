@@ -74,7 +74,8 @@ class ThinSurfaces(Part):
     name = "thin"
 
     def __init__(self, views: TrainingViews, config: TrainConfig, backend: Backend) -> None:
-        self._views, self._config, self._backend = views, config, backend
+        self._views, self._config = views, config
+        self._backend: Backend = backend
         self._step, self._view, self._size_wh = 0, 0, (1, 1)
 
     def before_backward(self, moment: Moment, output: RenderOutput) -> None:
