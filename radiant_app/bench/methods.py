@@ -81,7 +81,7 @@ class MethodBench:
     upload: UploadFormat = "float16"
     """What devices and edges send."""
     off_path: Path | None = None
-    """Views that were never flown, as the generator writes them; every model is scored there too."""
+    """Views that were never flown, as the generator writes them, at which models are scored too."""
     max_gaussians: int | None = None
     """Most Gaussians of any method's model: of a larger one those are left that show most to the
     training cameras, and nothing is fitted again. None: as many as a method makes."""

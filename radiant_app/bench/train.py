@@ -115,7 +115,7 @@ class TrainBench:
     """Which photographs are held out: `first` of `held_out_mask`, or numbers of lines."""
     hold_out: HoldOut = "interleaved"
     off_path: Path | None = None
-    """Views that were never flown, as the generator writes them; every model is scored there too."""
+    """Views that were never flown, as the generator writes them, at which models are scored too."""
     long_side_px: int = LONG_SIDE_PX
     ablations: bool = False
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: ABLATIONS)

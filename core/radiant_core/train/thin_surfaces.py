@@ -61,7 +61,7 @@ def lie_flat(splats: Splats, count: int, thinnest: float) -> Splats:
 
 
 def _local_axes(places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Variances (P,3), ascending, and their axes (P,3,3) in columns, of every place's neighbours."""
+    """Variances (P,3), ascending, and axes (P,3,3) in columns, of every place's neighbours."""
     around = places[KDTree(places).query(places, k=NEIGHBOURS)[1]]
     around = around - around.mean(axis=1, keepdims=True)
     variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
