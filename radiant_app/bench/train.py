@@ -74,6 +74,7 @@ THIN_SURFACES: dict[str, Any] = {
     "depth_spread_weight": 1.0,
 }
 """What makes a model that is thinner and more opaque (`docs/experiments/off_path.md`)."""
+_OPAQUE_AND_FLAT = ("initial_opacity", "initial_thickness", "density.min_opacity", "density.reset_opacity_every")
 ABLATIONS: dict[str, dict[str, Any]] = {
     "full size from the start": {"start_scale": 1.0},
     "no densification": {"density.kind": "none"},
@@ -85,6 +86,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "sizes without limit": {"max_scale_per_distance": None},
     "needles without limit": {"max_elongation": None},
     "thin surfaces": THIN_SURFACES,
+    "opaque and flat": {name: THIN_SURFACES[name] for name in _OPAQUE_AND_FLAT},
     "less than 0.1 pruned": {"density.min_opacity": 0.1, "density.reset_opacity_every": NEVER, "initial_opacity": 0.5},
     "flat first Gaussians": {"initial_thickness": 0.15},
     "short axes in the loss": {"thickness_weight": 0.05},
