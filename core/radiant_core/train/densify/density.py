@@ -4,8 +4,8 @@
           or of ‖(W/2, H/2) ⊙ Σ_p |∂loss_p/∂m_i|‖ over pixels p, by absolute value (AbsGS, Ye 2024)
     g_i ≥ t:  longest axis ≤ 1 % of the cameras' extent: cloned;
               longer: two drawn from N(μ_i, Σ_i) with scales / 1.6 in its place
-    pruned:   opacity < `Adc.min_opacity`;  after the first reset also axes > 10 % of the extent, and
-              what is wider than a limit on screen
+    pruned:   opacity < `Adc.min_opacity`;  after the first reset also axes > 10 % of the extent,
+              and what is wider than a limit on screen
     reset:    opacity ← min(opacity, 0.01), its moments ← 0
 
 Statistics once per step, an edit every `Adc.every` steps, O(N log N). `AdaptiveDensity` decides
