@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, deal_cell, deal_system, load_bench_scene, run_cell
 from radiant_app.bench.emulated_latency import NodeWork
+from radiant_app.bench.off_path import OffPath, OffPathFigures, figures_of, load_off_path
 from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
+from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import CutBy
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
@@ -78,6 +80,8 @@ class ArmRow:
     interior_db: float | None
     num_band_images: int
     nodes: tuple[NodeWork, ...] = ()
+    off_path: OffPathFigures | None = None
+    """At views that were never flown, where there are some."""
 
     @property
     def mean_psnr_db(self) -> float:
@@ -96,6 +100,8 @@ class Arms:
 
     out: Path
     first: Cell
+    off_path: OffPath | None = None
+    """Views that were never flown, at which every row is scored as well."""
 
     @property
     def scene(self) -> BenchScene:
@@ -126,6 +132,22 @@ class Arms:
 
     def row(self, cell: Cell, arm: Arm, max_gaussians: int | None = None) -> ArmRow:
         """The arm's figures, cached; of its model reduced to `max_gaussians`, where given."""
+        row = self._row(cell, arm, max_gaussians)
+        return row if self.off_path is None else replace(row, off_path=self._off_path_figures(self.off_path, cell, arm, max_gaussians))
+
+    def _off_path_figures(self, views: OffPath, cell: Cell, arm: Arm, max_gaussians: int | None) -> OffPathFigures:
+        """The figures at views off the path, cached apart from the others."""
+        model = self._model_file(cell, arm)
+        reduced = "" if max_gaussians is None else f".{max_gaussians}"
+        record = model.with_suffix(f"{reduced}.off_path-{views.key[:16]}.json")
+        if record.is_file() and (known := figures_of(read_json(record))) is not None:
+            return known
+        splats = load_splats(model)
+        figures = views.score(splats if max_gaussians is None else select_strongest(splats, self.scene.views.cameras, max_gaussians))
+        write_json(record, asdict(figures))
+        return figures
+
+    def _row(self, cell: Cell, arm: Arm, max_gaussians: int | None) -> ArmRow:
         model = self._model_file(cell, arm)
         record = model.with_suffix(".json" if max_gaussians is None else f".{max_gaussians}.json")
         if model.is_file() and record.is_file():
@@ -135,11 +157,11 @@ class Arms:
             model.parent.mkdir(parents=True, exist_ok=True)
             save_splats(model, made.splats)
         else:
-            whole = self.row(cell, arm)
+            whole = self._row(cell, arm, None)
             splats = select_strongest(load_splats(model), self.scene.views.cameras, max_gaussians)
             made = Made(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px, nodes=whole.nodes)
         row = self._score(cell, arm, made)
-        write_json(record, asdict(row))
+        write_json(record, {name: value for name, value in asdict(row).items() if name != "off_path"})
         return row
 
     def views(self, cell: Cell, arm: Arm) -> list[RenderedView]:
@@ -202,12 +224,20 @@ def _row_of(record: dict[str, Any]) -> ArmRow:
     return ArmRow(**{**record, "psnr_db": tuple(record["psnr_db"]), "ssim": tuple(record["ssim"]), "nodes": nodes})
 
 
-def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings, cut_by: CutBy = "auto") -> Arms:
-    """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings;
-    BadInput where the scene has too few photographs or is not of a run, or `out` is a file."""
+def load_arms(
+    scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings, cut_by: CutBy = "auto", off_path: Path | None = None
+) -> Arms:
+    """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings,
+    also scored at the views of `off_path`; BadInput where the scene has too few photographs or is
+    not of a run, `out` is a file, or the views do not fit the scene."""
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file: name a folder for the page, its pictures and the models.")
     cache = ModelCache(folder=out / "models")
     if layout is None:
-        return Arms(out=out, first=run_cell(scene, cache))
-    return Arms(out=out, first=deal_cell(load_bench_scene(scene, settings.train.long_side_px, cut_by), cache, settings, layout))
+        first = run_cell(scene, cache)
+    else:
+        first = deal_cell(load_bench_scene(scene, settings.train.long_side_px, cut_by), cache, settings, layout)
+    if off_path is None:
+        return Arms(out=out, first=first)
+    cameras = concatenate_cameras([first.scene.training.cameras, first.scene.held_out.cameras])
+    return Arms(out=out, first=first, off_path=load_off_path(off_path, cameras, first.scene.long_side_px))

@@ -33,6 +33,7 @@ import numpy as np
 from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
 from radiant_app.bench.emulated_latency import NodeClock, NodeWork
+from radiant_app.bench.off_path import off_path_metrics
 from radiant_app.report.progress import track_items
 from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
@@ -81,6 +82,8 @@ class MethodBench:
     """What devices and edges send."""
     cut_by: CutBy = "auto"
     """What regions and strips are cut by, as in a run."""
+    off_path: Path | None = None
+    """Views that were never flown, as the generator writes them, at which models are scored too."""
     max_gaussians: int | None = None
     """Most Gaussians of any method's model: of a larger one those are left that show most to the
     training cameras, and nothing is fitted again. None: as many as a method makes."""
@@ -95,7 +98,7 @@ class MethodBench:
 def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
     """All rows; per scene and method, means with the paired difference to the paper's preset."""
     settings = bench_settings(bench.long_side_px, bench.num_steps, bench.upload)
-    arms = load_arms(bench.scene, bench.out, bench.layout, settings, bench.cut_by)
+    arms = load_arms(bench.scene, bench.out, bench.layout, settings, bench.cut_by, bench.off_path)
     cells = [arms.first]
     if bench.layout is not None:
         spread = [(placement, seed) for placement in range(bench.num_placements) for seed in range(bench.num_seeds)]
@@ -336,6 +339,8 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
         for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("training_px", "px")):
             value = float(np.mean([getattr(row, name) for row in group]))
             metrics.append(Metric(key=f"{key}.{name}", value=value, unit=unit, direction="info"))
+        if off_path := [row.off_path for row in group if row.off_path is not None]:
+            metrics += off_path_metrics(key, off_path)
         if "paper" in groups and method != "paper":
             difference = paired_bootstrap(np.array([row.psnr_db for row in group]), np.array([row.psnr_db for row in groups["paper"]]))
             figures = {"mean_db": difference.mean, "low_db": difference.low, "high_db": difference.high}

@@ -11,6 +11,8 @@ from radiant_core.choices import CutBy
 from radiant_core.errors import BadInput
 
 BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper"]
+HoldOut = Literal["interleaved", "line"]
+"""interleaved: every eighth photograph; line: a whole line of the flight, the middle one first."""
 _ON_MODELS: tuple[BenchName, ...] = ("train", "methods", "paper")
 ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "scene": ("sfm", *_ON_MODELS),
@@ -20,6 +22,8 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "num_seeds": _ON_MODELS,
     "num_splits": ("train",),
     "num_photographs": ("train",),
+    "hold_out": ("train",),
+    "off_path": ("train", "methods"),
     "long_side_px": _ON_MODELS,
     "ablations": ("train",),
     "plot": ("train", "methods"),
@@ -38,6 +42,8 @@ _FLAGS = {
     "num_seeds": "--seeds",
     "num_splits": "--splits",
     "num_photographs": "--photographs",
+    "hold_out": "--hold-out",
+    "off_path": "--off-path",
     "methods": "--method",
     "num_placements": "--placements",
 }
@@ -63,9 +69,13 @@ class BenchOptions:
     num_seeds: int | None = None
     """Models of each kind."""
     num_splits: int = 1
-    """How many eighths of the photographs are held out, one after the other."""
+    """How many eighths of the photographs, or lines, are held out, one after the other."""
     num_photographs: int | None = None
     """Photographs to train on, evenly chosen; None for all."""
+    hold_out: HoldOut = "interleaved"
+    """What a split holds out: every eighth photograph, or a whole flight line."""
+    off_path: Path | None = None
+    """Views that were never flown, as the generator writes them."""
     long_side_px: int | None = None
     """Size of the training images."""
     ablations: bool = False

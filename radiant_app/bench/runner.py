@@ -90,6 +90,7 @@ def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
         num_steps=60 if options.quick else 500,
         cut_by=options.cut_by,
         max_gaussians=options.max_gaussians,
+        off_path=options.off_path,
     )
     rows, metrics = bench_methods(bench)
     typer.echo(methods_table(rows))

@@ -7,7 +7,9 @@ Each preset is also trained with half of each budget, and its difference to the 
 full budget is stated with the 95 % bounds of a bootstrap over images and seeds. More `splits` hold
 out other photographs, each with its own models, so that a single photograph weighs less; the
 bootstrap draws from the images of all splits, and with one seed it does not cover how a split's
-model varies. `ablations`: the first preset with one part switched off at a time, at the first
+model varies. `hold_out="line"` leaves out a whole line of the flight instead of every eighth
+photograph, and `off_path` names views that were never flown: both ask how a model looks away from
+its photographs. `ablations`: the first preset with one part switched off at a time, at the first
 budget, paired. With a folder for its rows an interrupted benchmark resumes.
 """
 
@@ -21,9 +23,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from radiant_app.bench.options import BenchOptions
+from radiant_app.bench.off_path import OffPath, OffPathFigures, figures_of, load_off_path, off_path_metrics
+from radiant_app.bench.options import BenchOptions, HoldOut
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import terminal_display, track_items
@@ -34,6 +37,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
 from radiant_core.evaluate.color_correction import correct_colors
+from radiant_core.evaluate.flight_lines import held_out_line
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.metric import Metric
@@ -52,7 +56,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
-from radiant_core.train.config import TrainConfig, train_preset, with_settings
+from radiant_core.train.config import NEVER, TrainConfig, train_preset, with_settings
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_images, load_training_views
 from radiant_core.train.results import TrainResult
@@ -66,6 +70,16 @@ ABLATION_BUDGET_S = 90.0
 ABLATION_SEEDS = (0, 1, 2)
 UNLIMITED_STEPS = 10**9
 REFERENCE = "standard"
+THIN_SURFACES: dict[str, Any] = {
+    "initial_opacity": 0.5,
+    "initial_thickness": 0.15,
+    "density.min_opacity": 0.1,
+    "density.reset_opacity_every": NEVER,
+    "thickness_weight": 0.05,
+    "depth_spread_weight": 1.0,
+}
+"""What makes a model that is thinner and more opaque (`docs/experiments/off_path.md`)."""
+_OPAQUE_AND_FLAT = ("initial_opacity", "initial_thickness", "density.min_opacity", "density.reset_opacity_every")
 ABLATIONS: dict[str, dict[str, Any]] = {
     "full size from the start": {"start_scale": 1.0},
     "no densification": {"density.kind": "none"},
@@ -76,6 +90,12 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "no sky": {"sky": False},
     "sizes without limit": {"max_scale_per_distance": None},
     "needles without limit": {"max_elongation": None},
+    "thin surfaces": THIN_SURFACES,
+    "opaque and flat": {name: THIN_SURFACES[name] for name in _OPAQUE_AND_FLAT},
+    "less than 0.1 pruned": {"density.min_opacity": 0.1, "density.reset_opacity_every": NEVER, "initial_opacity": 0.5},
+    "flat first Gaussians": {"initial_thickness": 0.15},
+    "short axes in the loss": {"thickness_weight": 0.05},
+    "spread of depth in the loss": {"depth_spread_weight": 1.0},
     "any number of Gaussians": {"density.pixels_per_splat": None},
     "all photographs": {"skip_images": "none"},
     "dense points": {"dense_points": "always"},
@@ -101,9 +121,12 @@ class TrainBench:
     budgets_s: tuple[float, ...] = BUDGETS_S
     seeds: tuple[int, ...] = (0,)
     splits: tuple[int, ...] = (0,)
-    """Which photographs are held out: `first` of `held_out_mask`."""
+    """Which photographs are held out: `first` of `held_out_mask`, or numbers of lines."""
     num_photographs: int | None = None
     """Train on so many of those that are not held out, evenly chosen; None for all."""
+    hold_out: HoldOut = "interleaved"
+    off_path: Path | None = None
+    """Views that were never flown, as the generator writes them, at which models are scored too."""
     long_side_px: int = LONG_SIDE_PX
     ablations: bool = False
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: ABLATIONS)
@@ -135,6 +158,8 @@ class TrainedRow:
     psnr_cc_db: tuple[float, ...]
     split: int = 0
     """Which photographs were held out."""
+    off_path: OffPathFigures | None = None
+    """At views that were never flown, where there are some."""
 
     @property
     def mean_psnr_db(self) -> float:
@@ -162,6 +187,7 @@ class _Split:
     first: int
     training: SfmScene
     held_out: SfmScene
+    off_path: OffPath | None = None
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
@@ -169,7 +195,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
     scene is any source. Raises BadInput where nothing can be held out."""
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
         source = _load(bench.scene, Path(folder))
-        splits = _splits(source, bench.splits, bench.num_photographs)
+        splits = _splits(source, bench)
         if bench.ablations:
             return _ablations(bench, splits)
         halves = {budget_s / 2 for budget_s in bench.budgets_s}
@@ -183,7 +209,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
             if budget_s in bench.budgets_s or preset != REFERENCE
         ]
         rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
-    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(source.name, group)]
+    metrics = _alignment_metrics(splits[0]) + [m for group in _groups(rows).values() for m in _row_metrics(source.name, group)]
     for preset in bench.presets:
         for budget_s in bench.budgets_s if preset != REFERENCE and REFERENCE in bench.presets else ():
             for share, label in ((1.0, "equal_time"), (0.5, "half_time")):
@@ -209,6 +235,8 @@ def bench_of(options: BenchOptions) -> TrainBench:
         seeds=tuple(range(num_seeds)),
         splits=tuple(range(options.num_splits)),
         num_photographs=options.num_photographs,
+        hold_out=options.hold_out,
+        off_path=options.off_path,
         long_side_px=size,
         ablations=ablations,
         changes={name: change for name, change in ABLATIONS.items() if not options.methods or name in options.methods},
@@ -234,7 +262,7 @@ def _ablations(bench: TrainBench, splits: Sequence[_Split]) -> tuple[list[Traine
     jobs = [(split, name, config, budget_s, seed) for split in splits for seed in bench.seeds for name, config in variants.items()]
     rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
     scene = splits[0].source.name
-    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(scene, group)]
+    metrics = _alignment_metrics(splits[0]) + [metric for group in _groups(rows).values() for metric in _row_metrics(scene, group)]
     for name in variants:
         if name != whole:
             key = f"train.{scene}.{_key(name)}.{budget_s:g}s.over_{whole}"
@@ -262,35 +290,45 @@ def _load(source: Path, work: Path) -> _Source:
     return _Source(name=name, scene=scene, images=images, masks=masks, captures=captures)
 
 
-def _splits(source: _Source, firsts: Sequence[int], num_photographs: int | None) -> list[_Split]:
-    for number, first in enumerate(firsts):
-        held = held_out_mask(source.scene.cameras.names, first=first)
+def _splits(source: _Source, bench: TrainBench) -> list[_Split]:
+    for number, first in enumerate(bench.splits):
+        held = _held_out(source, first, bench.hold_out)
         if held.all() or held.sum() < 2:
             then = f": ask for {number} split{'s' * (number > 1)}" if number else ""
             raise BadInput(
                 f"{source.name} has {len(held)} placed photographs, of which split {number + 1} holds out {held.sum()}, "
                 f"but at least 2 are needed, and some to train on{then}."
             )
-    return [_split(source, first, num_photographs) for first in firsts]
+    views = None if bench.off_path is None else load_off_path(bench.off_path, source.scene.cameras, bench.long_side_px)
+    return [_split(source, first, bench, views) for first in bench.splits]
 
 
-def _split(source: _Source, first: int, num_photographs: int | None) -> _Split:
-    held = held_out_mask(source.scene.cameras.names, first=first)
-    trained = np.flatnonzero(~held)
-    if num_photographs is not None:
-        trained = trained[np.unique(np.linspace(0, len(trained) - 1, min(num_photographs, len(trained))).astype(np.int64))]
+def _held_out(source: _Source, first: int, hold_out: HoldOut) -> NDArray[np.bool_]:
+    cameras = source.scene.cameras
+    if hold_out == "line":
+        return held_out_line(cameras.names, cameras.centers, first)
+    return held_out_mask(cameras.names, first=first)
+
+
+def _split(source: _Source, first: int, bench: TrainBench, off_path: OffPath | None) -> _Split:
+    held = _held_out(source, first, bench.hold_out)
+    trained, most = np.flatnonzero(~held), bench.num_photographs
+    if most is not None:
+        trained = trained[np.unique(np.linspace(0, len(trained) - 1, min(most, len(trained))).astype(np.int64))]
     training, held_out = (source.scene.restricted_to(part) for part in (trained, np.flatnonzero(held)))
-    return _Split(source=source, first=first, training=training, held_out=held_out)
+    return _Split(source=source, first=first, training=training, held_out=held_out, off_path=off_path)
 
 
 def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     if out is None:
         return _train_row(split, variant, config, budget_s, seed)
-    key = content_key(__version__, {"scene": split.training.cameras.names, "config": asdict(config)})[:16]
+    views = {} if split.off_path is None else {"off_path": split.off_path.key}
+    key = content_key(__version__, {"scene": split.training.cameras.names, "config": asdict(config), **views})[:16]
     record = out / "rows" / f"{split.source.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
     if record.is_file():
-        fields = read_json(record)
-        return TrainedRow(**{**fields, "psnr_db": tuple(fields["psnr_db"]), "psnr_cc_db": tuple(fields["psnr_cc_db"])})
+        own = read_json(record)
+        figures = {name: tuple(own[name]) for name in ("psnr_db", "psnr_cc_db")}
+        return TrainedRow(**{**own, **figures, "off_path": figures_of(own.get("off_path"))})
     row = _train_row(split, variant, config, budget_s, seed)
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, asdict(row))
@@ -328,6 +366,7 @@ def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float
         psnr_db=tuple(plain for plain, _ in figures),
         psnr_cc_db=tuple(corrected for _, corrected in figures),
         split=split.first,
+        off_path=None if split.off_path is None else split.off_path.score(result.splats),
     )
 
 
@@ -351,12 +390,23 @@ def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedR
     return groups
 
 
+def _alignment_metrics(split: _Split) -> list[Metric]:
+    """How well the scene's cameras lie on those that the views off the path came with."""
+    if (views := split.off_path) is None:
+        return []
+    figures = {"center_residual": (views.center_percent, "% of extent"), "rotation_residual": (views.rotation_deg, "deg")}
+    key = f"train.{split.source.name}.off_path"
+    return [Metric(key=f"{key}.{name}", value=value, unit=unit, direction="info") for name, (value, unit) in figures.items()]
+
+
 def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
     key = f"train.{scene}.{_key(rows[0].variant)}.{rows[0].budget_s:g}s"
     means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in ("cpu_s", "num_gaussians", "num_steps")}
     # Over images, as in the differences: splits may hold out different numbers.
     means |= {f"mean_{name}": float(_by_seed_and_image(rows, name).mean()) for name in ("psnr_db", "psnr_cc_db")}
+    off_path = [row.off_path for row in rows if row.off_path is not None]
     return [
+        *(off_path_metrics(key, off_path) if off_path else ()),
         Metric(key=f"{key}.psnr_db", value=means["mean_psnr_db"], unit="dB", direction="higher"),
         Metric(key=f"{key}.psnr_cc_db", value=means["mean_psnr_cc_db"], unit="dB", direction="higher"),
         Metric(key=f"{key}.cpu_s", value=means["cpu_s"], unit="s", direction="info"),

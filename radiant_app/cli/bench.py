@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from radiant_app.bench.options import BenchName, BenchOptions
+from radiant_app.bench.options import BenchName, BenchOptions, HoldOut
 from radiant_app.cli.option_types import BenchPlot, BenchScene, LongSide
 from radiant_core.choices import CutBy
 
@@ -21,8 +21,10 @@ def bench(
     preset: Annotated[list[str] | None, typer.Option(help="train: presets to compare, else default and standard.")] = None,
     budget: Annotated[list[float] | None, typer.Option(min=0.1, help="train: CPU seconds, else 60, 180 and 600.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train, methods, paper: models of each kind.")] = None,
-    splits: Annotated[int, typer.Option(min=1, max=8, help="train: eighths of the photographs held out in turn.")] = 1,
+    splits: Annotated[int, typer.Option(min=1, max=8, help="train: eighths of the photographs, or lines, held out in turn.")] = 1,
     photographs: Annotated[int | None, typer.Option(min=2, help="train: so many of the training photographs, evenly chosen.")] = None,
+    hold_out: Annotated[HoldOut, typer.Option(help="train: every eighth photograph, or a whole flight line.")] = "interleaved",
+    off_path: Annotated[Path | None, typer.Option(help="train, methods: folder of views never flown, scored as well.")] = None,
     long_side_px: LongSide = None,
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
     plot: BenchPlot = None,
@@ -47,6 +49,8 @@ def bench(
         num_seeds=seeds,
         num_splits=splits,
         num_photographs=photographs,
+        hold_out=hold_out,
+        off_path=off_path,
         long_side_px=long_side_px,
         ablations=ablations,
         plot=plot,

@@ -58,7 +58,10 @@ def export(
     resolution: Annotated[
         float | None, typer.Option(min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.")
     ] = None,
-    long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the depth pictures of mesh and dsm.")] = 640,
+    long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the pictures for mesh, dsm and --clean.")] = 640,
+    clean: Annotated[
+        bool, typer.Option("--clean", help="ply, spz, sog: what too few photographs constrain goes into NAME_unconstrained.ply.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """A model, its plan, cameras or surface in the files of other programs; says what is lost."""
@@ -66,5 +69,5 @@ def export(
     from radiant_app.commands.export import export as write_export
     from radiant_app.report.progress import terminal_display
 
-    request = ExportRequest(model=model, out=out, format=format, resolution=resolution, long_side_px=long_side_px)
+    request = ExportRequest(model=model, out=out, format=format, resolution=resolution, long_side_px=long_side_px, clean=clean)
     finish(write_export(request, terminal_display()), as_json)

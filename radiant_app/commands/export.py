@@ -39,6 +39,7 @@ _WANTED = {
     "dsm": (".tif", ".tiff"),
 }
 
+_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog")
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -55,6 +56,13 @@ class ExportRequest:
     format: ExportFormat | None = None
     resolution: float | None = None
     long_side_px: int = 640
+    clean: bool = False
+    """Whether Gaussians that too few photographs constrain go into a file of their own."""
+
+    @property
+    def side_file(self) -> Path:
+        """Where `clean` puts them."""
+        return self.out.with_name(f"{self.out.stem}_unconstrained.ply")
 
 
 def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -66,6 +74,10 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"there is no folder {request.out.parent} to write {request.out.name} into: make it first.")
     if (request.resolution is not None) and kind not in ("mesh", "dsm"):
         raise BadInput(f"--resolution is of a mesh or surface model, and {kind} has none: leave it out, or add --format mesh or dsm.")
+    if request.clean and kind not in _CLEANED:
+        raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
+    if request.clean and request.side_file.exists():
+        raise BadInput(f"{request.side_file} exists, where --clean would put what it takes out: choose another name.")
     figures = _WRITERS[kind](request, display)
     return {"written": str(request.out), "format": kind, **figures}
 
@@ -94,6 +106,28 @@ def _splats_of(model: Path) -> Splats:
     raise BadInput(f"{model} is neither a run folder nor a model.safetensors or .ply: give one of these.")
 
 
+def _exported(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
+    """The Gaussians to write, and what `clean` took out of them: both together are the model."""
+    splats = _splats_of(request.model)
+    if not request.clean:
+        return splats, {}
+    from radiant_app.commands.steps import stage_bar
+    from radiant_core.evaluate.support import support_of, unconstrained
+
+    run = _run_of(request)
+    trained = [row for row, name in enumerate(run.scene.cameras.names) if name not in run.held_out]
+    with stage_bar(display, "clean") as report:
+        cameras = run.scene.cameras.select(np.array(trained, np.int64)).scaled(request.long_side_px)
+        support = support_of(splats, cameras, report=lambda done, total: report(done, total, "views"))
+    loose = unconstrained(splats, support, run.scene.points)
+    if not loose.any() or loose.all():
+        display(Warned(stage="clean", message=f"{int(loose.sum()):,} of {len(loose):,} Gaussians are unconstrained: nothing is left out."))
+        return splats, {"left_out": 0}
+    save_ply(request.side_file, splats.select(loose))
+    shares = {"left_out_share_of_pixels": float(f"{support.shown_px[loose].sum() / max(support.shown_px.sum(), 1e-9):.3g}")}
+    return splats.select(~loose), {"left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
+
+
 def _run_of(request: ExportRequest) -> RunView:
     from radiant_viewer.runs.run_view import load_run_view
 
@@ -103,25 +137,26 @@ def _run_of(request: ExportRequest) -> RunView:
 
 
 def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    splats = _splats_of(request.model)
+    splats, cleaned = _exported(request, display)
     save_ply(request.out, splats)
-    return {"gaussians": len(splats)}
+    return {"gaussians": len(splats), **cleaned}
 
 
 def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.scene import save_spz
     from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 
-    splats = _splats_of(request.model)
+    splats, cleaned = _exported(request, display)
     cuts = save_spz(request.out, splats)
-    return {"gaussians": len(splats) - cuts.num_left_out, **asdict(cuts), "position_max_error": SPZ_MEAN_STEP}
+    return {"gaussians": len(splats) - cuts.num_left_out, **asdict(cuts), "position_max_error": SPZ_MEAN_STEP, **cleaned}
 
 
 def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.sog import save_sog
 
-    splats = _splats_of(request.model)
-    return {"gaussians": len(splats), **{name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}}
+    splats, cleaned = _exported(request, display)
+    figures = {name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}
+    return {"gaussians": len(splats), **figures, **cleaned}
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:

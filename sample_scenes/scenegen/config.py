@@ -43,6 +43,7 @@ class SceneConfig:
     gps_error_m: float = option(1.0, "Largest distance between the true position and the one written to EXIF.")
     gps: bool = option(True, "Write GPS positions to EXIF.")
     depth: bool = option(False, "Also write one exact float32 depth map per photograph.")
+    off_path: int = option(0, "Also write so many views that a survey never flew, with their depth, for benchmarks.")
     samples_per_axis: int = option(2, "Rays per pixel along each axis; 2 means 4 rays per pixel.")
     jpeg_quality: int = option(72, "Quality of the JPEG files, 1 to 95.")
     num_known_points: int = option(2000, "Surface points, with who sees them, in the known model.")
@@ -66,6 +67,9 @@ class SceneConfig:
         _check_range("gps_error_m", self.gps_error_m, 0.0, 1000.0)
         _check_range("samples_per_axis", self.samples_per_axis, 1, 8)
         _check_range("jpeg_quality", self.jpeg_quality, 1, 95)
+        _check_range("off_path", self.off_path, 0, MAX_CAMERAS)
+        if self.off_path and self.flight != "survey":
+            raise BadInput(f"off_path is for the flight survey, not for {self.flight}: leave one of the two out")
         _check_range("num_known_points", self.num_known_points, 0, MAX_KNOWN_POINTS)
         _check_range("seed", self.seed, 0, 2**31 - 1)
         self._check_lens_unfolds()

@@ -45,6 +45,13 @@ class Shot:
         return -self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3]
 
 
+def survey_lines(config: SceneConfig) -> tuple[int, int]:
+    """How many rows a survey flies, and how many nadir photographs it takes on them."""
+    count = config.num_cameras - round(config.num_cameras * config.oblique_fraction)
+    width, height = config.extent_m
+    return min(count, max(1, round(np.sqrt(count * 0.75 * height / width)))), count
+
+
 def plan_flight(config: SceneConfig) -> list[Shot]:
     """The photographs of one flight, in the order they were taken."""
     rng = np.random.default_rng([config.seed, 1])
@@ -76,8 +83,8 @@ def look_pose(center: NDArray, forward: NDArray, up: NDArray) -> NDArray[np.floa
 
 
 def _survey_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
-    num_oblique = round(config.num_cameras * config.oblique_fraction)
-    return _nadir_poses(config, config.num_cameras - num_oblique, rng) + _oblique_poses(config, num_oblique, rng)
+    num_nadir = survey_lines(config)[1]
+    return _nadir_poses(config, rng) + _oblique_poses(config, config.num_cameras - num_nadir, rng)
 
 
 def _orbit_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
@@ -108,11 +115,11 @@ def _street_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray
     return poses
 
 
-def _nadir_poses(config: SceneConfig, count: int, rng: np.random.Generator) -> list[NDArray[np.float64]]:
+def _nadir_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
     """Rows along x, flown to and fro; the image's top points along the flight, tilted by a few
     degrees."""
     width, height = config.extent_m
-    num_rows = min(count, max(1, round(np.sqrt(count * 0.75 * height / width))))
+    num_rows, count = survey_lines(config)
     poses = []
     for row in range(num_rows):
         in_row = count // num_rows + (row < count % num_rows)

@@ -42,6 +42,14 @@ def write_known_model(folder: Path, photographer: Photographer, shots: list[Shot
     (folder / "frame.json").write_text(json.dumps({**origin, "axes": "east-north-up", "config": asdict(config)}, indent=1) + "\n")
 
 
+def write_cameras(folder: Path, config: SceneConfig, shots: list[Shot]) -> None:
+    """Write a COLMAP text model of exact cameras without points into folder."""
+    nothing = np.zeros(0, np.int64), np.zeros((0, 2))
+    (folder / "cameras.txt").write_text(_camera_text(config))
+    (folder / "images.txt").write_text("".join(_image_text(k, shot, *nothing) for k, shot in enumerate(shots)))
+    (folder / "points3D.txt").write_text("")
+
+
 def _surface_points(photographer: Photographer, shots: list[Shot]) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Points (P,3) within reach of the flight that random pixels of all photographs see, with their
     colours (P,3)."""

@@ -9,6 +9,8 @@ Embree returns is the depth itself.
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
@@ -40,6 +42,16 @@ class Photographer:
         self._mesh: Mesh = build_town(self.layout)
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(o3d.core.Tensor.from_numpy(self._mesh.vertices), o3d.core.Tensor.from_numpy(self._mesh.triangles))
+
+    def with_config(self, config: SceneConfig) -> Photographer:
+        """A photographer of the same town with another lens and sensor."""
+        other = copy(self)
+        other.config = config
+        return other
+
+    def clearance_m(self, place: NDArray) -> float:
+        """Distance from a place (3,) to the nearest surface."""
+        return float(self._scene.compute_distance(o3d.core.Tensor.from_numpy(place[None].astype(np.float32))).numpy()[0])
 
     def photograph(self, shot: Shot, number: int) -> NDArray[np.uint8]:
         """The photograph (H,W,3) sRGB; number selects its sensor noise."""

@@ -21,6 +21,7 @@ from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
+from tests.app.hamlet_views import add_off_path
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +52,15 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     again, _ = bench_methods(replace(bench, methods=("paper",)))
     assert [row for row in again if row.arm == "paper"] == [made["paper"]]
     assert stamps == {path: path.stat().st_mtime_ns for path in (bench.out / "joined").iterdir()}
+
+
+def test_every_method_is_scored_at_views_that_were_never_flown(bench: MethodBench, tmp_path: Path) -> None:
+    plain, _ = bench_methods(replace(bench, methods=("crop",)))
+    rows, metrics = bench_methods(replace(bench, methods=("crop",), off_path=add_off_path(tmp_path, 2)))
+    assert [replace(row, off_path=None) for row in rows] == plain
+    assert all(row.off_path is not None and np.isfinite(row.off_path.psnr_db).all() for row in rows)
+    assert rows[0].off_path != rows[1].off_path
+    assert {"methods.scene.crop.off_path.haze", "methods.scene.centralised.off_path.lower.psnr_db"} <= {metric.key for metric in metrics}
 
 
 def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:

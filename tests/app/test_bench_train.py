@@ -11,13 +11,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
+from radiant_app.bench.off_path import load_off_path
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.runner import run_bench
 from radiant_app.bench.train import TrainBench, TrainedRow, _by_seed_and_image, _load, _split, _train_row, bench_of, bench_train, curves_of
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
+from radiant_core.frames import Sim3
+from radiant_core.splats import Splats
 from radiant_core.train.config import train_preset
+from tests.app.hamlet_views import add_off_path
 
 
 @pytest.fixture(scope="module")
@@ -156,3 +161,84 @@ def test_options_that_do_not_belong_together_are_refused(project: Path, tmp_path
         bench_of(BenchOptions(methods=("no sky",)))
     assert list(bench_of(BenchOptions(ablations=True, methods=("no sky",))).changes) == ["no sky"]
     assert bench_of(BenchOptions(ablations=True)).seeds == (0, 1, 2) and bench_of(BenchOptions()).budgets_s == (60.0, 180.0, 600.0)
+
+
+@pytest.fixture(scope="module")
+def off_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four views of the hamlet that were never flown."""
+    return add_off_path(tmp_path_factory.mktemp("off_path"), 4)
+
+
+def test_a_model_is_scored_at_views_that_were_never_flown(project: Path, off_path: Path, tmp_path: Path) -> None:
+    bench = TrainBench(scene=project, presets=("default",), budgets_s=(0.8,), long_side_px=96, off_path=off_path, out=tmp_path)
+    rows, metrics = bench_train(bench)
+    for row in rows:
+        assert row.off_path is not None and row.off_path.kinds == ("across", "half", "lower", "street")
+        assert all(8 < value < 40 for value in row.off_path.psnr_db) and np.mean(row.off_path.psnr_db) < row.mean_psnr_db
+        assert all(share is None or 0 <= share <= 1 for share in row.off_path.haze)
+    found = {metric.key: metric.value for metric in metrics}
+    assert found["train.hamlet.default.0.8s.off_path.psnr_db"] == pytest.approx(rows[-1].off_path.mean("psnr_db"))  # pyright: ignore
+    assert found["train.hamlet.off_path.center_residual"] < 0.01 and found["train.hamlet.off_path.rotation_residual"] < 0.01
+    assert bench_train(bench)[0] == rows
+
+
+def test_views_follow_the_scene_into_its_frame_and_foreign_ones_are_refused(project: Path, off_path: Path) -> None:
+    cameras = _load(project, project).scene.cameras
+    angle = np.radians(40.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+    move = Sim3(scale=0.3, rotation=turn, translation=np.array([5.0, -7.0, 2.0]))
+    moved = replace(cameras, cam_from_world=move.apply_to_poses(cameras.cam_from_world))
+    here, there = load_off_path(off_path, cameras, 96), load_off_path(off_path, moved, 96)
+    np.testing.assert_allclose(there.cameras.centers, move.apply(here.cameras.centers), atol=1e-6)
+    np.testing.assert_allclose(there.truths[0][0], 0.3 * here.truths[0][0], rtol=1e-9)
+    np.testing.assert_array_equal(there.truths[0][1], here.truths[0][1])
+    bent = cameras.cam_from_world.copy()
+    bent[3, :3, 3] += 2.0
+    with pytest.raises(BadInput, match="off those of"):
+        load_off_path(off_path, replace(cameras, cam_from_world=bent), 96)
+    turned = cameras.cam_from_world.copy()
+    turned[3, :3] = turn @ turned[3, :3]
+    with pytest.raises(BadInput, match="off those of"):
+        load_off_path(off_path, replace(cameras, cam_from_world=turned), 96)
+    with pytest.raises(BadInput, match="shares 2 cameras"):
+        load_off_path(off_path, cameras.select([0, 1]), 96)
+    with pytest.raises(BadInput, match="holds no known/"):
+        load_off_path(project, cameras, 96)
+
+
+def test_a_model_of_the_truth_has_little_haze_and_an_empty_one_is_all_haze(project: Path, off_path: Path) -> None:
+    views = load_off_path(off_path, _load(project, project).scene.cameras, 64)
+    points = []
+    for (depth, _), K, pose in zip(views.truths, views.cameras.Ks, views.cameras.cam_from_world, strict=True):
+        rows, columns = np.nonzero(np.isfinite(depth))
+        rays = np.column_stack([columns + 0.5, rows + 0.5, np.ones(len(rows))]) @ np.linalg.inv(K).T
+        points.append((rays * depth[rows, columns][:, None] - pose[:3, 3]) @ pose[:3, :3])
+    # Small opaque dots where the views see the surface: each view's own pixels are covered.
+    means = np.concatenate(points).astype(np.float32)
+    count = len(means)
+    nearest = KDTree(views.cameras.centers).query(means)[0]
+    dots = Splats(
+        means=means,
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        log_scales=np.repeat(np.log(0.4 * nearest / views.cameras.Ks[0, 0, 0])[:, None], 3, axis=1).astype(np.float32),
+        logit_opacities=np.full(count, 5.0, np.float32),
+        sh0=np.zeros((count, 1, 3), np.float32),
+        shN=np.zeros((count, 0, 3), np.float32),
+    )
+    true, empty = views.score(dots), views.score(dots.select(np.zeros(0, np.int64)))
+    assert true.mean("haze") < 0.25 and empty.mean("haze") == empty.mean("haze_seen") == 1.0  # pyright: ignore
+
+
+def test_a_whole_flight_line_is_held_out(tmp_path: Path) -> None:
+    project = tmp_path / "town"
+    (project / "images").mkdir(parents=True)
+    shutil.copytree(sample_scenes_folder() / "town" / "known", project / "sparse" / "0")
+    for path in (sample_scenes_folder() / "town" / "images").iterdir():
+        (project / "images" / path.name).symlink_to(path)
+    source = _load(project, tmp_path)
+    split = _split(source, 0, "line")
+    numbers = sorted(int(name[6:10]) for name in split.held_out.cameras.names)
+    assert len(numbers) >= 4 and np.ptp(numbers) == len(numbers) - 1
+    assert np.ptp(split.held_out.cameras.centers[:, 0]) > 5 * np.ptp(split.held_out.cameras.centers[:, 1])
+    with pytest.raises(BadInput, match="ask for at most"):
+        _split(source, 50, "line")

@@ -23,6 +23,7 @@ from radiant_core.geometry.open3d_ops import DepthView
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.render.trajectories import Lens, cameras_looking_at
+from radiant_core.splats import concatenate_splats
 from tests.viewer.made_up_run import made_up_town, save_run
 
 
@@ -53,6 +54,28 @@ def test_every_format_is_written_by_its_ending_and_says_what_it_rounds(run: Path
     features = json.loads((tmp_path / "a.geojson").read_text())["features"]
     held_out = [f["properties"] for f in features if f["properties"].get("held_out")]
     assert sorted(row["psnr_db"] for row in held_out) == [20.0, 21.0, 22.0]
+
+
+def test_what_too_few_photographs_constrain_is_taken_out_and_can_be_put_back(tmp_path: Path) -> None:
+    town = made_up_town()
+    run = tmp_path / "run"
+    # A speck above all cameras, which look down: no photograph shows it.
+    hidden = replace(town.splats.select(np.array([0])), means=np.array([[0.0, 0.0, 75.0]], np.float32))
+    save_run(run, replace(town, splats=concatenate_splats([town.splats, hidden])))
+    said = json.loads(radiant("export", run, tmp_path / "a.ply", "--clean", "--long-side-px", "96", "--json"))
+    kept, rest = load_ply(tmp_path / "a.ply"), load_ply(Path(said["left_out_file"]))
+    assert said["left_out"] == len(rest) > 0 and said["gaussians"] == len(kept) and 0 <= said["left_out_share_of_pixels"] < 0.1
+    assert 75 in rest.means[:, 2] and 75 not in kept.means[:, 2]
+    whole, again = load_ply(run / "scene.ply"), concatenate_splats([kept, rest])
+    for name, array in whole.arrays().items():
+        both = (np.sort(each.reshape(len(whole), -1), axis=0) for each in (array, again.arrays()[name]))
+        np.testing.assert_array_equal(*both)
+    with pytest.raises(BadInput, match=r"a_unconstrained.ply exists"):
+        radiant("export", run, tmp_path / "a.spz", "--clean")
+    with pytest.raises(BadInput, match="has none"):
+        radiant("export", run, tmp_path / "a.geojson", "--clean")
+    with pytest.raises(BadInput, match="needs the cameras of a run"):
+        radiant("export", run / "scene.ply", tmp_path / "b.ply", "--clean")
 
 
 def test_the_views_of_a_surface_lie_beside_it_and_go_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from scenegen.flight import plan_flight
 from scenegen.known_model import write_known_model
 from scenegen.layout import Layout
 from scenegen.noise import detail_noise, gaussian_noise, value_noise
+from scenegen.off_path import KINDS, count_views, plan_off_path
 from scenegen.photo_file import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic_from_enu, jpeg_bytes
 from scenegen.raycast import Photographer, project, undistort, world_rays
 
@@ -268,10 +269,13 @@ def test_command_line_switches_reach_the_config() -> None:
         {"samples_per_axis": 0},
         {"jpeg_quality": 100},
         {"seed": -1},
+        {"off_path": -1},
+        {"off_path": 10**9},
+        {"flight": "orbit", "off_path": 4},
     ],
 )
 def test_poison_config_is_refused_by_name(poison: dict[str, Any]) -> None:
-    with pytest.raises(BadInput, match=next(iter(poison))):
+    with pytest.raises(BadInput, match=list(poison)[-1]):
         replace(SMALL, **poison)
 
 
@@ -302,3 +306,60 @@ def test_an_orbit_looks_at_one_place_from_all_sides_and_a_walk_goes_along_a_stre
     assert np.ptp(u) > 110 and np.abs(v).max() < 1.01
     height_m = places[:, 2] - layout.height_m(places[:, 0], places[:, 1])
     assert (np.abs(height_m - 1.8) < 0.2).all()
+
+
+def test_views_off_the_path_are_lower_across_and_on_the_street_and_free(photographer: Photographer) -> None:
+    config = replace(SMALL, off_path=8, extent_m=(120.0, 80.0))
+    town = Photographer(config)
+    shots = plan_off_path(config, town)
+    assert [shot.name.split("_")[0] for shot in shots] == list(KINDS) * 2
+    for shot in shots:
+        x, y, z = shot.center_m
+        above_m = z - float(town.layout.height_m(np.array([x]), np.array([y]))[0])
+        down_deg = -np.rad2deg(np.arcsin(shot.cam_from_world[2, 2]))
+        assert town.clearance_m(shot.center_m) >= 1.0
+        kind = shot.name.split("_")[0]
+        if kind == "lower":
+            assert down_deg == pytest.approx(60, abs=0.01)
+        elif kind == "half":
+            assert above_m == pytest.approx((config.altitude_m - (z - above_m)) / 2) and down_deg > 78
+        elif kind == "across":
+            assert down_deg == pytest.approx(45, abs=0.01) and abs(shot.cam_from_world[2, 0]) < 1e-9 and z == config.altitude_m
+        else:
+            assert above_m == pytest.approx(1.8, abs=0.01) and abs(down_deg) < 0.01
+    again = plan_off_path(config, town)
+    assert all(np.array_equal(a.cam_from_world, b.cam_from_world) for a, b in zip(shots, again, strict=True))
+
+
+def test_how_many_photographs_see_a_pixel_is_counted_as_their_depth_says(photographer: Photographer) -> None:
+    flown = plan_flight(SMALL)
+    depth = photographer.depth(flown[2])
+    alone = count_views(photographer, flown[2], depth, [flown[2]])
+    # A photograph sees what it sees itself, but for pixels of leaves and wires.
+    assert alone.shape == depth.shape and alone.max() == 1 and alone.mean() > 0.98
+    every = count_views(photographer, flown[2], depth, flown)
+    assert every.max() <= len(flown) and (every >= alone).all() and every.mean() > 1.5
+    away = count_views(photographer, flown[2], np.full_like(depth, np.inf), flown)
+    assert not away.any()
+
+
+def test_views_off_the_path_are_added_to_a_scene_of_the_same_settings_alone(tmp_path: Path) -> None:
+    config = replace(SMALL, num_cameras=3, samples_per_axis=1, width_px=48, height_px=36, extent_m=(60.0, 40.0))
+    out = tmp_path / "scene"
+    generate.generate(config, out)
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    generate.generate(replace(config, off_path=4), out)
+    assert sorted(path.name for path in out.iterdir()) == ["images", "known", "off_path"]
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in before.items() if path != out)
+    views = sorted((out / "off_path" / "images").iterdir())
+    assert len(views) == 4 and set(known_centers(out / "off_path")) == {path.name for path in views}
+    assert set(known_centers(out / "off_path" / "known")) == {path.name for path in (out / "images").iterdir()}
+    with np.load(out / "off_path" / "depth" / f"{views[0].stem}.npz") as arrays:
+        assert arrays["depth_m"].shape == arrays["num_views"].shape == (36, 48)
+    with pytest.raises(BadInput, match="exists already"):
+        generate.generate(replace(config, off_path=4), out)
+    with pytest.raises(BadInput, match="was made with seed 0, not 1"):
+        generate.generate(replace(config, off_path=4, seed=1), out)
+    (out / "known" / "frame.json").write_text("{}")
+    with pytest.raises(BadInput, match="does not say how the scene was made"):
+        generate.generate(replace(config, off_path=4), out)

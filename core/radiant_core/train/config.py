@@ -56,6 +56,16 @@ class TrainConfig:
     max_elongation: float | None = 10.0
     """A Gaussian's longest axis stays below this many times its second longest, so that there are
     no needles; None for no limit."""
+    initial_opacity: float = 0.1
+    """Opacity of the first Gaussians, the sky's apart."""
+    initial_thickness: float = 1.0
+    """The first Gaussians lie in the plane of their neighbours, at least this share as thick as
+    wide; 1: they are round."""
+    thickness_weight: float = 0.0
+    """Weight in the loss of the mean logarithm of the Gaussians' shortest axes."""
+    depth_spread_weight: float = 0.0
+    """Weight in the loss of how far apart in depth lies what a pixel blends, as a share of its
+    depth (`thin_surfaces.py`)."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the cameras' extent."""
     means_lr_end: float = 0.01
@@ -124,6 +134,11 @@ class TrainConfig:
         require_positive_or_none(self, ("max_scale_per_distance", "max_elongation", "budget_s"))
         if not 0 < self.means_lr_end <= 1:
             raise BadInput(f"means_lr_end is {self.means_lr_end}, expected above 0 and at most 1.")
+        require_at_least(self, 0, ("thickness_weight", "depth_spread_weight"))
+        if not 0 < self.initial_thickness <= 1:
+            raise BadInput(f"initial_thickness is {self.initial_thickness}, expected more than 0 and at most 1.")
+        if not 0 < self.initial_opacity < 1:
+            raise BadInput(f"initial_opacity is {self.initial_opacity}, expected more than 0 and less than 1.")
         if not 0 <= self.sh_degree <= 3:
             raise BadInput(f"sh_degree is {self.sh_degree}, expected 0 to 3.")
         if not 0 <= self.ssim_weight <= 1:

@@ -17,6 +17,7 @@ from radiant_core.splats import SH_BASES, SH_C0, Splats, concatenate_splats, mor
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.dense.fuse import DensePoints
 from radiant_core.train.fill_in import fill_in_points
+from radiant_core.train.thin_surfaces import lie_flat
 from radiant_core.train.views import TrainingViews
 
 INITIAL_OPACITY = 0.1
@@ -110,9 +111,15 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig, den
         sh_degree=config.sh_degree,
         sky_rgb=_sky_rgb(views) if config.sky else None,
     )
+    # The sky, last and almost opaque, keeps what it has.
+    on_ground = initial.logit_opacities < 0
+    logit = np.float32(np.log(config.initial_opacity / (1 - config.initial_opacity)))
+    logits = np.where(on_ground, logit, initial.logit_opacities)
+    initial = replace(initial, antialiased=config.antialiased, logit_opacities=logits)
+    initial = lie_flat(initial, int(on_ground.sum()), config.initial_thickness)
     if dense is not None and len(dense) >= 4:
         initial = with_dense_points(initial, dense, limit)
-    return replace(initial, antialiased=config.antialiased), len(fill.points)
+    return initial, len(fill.points)
 
 
 def with_dense_points(initial: Splats, dense: DensePoints, max_num_splats: int) -> Splats:

@@ -35,6 +35,7 @@ from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainProgress, TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes
+from radiant_core.train.thin_surfaces import ThinSurfaces
 from radiant_core.train.validation import BestModel
 from radiant_core.train.views import TrainingViews
 
@@ -344,6 +345,8 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
         parts.append(BestModel(options.validation, config.num_looks, options.backend))
     if config.exposure == "affine":
         parts.append(Exposures(len(views), config.exposure_lr, splats.means.device))
+    if config.thickness_weight > 0 or config.depth_spread_weight > 0:
+        parts.append(ThinSurfaces(views, config, options.backend))
     density = config.density
     if isinstance(density, Mcmc):
         parts.append(RelocatedDensity(density, config))

@@ -18,7 +18,15 @@ from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats, morton_order
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.densify import density
-from radiant_core.train.densify.density import AdaptiveDensity, DensityRules, density_edit, reset_opacities, select_growing, split_offsets
+from radiant_core.train.densify.density import (
+    AdaptiveDensity,
+    DensityRules,
+    density_edit,
+    reset_opacities,
+    select_growing,
+    select_prunable,
+    split_offsets,
+)
 from radiant_core.train.densify.policies import Adc, DensityCounts, NoDensification
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment
@@ -342,3 +350,17 @@ def test_the_paper_preset_has_the_papers_numbers_and_standard_those_of_3dgs() ->
     for name in ("draft", "default"):
         config = train_preset(name)
         assert config.density.kind == "planned" and config.adam == "dense" and config.fill_in and config.sky and config.start_scale == 0.5
+
+
+def test_less_opaque_gaussians_than_the_policy_allows_are_pruned_and_resets_may_not_prune_all() -> None:
+    logits = np.array([-np.inf, np.log(0.09 / 0.91), np.log(0.11 / 0.89), 20.0])
+    transparent, _ = select_prunable(logits, np.full(4, -9.0), np.zeros(4), replace(RULES, min_opacity=0.1))
+    assert transparent.tolist() == [True, True, False, False]
+    nothing, _ = select_prunable(logits, np.full(4, -9.0), np.zeros(4), replace(RULES, min_opacity=0.0))
+    assert not nothing.any()
+    for wrong in (-0.1, 1.0, math.nan, math.inf):
+        with pytest.raises(BadInput, match="min_opacity"):
+            Adc(min_opacity=wrong)
+    with pytest.raises(BadInput, match="all would be pruned"):
+        Adc(min_opacity=0.1)
+    assert Adc(min_opacity=0.1, reset_opacity_every=15_000).min_opacity == 0.1

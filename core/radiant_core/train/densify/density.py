@@ -4,8 +4,8 @@
           or of ‖(W/2, H/2) ⊙ Σ_p |∂loss_p/∂m_i|‖ over pixels p, by absolute value (AbsGS, Ye 2024)
     g_i ≥ t:  longest axis ≤ 1 % of the cameras' extent: cloned;
               longer: two drawn from N(μ_i, Σ_i) with scales / 1.6 in its place
-    pruned:   opacity < 0.005;  after the first reset also axes > 10 % of the extent, and what is
-              wider than a limit on screen
+    pruned:   opacity < `Adc.min_opacity`;  after the first reset also axes > 10 % of the extent,
+              and what is wider than a limit on screen
     reset:    opacity ← min(opacity, 0.01), its moments ← 0
 
 Statistics once per step, an edit every `Adc.every` steps, O(N log N). `AdaptiveDensity` decides
@@ -29,7 +29,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.splats import morton_order
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.densify.policies import Adc, DensityCounts
+from radiant_core.train.densify.policies import RESET_OPACITY, Adc, DensityCounts
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult
@@ -40,7 +40,6 @@ SPLIT_EXTENT = 0.01
 CHILDREN = 2
 CHILD_SCALE = 1 / (0.8 * CHILDREN)
 MIN_OPACITY = 0.005
-RESET_OPACITY = 0.01
 MAX_EXTENT = 0.1
 """Gaussians with an axis longer than this share of the extent are pruned."""
 
@@ -55,6 +54,7 @@ class DensityRules:
     max_num_splats: int
     prune_large: bool
     prune_radius_px: float | None = None
+    min_opacity: float = MIN_OPACITY
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,7 +148,7 @@ def select_prunable(
     logit_opacities: NDArray[np.floating], largest_log: NDArray[np.floating], radii_px: NDArray[np.floating], rules: DensityRules
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Masks (N,) of what is too transparent and what is too large, in the world or on screen."""
-    transparent = logit_opacities < _logit(MIN_OPACITY)
+    transparent = logit_opacities < (_logit(rules.min_opacity) if rules.min_opacity > 0 else -math.inf)
     large = largest_log > math.log(MAX_EXTENT * rules.extent)
     if rules.prune_radius_px is not None:
         large |= radii_px > rules.prune_radius_px
@@ -250,6 +250,7 @@ class AdaptiveDensity(Part):
             max_num_splats=self._limit(moment.schedule_step),
             prune_large=moment.schedule_step > self._policy.reset_opacity_every,
             prune_radius_px=self._policy.prune_radius_px,
+            min_opacity=self._policy.min_opacity,
         )
         tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}
         model = {name: tensors[name].cpu().numpy() for name in ("means", "quats", "log_scales", "logit_opacities")}

@@ -14,6 +14,8 @@ from pydantic import Discriminator
 
 from radiant_core.errors import BadInput
 
+RESET_OPACITY = 0.01
+"""What a reset lowers opacities to."""
 DensityKind = Literal["none", "adc", "planned", "mcmc"]
 
 
@@ -47,6 +49,9 @@ class Adc:
     2024), with `min_absolute` as threshold."""
     min_absolute: float = 8e-4
     """The threshold in place of `min_gradient` where `gradient` is absolute; gsplat's for it."""
+    min_opacity: float = 0.005
+    """Less opaque Gaussians are pruned. More than 3DGS' 0.005 leaves fewer and more opaque ones,
+    which hang less like haze before other views (docs/experiments/off_path.md)."""
     reset_opacity_every: int = 3_000
     """Steps between two resets of all opacities to at most 0.01."""
     prune_radius_px: float | None = None
@@ -64,6 +69,13 @@ class Adc:
         require_at_least(self, 1, ("every", "reset_opacity_every"))
         require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
         require_positive_or_none(self, ("prune_radius_px",))
+        if not 0 <= self.min_opacity < 1:
+            raise BadInput(f"min_opacity is {self.min_opacity}, expected at least 0 and less than 1.")
+        if self.min_opacity > RESET_OPACITY and self.reset_opacity_every < self.until_step:
+            raise BadInput(
+                f"min_opacity is {self.min_opacity}, but opacities are reset to {RESET_OPACITY} every {self.reset_opacity_every:,} steps, "
+                "after which all would be pruned: set density.reset_opacity_every to density.until_step, or a smaller min_opacity."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,128 @@
+"""Which training views constrain each Gaussian. One render and its backward per view, once a model.
+
+    w_iv   = Σ over pixels of T_i α_i in view v, the pixels that Gaussian i makes there
+    views  = number of views with w_iv ≥ `MIN_SHOWN_PX`
+    angle  = largest angle at the Gaussian between two of these views' centres (its parallax)
+    shown  = Σ over views of w_iv
+
+A Gaussian of one view, or of several from one direction, may lie at any depth along their rays
+without a photograph contradicting it: from elsewhere it hangs in the air. N Gaussians, V views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from radiant_core.cameras import Cameras
+from radiant_core.numerics import FloatArray
+from radiant_core.render.contract import Backend, SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.splats import SH_C0, Splats
+
+MIN_SHOWN_PX = 0.25
+"""A view constrains a Gaussian of which it shows this many pixels."""
+MIN_VIEWS, MIN_PARALLAX_DEG = 2, 2.0
+"""What fewer views or a smaller angle constrain may lie at any depth
+(docs/experiments/off_path.md)."""
+BACKGROUND = 2.0
+"""What is farther from the middle of the sparse points than this many times their reach is sky or
+horizon, which no parallax constrains and nobody walks around."""
+REACH_QUANTILE = 0.99
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Support:
+    """Of N Gaussians: num_views (N,), parallax_deg (N,), shown_px (N,)."""
+
+    num_views: NDArray[np.int64]
+    parallax_deg: FloatArray
+    shown_px: FloatArray
+
+    def constrained(self, num_views: int, parallax_deg: float) -> NDArray[np.bool_]:
+        """Which Gaussians (N,) so many views show, with so large an angle between two of them."""
+        return (self.num_views >= num_views) & (self.parallax_deg >= parallax_deg)
+
+
+def support_of(
+    splats: Splats, cameras: Cameras, backend: Backend = "auto", report: Callable[[int, int], None] = lambda done, total: None
+) -> Support:
+    """The support of N Gaussians by the V cameras that they were trained on, at their sizes;
+    `report` hears how many of them are done."""
+    shown = np.zeros(len(splats))
+    seen: list[NDArray[np.int64]] = []
+    # Grey, so that no colour is clamped, and with it the derivative.
+    grey = replace(splats, sh0=np.zeros_like(splats.sh0), shN=np.zeros((len(splats), 0, 3), np.float32))
+    tensors = SplatTensors.from_splats(grey, device=device_of(resolve_backend(backend)))
+    tensors.sh0.requires_grad_()
+    for index, (width, height) in enumerate(cameras.sizes_wh):
+        one = slice(index, index + 1)
+        viewmats, Ks = torch.tensor(cameras.cam_from_world[one]), torch.tensor(cameras.Ks[one])
+        tensors.sh0.grad = None
+        images = rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=0, backend=backend).images
+        images[..., 0].sum().backward()
+        weights = np.zeros(len(splats)) if tensors.sh0.grad is None else tensors.sh0.grad[:, 0, 0].cpu().numpy() / SH_C0
+        shown += weights
+        # A view of a large scene sees a small part of it: rows take less than a table of all.
+        seen.append(np.flatnonzero(weights >= MIN_SHOWN_PX))
+        report(index + 1, len(cameras))
+    return Support(
+        num_views=_counts(seen, len(splats)),
+        parallax_deg=largest_angles_deg(splats.means.astype(np.float64), cameras.centers, seen),
+        shown_px=shown,
+    )
+
+
+def unconstrained(splats: Splats, support: Support, points: FloatArray) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) too few views constrain, the background around sparse points (P,3)
+    apart; without points nothing is background."""
+    loose = ~support.constrained(MIN_VIEWS, MIN_PARALLAX_DEG)
+    if not len(points):
+        return loose
+    middle = np.median(points, axis=0)
+    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), REACH_QUANTILE))
+    away = np.linalg.norm(splats.means.astype(np.float64) - middle, axis=1)
+    return loose & (away <= BACKGROUND * reach)
+
+
+def largest_angles_deg(places: FloatArray, centers: FloatArray, seen: Sequence[NDArray[np.int64]]) -> FloatArray:
+    """Angle (N,) at places (N,3) between two of the centres (V,3) that see them, of which `seen`
+    holds the rows of what each sees; 0 for fewer than two.
+
+    From any seeing centre to the farthest one, and from that to its farthest: the largest angle of
+    centres on an arc, and never less than half of it. O(V N).
+    """
+    reference = np.zeros(len(places), np.int64)
+    for index in reversed(range(len(seen))):
+        reference[seen[index]] = index
+    angles = np.zeros(len(places))
+    for _ in range(2):
+        angles, reference = _farthest_from(places, centers, seen, reference)
+    return np.where(_counts(seen, len(places)) > 1, angles, 0.0)
+
+
+def _counts(seen: Sequence[NDArray[np.int64]], count: int) -> NDArray[np.int64]:
+    """In how many of the lists each of the rows (N,) is."""
+    counts = np.zeros(count, np.int64)
+    for rows in seen:
+        counts[rows] += 1
+    return counts
+
+
+def _farthest_from(
+    places: FloatArray, centers: FloatArray, seen: Sequence[NDArray[np.int64]], start: NDArray[np.int64]
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Per place the largest angle in degrees between centre `start` (N,) and one that sees it, and
+    which that is."""
+    best, farthest = np.zeros(len(places)), start.copy()
+    for index, rows in enumerate(seen):
+        own, away = centers[start[rows]] - places[rows], centers[index] - places[rows]
+        # By the sine as well: the cosine alone knows no angle below 1e-8.
+        angle = np.arctan2(np.linalg.norm(np.cross(own, away), axis=1), (own * away).sum(axis=1))
+        wider = angle > best[rows]
+        best[rows[wider]], farthest[rows[wider]] = angle[wider], index
+    return np.degrees(best), farthest
