@@ -21,6 +21,7 @@ from radiant_app.files.run_folder import Manifest
 from radiant_app.run.refining import Refining
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_core.aggregate.tree import refined_at
+from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.io.messages import SUMMARY_NAME
 from radiant_core.io.run_store import read_json
 
@@ -66,7 +67,8 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
         summary = _summary(dealer.run / own)
         larger = max(1.0, scene.get("num_splats", 0) / max(1, summary.get("num_splats", 0)))
         trained_s = min(process_s, summary.get("train_s", 0.0)) if node.tier == "device" else 0.0
-        num_steps = dealer.recipe.aggregate.refine_epochs * dealer.photographs.num_dealt(own.rsplit("/", 1)[-1]) if trained_s else 0
+        num_dealt = dealer.photographs.num_dealt(own.rsplit("/", 1)[-1])
+        num_steps = refining_steps(dealer.recipe.aggregate.refine_epochs, num_dealt) if trained_s else 0
         beside_s = (process_s - trained_s) * (1.0 if node.tier == "device" else larger)
         expected[node.id] = beside_s + trained_s * larger * num_steps / max(1, summary.get("num_steps", 0))
     for node in refining.tree or ():

@@ -25,7 +25,8 @@ class AggregateConfig:
     edge_epochs: int = 10
     """The same of an edge: its model teaches the cloud (paper Sec. IV-B: 10)."""
     refine_epochs: int = 4
-    """How often a device shows each of its photographs to the joined scene; 0: not at all."""
+    """How often a device shows each of its photographs to the joined scene, at most (see
+    `hierarchy.refining_plan.MAX_STEPS`); 0: not at all."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False

@@ -22,6 +22,7 @@ from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.decisions import Decision
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.messages import RefineTask
+from radiant_core.hierarchy.refining_plan import MAX_STEPS, refining_steps
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.light.canonical import MIN_SPREAD
 from radiant_core.light.lights import in_canonical_light
@@ -69,7 +70,9 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     if not len(start):
         return nothing
     views = _in_light_of(start, views, task, reporter)
-    num_steps = task.epochs * len(views)
+    num_steps = refining_steps(task.epochs, len(views))
+    if num_steps < task.epochs * len(views):
+        reporter.decide(_shortened(reporter.stage, num_steps / len(views), task.epochs))
     config = replace(
         task.train,
         num_steps=num_steps if task.max_num_steps is None else min(num_steps, task.max_num_steps),
@@ -87,6 +90,17 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     fitted = limit_changes(start, fitted)
     kept = np.flatnonzero(_changed(start, fitted))
     return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=np.ones(len(kept), np.float32))
+
+
+def _shortened(stage: str, taken: float, epochs: int) -> Decision:
+    return Decision(
+        stage=stage,
+        topic="refinement",
+        choice=f"{taken:.1f} epochs in place of {epochs}",
+        figure=taken,
+        unit="epochs",
+        reason=f"beyond {MAX_STEPS} steps and one epoch devices drift apart, and their mean loses what each gains",
+    )
 
 
 def _steps() -> Steps:

@@ -1,4 +1,4 @@
-"""Which devices refine a joined scene, by whose edges. Once per run.
+"""Which devices refine a joined scene, by whose edges, and by how many steps. Once per run.
 
 Those whose models are in the scene, below edges whose memory holds its average; none where the
 settings ask for none, the cloud's memory does not hold it, or fewer than two are left: one device
@@ -16,6 +16,9 @@ from radiant_core.decisions import Decision
 from radiant_core.hierarchy.recipe import Recipe
 
 LEAST_DEVICES = 2
+MAX_STEPS = 72
+"""Devices that take many steps drift apart, and the mean of what they found is worse than what they
+began with (docs/experiments/aggregation.md): no more steps than these, but each photograph once."""
 STAGE = refined_at("cloud")
 
 
@@ -55,6 +58,11 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
     if (num_left := sum(map(len, kept.values()))) < LEAST_DEVICES:
         return RefiningPlan(devices={}, decisions=(*decisions, _too_few(num_left)))
     return RefiningPlan(devices=kept, decisions=tuple(decisions))
+
+
+def refining_steps(epochs: int, num_views: int) -> int:
+    """Steps of a device with so many photographs: their epochs within `MAX_STEPS`, at least one."""
+    return max(num_views, min(epochs * num_views, MAX_STEPS))
 
 
 def _too_large(choice: str, needed_bytes: float, where: str, limit_bytes: float) -> Decision:
