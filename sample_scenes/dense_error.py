@@ -1,6 +1,6 @@
 """How far the dense points of a scene are from the surface that the generator knows.
 
-    python sample_scenes/dense_error.py SCENE [--known sample_scenes/town/known] [--long-side-px 576]
+    python sample_scenes/dense_error.py SCENE [--known KNOWN] [--long-side-px 576]
 
 SCENE is a folder of `radiant sfm` or a run on photographs of the generator. The truth's mesh is
 moved into its frame by a similarity of the camera centres. Distances to the mesh are given in

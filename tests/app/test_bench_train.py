@@ -61,7 +61,7 @@ def test_more_splits_hold_out_other_photographs_and_all_of_them_are_compared(pro
     bench = TrainBench(scene=project, budgets_s=(0.4,), splits=(0, 1), seeds=(0, 1), long_side_px=96)
     rows, metrics = bench_train(bench)
     assert {(row.split, row.seed) for row in rows if row.variant == "standard"} == set(product((0, 1), (0, 1)))
-    splits = [_split(_load(project, project), first) for first in (0, 1)]
+    splits = [_split(_load(project, project), first, bench, None) for first in (0, 1)]
     names = [set(split.held_out.cameras.names) for split in splits]
     assert not names[0] & names[1] and all(not own & set(split.training.cameras.names) for own, split in zip(names, splits, strict=True))
     means = [
@@ -119,8 +119,8 @@ def test_masked_pixels_are_neither_trained_on_nor_scored(tmp_path: Path) -> None
     assert source.masks is None
     masks = _masks_of_the_left_half(tmp_path / "masks", project / "images")
     config = replace(train_preset("default"), long_side_px=96)
-    whole = _train_row(_split(source, 0), "default", config, 0.3, 0)
-    masked = _train_row(_split(replace(source, masks=masks), 0), "default", config, 0.3, 0)
+    whole = _train_row(_split(source, 0, TrainBench(scene=project), None), "default", config, 0.3, 0)
+    masked = _train_row(_split(replace(source, masks=masks), 0, TrainBench(scene=project), None), "default", config, 0.3, 0)
     assert np.isfinite(masked.psnr_db).all() and masked.psnr_db != whole.psnr_db
 
 
@@ -236,9 +236,9 @@ def test_a_whole_flight_line_is_held_out(tmp_path: Path) -> None:
     for path in (sample_scenes_folder() / "town" / "images").iterdir():
         (project / "images" / path.name).symlink_to(path)
     source = _load(project, tmp_path)
-    split = _split(source, 0, "line")
+    split = _split(source, 0, TrainBench(scene=project, hold_out="line"), None)
     numbers = sorted(int(name[6:10]) for name in split.held_out.cameras.names)
     assert len(numbers) >= 4 and np.ptp(numbers) == len(numbers) - 1
     assert np.ptp(split.held_out.cameras.centers[:, 0]) > 5 * np.ptp(split.held_out.cameras.centers[:, 1])
     with pytest.raises(BadInput, match="ask for at most"):
-        _split(source, 50, "line")
+        _split(source, 50, TrainBench(scene=project, hold_out="line"), None)

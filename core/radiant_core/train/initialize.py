@@ -31,7 +31,8 @@ MIN_CAMERA_SHARE = 1e-3
 MIN_SKY_SHARE = 0.03
 """Less sky than this in every image is a strip that the far ground's Gaussians cover."""
 DENSE_OPACITY = 0.5
-"""Dense points lie on surfaces; at 0.1 held-out photographs of the town begin at 9.5 dB, not 13.3."""
+"""Dense points lie on surfaces; at 0.1 held-out photographs of the town begin at 9.5 dB in place of
+13.3."""
 FLATNESS = 0.3
 """A dense point's Gaussian is so much thinner along its normal than across it."""
 REPLACED_SPACINGS = 1.5

@@ -55,9 +55,10 @@ def test_a_device_trains_the_same_model_each_time_and_names_itself_in_its_decisi
     for name, array in model.splats.arrays().items():
         np.testing.assert_array_equal(array, again.splats.arrays()[name], err_msg=name)
     assert {decision.stage for decision in reporter.decisions} == {"devices/a-1"} and not reporter.warnings
-    assert [decision.topic for decision in reporter.decisions][:4] == [
+    assert [decision.topic for decision in reporter.decisions][:5] == [
         "repeated photographs",
         "blurred photographs",
+        "light",
         "sky",
         "fill-in points",
     ]

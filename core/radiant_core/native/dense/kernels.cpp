@@ -1,4 +1,4 @@
-// The kernels of dense depth for one instruction set, RADIANT_ISA; dense.cmake compiles it for each.
+// The kernels of dense depth for one instruction set, RADIANT_ISA; dense.cmake compiles each.
 //
 // Nothing here may come from a standard header's templates: the linker keeps one copy of those, and
 // it might be one that the CPU cannot run.

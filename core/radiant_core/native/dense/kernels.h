@@ -13,7 +13,8 @@ constexpr int kMaxSources = 8;
 // reference at inverse depth w to homogeneous pixels of the source. Pixels count from the middle of
 // the first one.
 struct DepthSource {
-  const uint32_t* quads;  // (H,W) grey of pixels (y,x), (y,x+1), (y+1,x), (y+1,x+1), lowest byte first
+  // (H,W) grey of pixels (y,x), (y,x+1), (y+1,x), (y+1,x+1), lowest byte first
+  const uint32_t* quads;
   int32_t width, height;
   float matrix[9], offset[3];
 };
@@ -36,7 +37,7 @@ struct DepthJob {
   float focal_x, focal_y, center_x, center_y;  // of the reference
   float least, most;                           // inverse depth
   float min_cosine;                            // between the plane's normal and the line of sight
-  float pixel;                                 // change of inverse depth that moves it by a pixel in a source
+  float pixel;  // change of inverse depth that moves it by a pixel in a source
   PlaneRows from, to;                          // what a pass reads and writes
 };
 

@@ -1,9 +1,9 @@
-// PatchMatch over a lattice of nodes (Barnes 2009; Bleyer 2011 for slanted planes), 16 nodes at once.
+// PatchMatch over a lattice of nodes (Barnes 2009; Bleyer 2011 for slanted planes), 16 at once.
 //
-// A pass gives every node the cheapest of its own plane, those of nodes around it continued to here,
-// and three random changes of the best: of w, of the slopes, of both. Every node reads the planes of
-// the pass before, so that neither the order nor the number of threads matters; random numbers are
-// hashes of node and pass. Included only by dense/kernels.cpp.
+// A pass gives every node the cheapest of its own plane, those of nodes around it continued to
+// here, and three random changes of the best: of w, of the slopes, of both. Every node reads the
+// planes of the pass before, so that neither the order nor the number of threads matters; random
+// numbers are hashes of node and pass. Included only by dense/kernels.cpp.
 #pragma once
 
 namespace radiant::RADIANT_ISA {

@@ -1,8 +1,8 @@
 // Sixteen float lanes on any CPU: one AVX-512 register, two AVX ones or four of 128 bits.
 //
-// Included only by raster/kernels.cpp and dense/kernels.cpp, which are compiled once per instruction
-// set into its own namespace (RADIANT_ISA). Nothing here may come from a standard header's templates: the linker
-// keeps one copy of those, and it might be the AVX-512 one.
+// Included only by raster/kernels.cpp and dense/kernels.cpp, which are compiled once per
+// instruction set into its own namespace (RADIANT_ISA). Nothing here may come from a standard
+// header's templates: the linker keeps one copy of those, and it might be the AVX-512 one.
 #pragma once
 
 #include <stddef.h>

@@ -29,7 +29,8 @@ MAX_COST = 0.5
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DensePoints:
     """points and normals (N,3), normals towards the camera; colors (N,3) uint8; pixels_m (N,) the
-    width of a pixel there; costs (N,) of their matches, and views (N,) whose photograph has them."""
+    width of a pixel there; costs (N,) of their matches, and views (N,) whose photograph has
+    them."""
 
     points: FloatArray
     normals: FloatArray

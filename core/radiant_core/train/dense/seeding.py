@@ -1,4 +1,4 @@
-"""Whether a training begins from dense points, and what follows for its growth. Once per training."""
+"""Whether a training begins from dense points, and what follows for its growth. Per training."""
 
 from __future__ import annotations
 
