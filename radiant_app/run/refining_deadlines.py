@@ -67,8 +67,10 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
         summary = _summary(dealer.run / own)
         larger = max(1.0, scene.get("num_splats", 0) / max(1, summary.get("num_splats", 0)))
         trained_s = min(process_s, summary.get("train_s", 0.0)) if node.tier == "device" else 0.0
-        num_dealt = dealer.photographs.num_dealt(own.rsplit("/", 1)[-1])
-        num_steps = refining_steps(dealer.recipe.aggregate.refine_epochs, num_dealt) if trained_s else 0
+        num_steps = 0
+        if trained_s:
+            num_dealt = dealer.photographs.num_dealt(own.rsplit("/", 1)[-1])
+            num_steps = refining_steps(dealer.recipe.aggregate.refine_epochs, num_dealt)
         beside_s = (process_s - trained_s) * (1.0 if node.tier == "device" else larger)
         expected[node.id] = beside_s + trained_s * larger * num_steps / max(1, summary.get("num_steps", 0))
     for node in refining.tree or ():

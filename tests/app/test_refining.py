@@ -19,6 +19,7 @@ from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_app.workers.refining import NOTHING_REFINED
 from radiant_core.aggregate.tree import Tree
+from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.io.run_store import seal, write_json
 from tests.app.test_faults import planned
 
@@ -63,7 +64,7 @@ def test_refining_is_expected_to_take_as_long_as_its_share_of_what_was_measured(
     epochs = refining.dealer.recipe.aggregate.refine_epochs
     dealt = [refining.dealer.photographs.num_dealt(Path(owner).name) for owner in owners]
     # 20 of a process's seconds trained, 0.1 s a step on half the scene's Gaussians.
-    times = [spent_s - 20 + 2 * 0.1 * epochs * count for spent_s, count in zip((26.0, 32.0), dealt, strict=False)]
+    times = [spent_s - 20 + 2 * 0.1 * refining_steps(epochs, count) for spent_s, count in zip((26.0, 32.0), dealt, strict=False)]
     assert [expected[node.id] for node in devices[:2]] == pytest.approx(times)
     assert [expected[node.id] for node in devices[2:]] == pytest.approx([sum(times) / 2] * 2), "the median of those that are known"
     assert [expected[node.id] for node in edges] == [14.0, 14.0] and expected["cloud/refine"] == 3.0
