@@ -116,7 +116,7 @@ def first_candidates(
     at = np.rint((sparse.pixels - first) / step).astype(np.int64).clip(0, np.array([columns, rows]) - 1)
     empty = np.ones(shape, np.uint8)
     empty[at[:, 1], at[:, 0]] = 0
-    labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)[1]
+    labels = np.asarray(cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)[1], np.int64)
     point_of = np.zeros(int(labels.max()) + 1, np.int64)
     point_of[labels[at[:, 1], at[:, 0]]] = np.arange(len(at))
     nearest = point_of[labels]

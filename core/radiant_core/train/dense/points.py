@@ -66,7 +66,7 @@ def depth_maps(
         if len(indices) < 2 or min(min(shapes[i][:2]) for i in indices) < 2:
             maps.append(None)
             continue
-        images = [cv2.cvtColor(views.images[i], cv2.COLOR_RGB2GRAY) for i in indices]
+        images = [np.asarray(cv2.cvtColor(views.images[i], cv2.COLOR_RGB2GRAY), np.uint8) for i in indices]
         maps.append(match_planes(images, views.cameras, indices, sparse[index], seed=seed + 7919 * index, num_threads=num_threads))
     return maps
 
