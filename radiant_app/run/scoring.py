@@ -32,6 +32,7 @@ from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, is_sealed, read_json
+from radiant_core.plan.plans import CloudPlan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,8 +93,7 @@ class Scoring:
         folder, inbox = run / node.id, run / node.id / "inbox"
         shutil.rmtree(inbox, ignore_errors=True)
         deal_files(self.scene_folder, ["scene.ply"], inbox)
-        # The regions alone: a device receives no cameras, strips or devices of others.
-        save_plan(inbox / "plan.json", replace(load_plan(run / "plan.json")[0], edge_of_camera=np.zeros(0, np.int64)), ())
+        save_plan(inbox / "plan.json", regions_alone(load_plan(run / "plan.json")[0]), ())
         if lpips:
             deal_files(run / "evaluation", [LPIPS_NAME], inbox)
         task = ScoreTask(
@@ -113,6 +113,11 @@ class Scoring:
         self.access_log.append({"node": node.id, "tier": "device", **count_received([inbox])})
         key = self.keys[node.id] = content_key(__version__, task_key(task), inbox, *machine.inputs)
         return NodeTask(kind="score", stage=node.id, folder=folder, key=key)
+
+
+def regions_alone(plan: CloudPlan) -> CloudPlan:
+    """A plan without cameras, and without where they look: a device receives none of others."""
+    return replace(plan, edge_of_camera=np.zeros(0, np.int64), looks=None)
 
 
 def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:

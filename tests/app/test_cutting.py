@@ -21,6 +21,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cutting import LEAST_RISE, looks_pay
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.progress import Progress
+from radiant_app.run.scoring import regions_alone
 from radiant_app.run.source import Plan
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
@@ -252,3 +253,14 @@ def test_a_plan_around_constraints_is_cut_as_the_plan_that_they_refer_to(tmp_pat
     np.testing.assert_array_equal(found.looks, looks)
     with pytest.raises(BadInput, match="is cut by looks: leave it out"):
         plan(replace(request, out=tmp_path / "other.json", cut_by="positions"), ProgressDisplay(Console(quiet=True)))
+
+
+def test_machines_that_score_receive_regions_and_nothing_of_where_others_look(tmp_path: Path) -> None:
+    places = np.random.default_rng(0).uniform(0, 50, (24, 2))
+    system = even_system(2, 2)
+    made = plan_regions(places, place_edges(system, places, None, 0))
+    assert isinstance(made, CloudPlan)
+    save_plan(tmp_path / "plan.json", regions_alone(replace(made, looks=places)), ())
+    sent, _ = load_plan(tmp_path / "plan.json")
+    assert sent.looks is None and not len(sent.edge_of_camera)
+    np.testing.assert_array_equal(sent.sites, made.sites)
