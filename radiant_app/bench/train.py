@@ -107,7 +107,6 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "degree 0": {"sh_degree": 0},
     "degree 2": {"sh_degree": 2},
     "degree 3": {"sh_degree": 3},
-    "exposures": {"exposure": "affine", "light": "none"},
     "light as it was taken": {"light": "none"},
 }
 

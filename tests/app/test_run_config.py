@@ -121,7 +121,7 @@ def test_a_bad_run_file_gets_one_sentence(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_values_have_the_type_of_their_field() -> None:
     given = [
-        "train.exposure=none",
+        "train.light=none",
         "train.start_scale=1",
         "train.sky=false",
         "train.sh-degree=2",
@@ -129,7 +129,7 @@ def test_values_have_the_type_of_their_field() -> None:
         "plan.method = even",
     ]
     assert with_settings({}, given) == {
-        "train.exposure": "none", "train.start_scale": 1.0, "train.sky": False, "train.sh_degree": 2, "train.budget_s": None,
+        "train.light": "none", "train.start_scale": 1.0, "train.sky": False, "train.sh_degree": 2, "train.budget_s": None,
         "plan.method": "even",
     }  # fmt: skip
 
@@ -147,7 +147,7 @@ def test_what_is_set_is_a_forced_decision() -> None:
     [
         (["train.colour=red"], "expected PATH=VALUE with one of .*train.sh_degree"),
         (["colour=red"], r"expected PATH=VALUE with one of source, .*train\.…"),
-        (["exposure=auto"], r"use train\.exposure\."),
+        (["light=auto"], r"use train\.light\."),
         (["preset.x=1"], "expected PATH=VALUE"),
         (["train.start_scale"], r"expected train\.start_scale=VALUE"),
         (["train.start_scale=big"], "unable to parse"),

@@ -71,7 +71,7 @@ def retrain(
 
 def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
     """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is
-    added, grown or exposed anew, and rates fall as joining has it, not as a device's. `paper`
+    added or grown, and rates fall as joining has it, not as a device's. `paper`
     retrains at the rates of 3DGS, however its devices were trained."""
     num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
@@ -80,7 +80,6 @@ def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Sp
         "sh_degree_every": 0,
         "density": NoDensification(),
         "start_scale": 1.0,
-        "exposure": "none",
         "background": "black",
         "settle_epochs": None,
     }

@@ -81,7 +81,6 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
         sh_degree_every=0,
         density=NoDensification(),
         start_scale=1.0,
-        exposure="none",
         background="black",
         settle_epochs=None,
     )

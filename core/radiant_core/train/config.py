@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
@@ -72,7 +71,7 @@ class TrainConfig:
     """Share of `means_lr` to which it falls over the run, exponentially."""
     settle_epochs: int | None = None
     """A run of more steps per photograph than this, and of more than 700, ends with smaller
-    learning rates, except for centres and exposures; None: rates keep their size."""
+    learning rates, except for centres; None: rates keep their size."""
     scales_lr: float = 5e-3
     """Learning rate of the logarithmic scales."""
     quats_lr: float = 1e-3
@@ -97,10 +96,6 @@ class TrainConfig:
     """Share of the image size that training begins with."""
     full_size_from: float = 0.4
     """Share of the run from which images have their full size."""
-    exposure: Literal["none", "affine", "auto"] = "none"
-    """affine: each photograph has a learnt affine map of colours; auto: where exposures differ."""
-    exposure_lr: float = 1e-3
-    """Learning rate of the exposures at the start; it falls to a tenth."""
     light: LightMode = "none"
     """Whether photographs are trained on in one canonical light, and renders scored in the light
     that is predicted of those held out; auto: where light differs."""
@@ -145,10 +140,7 @@ class TrainConfig:
             raise BadInput(f"ssim_weight is {self.ssim_weight}, expected 0 to 1.")
         if not (0 < self.start_scale <= 1 and 0 <= self.full_size_from <= 1):
             raise BadInput(f"start_scale is {self.start_scale} and full_size_from {self.full_size_from}, expected shares of at most 1.")
-        if not 0 < self.exposure_lr < math.inf:
-            raise BadInput(f"exposure_lr is {self.exposure_lr}, expected a positive number.")
         require_one_of(self, "adam", ("visible", "dense"))
-        require_one_of(self, "exposure", ("none", "affine", "auto"))
         require_one_of(self, "light", ("auto", "none", "always"))
         require_one_of(self, "background", ("black", "random"))
         require_one_of(self, "skip_images", ("none", "auto"))

@@ -11,8 +11,6 @@ from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any
 
-import numpy as np
-
 from radiant_core.decisions import Decision
 from radiant_core.plan.profiles.step_law import StepLaw
 from radiant_core.scene import SfmScene
@@ -20,14 +18,10 @@ from radiant_core.train.config import TrainConfig, with_settings
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.views import TrainingViews
 
-MIN_EXPOSURE_SPREAD = 0.05
-"""Standard deviation of the photographs' gains from which on each gets its own exposure."""
 MIN_PLANNED = 4_000
 """Planned growth may always reach this number of Gaussians."""
 MIN_STEPS = 1_500
 """Few photographs never shorten a run below this."""
-MIN_SHARED_POINTS = 20
-"""A photograph that shares fewer points with others is not compared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,20 +108,7 @@ def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> 
     """What is "auto", decided by the scene; `views.cameras` are the scene's in the same order."""
     config, decisions = _fit_size(config, views)
     config, length = _fit_length(config, len(views))
-    decisions += length
-    if config.exposure != "auto":
-        return config, decisions
-    spread = exposure_spread(scene, views)
-    wanted = spread >= MIN_EXPOSURE_SPREAD
-    decision = Decision(
-        stage="train",
-        topic="exposure",
-        choice="one affine map per photograph" if wanted else "one exposure for all photographs",
-        figure=100 * spread,
-        unit="% spread of brightness at common points",
-        reason=f"from {100 * MIN_EXPOSURE_SPREAD:.0f} % on photographs of one place are taken for differently exposed",
-    )
-    return replace(config, exposure="affine" if wanted else "none"), (*decisions, decision)
+    return config, (*decisions, *length)
 
 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
@@ -174,22 +155,3 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
         reason=f"after {config.max_epochs} steps per photograph more of them gained nothing on photographs left out",
     )
     return replace(config, num_steps=most), (decision,)
-
-
-def exposure_spread(scene: SfmScene, views: TrainingViews) -> float:
-    """Standard deviation of V photographs' gains, as a share: of each the median ratio of
-    brightness at sparse points to the others' mean there. 0 where fewer than two can be
-    compared."""
-    rows, pixels = views.observed_pixels(scene)
-    point, view = scene.observations[rows].T
-    # One step above black, where a ratio of brightness would be noise.
-    brightness = np.array([1.0 + views.images[v][y, x].mean() for v, (x, y) in zip(view, pixels, strict=True)], np.float64)
-    logs = np.log(brightness)
-    counts = np.bincount(point, minlength=len(scene.points))
-    means = np.bincount(point, weights=logs, minlength=len(scene.points)) / np.maximum(counts, 1)
-    # Against the mean of the others, since the photograph itself is part of the mean of all.
-    seen_by = counts[point]
-    shared = seen_by > 1
-    ratios = ((logs - means[point]) * seen_by / np.maximum(seen_by - 1, 1))[shared]
-    gains = [float(np.median(own)) for v in range(len(views)) if len(own := ratios[view[shared] == v]) >= MIN_SHARED_POINTS]
-    return float(np.std(gains)) if len(gains) > 1 else 0.0

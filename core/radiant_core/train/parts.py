@@ -1,8 +1,8 @@
-"""`Part`: what takes part in a training beside its loop, such as density control and exposures.
+"""`Part`: what takes part in a training beside its loop, such as density control and validation.
 
 A training calls each hook of all its parts in turn, once per step unless stated otherwise:
 
-    wants_absgrad → render → show → loss → before_backward → backward → after_backward
+    wants_absgrad → render → loss → before_backward → backward → after_backward
                   → Adam → hold → after_update → after_step
 """
 
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
-from torch import Tensor
 
 from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.train.optimizer import SelectiveAdam
@@ -42,10 +41,6 @@ class Part(Protocol):
     def wants_absgrad(self, moment: Moment) -> bool:
         """Whether the rendering of this step must have `RenderOutput.absgrad`."""
         return False
-
-    def show(self, moment: Moment, image: Tensor) -> Tensor:
-        """The rendered image (H,W,3) as it is compared with the view."""
-        return image
 
     def before_backward(self, moment: Moment, output: RenderOutput) -> None:
         """Look at a rendering of one camera before its backward pass."""

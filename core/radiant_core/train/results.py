@@ -52,5 +52,3 @@ class TrainResult:
     """Step and mean PSNR in dB of the validation views, for each time that they were rendered."""
     best_step: int | None = None
     """Step of the model that is returned, the best by validation; None: the last one."""
-    max_exposure: float = 0.0
-    """Largest change of a channel's gain by a learnt exposure, as a share; 0 without them."""

@@ -1,8 +1,8 @@
 """Fits Gaussians to views by Adam on the rendering loss (Kerbl 2023), on devices and edges.
 
 Once per model; the loop body once per step: render one view, loss, backward, one Adam step over the
-Gaussians it saw, or over all (`config.adam`). Density control, exposures, validation and held
-Gaussians are parts (`parts.py`). Every schedule follows `Training.progress`. All that changes is in
+Gaussians it saw, or over all (`config.adam`). Density control, validation and held Gaussians are
+parts (`parts.py`). Every schedule follows `Training.progress`. All that changes is in
 `Training.state`, so that a run can be stopped after any step and go on with the same bits.
 """
 
@@ -27,7 +27,6 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.density import AdaptiveDensity
 from radiant_core.train.densify.mcmc import RelocatedDensity
 from radiant_core.train.densify.policies import Mcmc, NoDensification
-from radiant_core.train.exposure import Exposures
 from radiant_core.train.held import HeldRows
 from radiant_core.train.initialize import camera_extent
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, StatisticsCache, target_loss
@@ -283,8 +282,6 @@ class Training:
             backend=self._options.backend,
         )
         image = output.images.view(height, width, 3)
-        for part in parts:
-            image = part.show(moment, image)
         weights = _weights(self._views, view)
         try:
             loss = target_loss(match_masked(image, target.target, weights), target, weights, config.ssim_weight)
@@ -319,7 +316,7 @@ class Training:
         return min(config.sh_degree, SH_BASES.index(self._splats.shN.shape[1] + 1), allowed)
 
     def _roll_back(self, reason: str) -> None:
-        # What was not finite is refused before Adam and the exposures write anything.
+        # What was not finite is refused before Adam and the parts write anything.
         self._num_rolled_back += 1
         self._failures_in_a_row += 1
         if self._failures_in_a_row > MAX_FAILURES:
@@ -343,8 +340,6 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
     parts: list[Part] = []
     if options.validation is not None:
         parts.append(BestModel(options.validation, config.num_looks, options.backend))
-    if config.exposure == "affine":
-        parts.append(Exposures(len(views), config.exposure_lr, splats.means.device))
     if config.thickness_weight > 0 or config.depth_spread_weight > 0:
         parts.append(ThinSurfaces(views, config, options.backend))
     density = config.density

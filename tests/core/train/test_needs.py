@@ -3,8 +3,6 @@ is asked for is left alone."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
-from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, exposure_spread, fit_to_backend, fit_to_scene
+from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_scene
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above
 
@@ -73,23 +71,3 @@ class TestSize:
         assert fit_to_scene(TrainConfig(density=Adc(kind="planned")), scene, views)[0].max_num_splats == MIN_PLANNED
         for config in (TrainConfig(density=density) for density in (Adc(kind="planned", pixels_per_splat=None), Adc(), NoDensification())):
             assert fit_to_scene(config, scene, views) == (config, ())
-
-
-class TestExposure:
-    def test_the_spread_of_gains_is_found_and_decides(self) -> None:
-        gains = np.array([0.8, 1.0, 1.2, 1.0, 0.9, 1.1])
-        scene, views = scene_of(6, gains)
-        # Each against the mean of the others; one step above black is added before the ratio is
-        # taken.
-        logs = np.log(1 + np.round(100 * gains))
-        expected = np.std([log - np.delete(logs, v).mean() for v, log in enumerate(logs)])
-        assert exposure_spread(scene, views) == pytest.approx(expected, rel=1e-6)
-        config = TrainConfig(exposure="auto")
-        assert fit_to_scene(config, scene, views)[0].exposure == "affine"
-        assert fit_to_scene(config, *scene_of(6))[0].exposure == "none"
-
-    def test_photographs_that_share_nothing_say_nothing(self) -> None:
-        scene, views = scene_of(4, np.array([0.5, 1.0, 1.5, 2.0]))
-        own = np.array([(point, point % 4) for point in range(40)])
-        assert exposure_spread(replace(scene, observations=own), views) == 0
-        assert exposure_spread(replace(scene, observations=np.zeros((0, 2), np.int64)), views) == 0

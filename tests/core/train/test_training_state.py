@@ -38,7 +38,6 @@ CONFIG = replace(
     density=GROWING,
     max_num_splats=80,
     start_scale=0.5,
-    exposure="affine",
 )
 
 
@@ -77,7 +76,7 @@ def test_a_run_stopped_anywhere_goes_on_with_the_same_bits(kind, stop_at: int, m
     for name, array in whole.splats.arrays().items():
         np.testing.assert_array_equal(array, resumed.splats.arrays()[name], err_msg=name)
     assert (whole.density, whole.validation, whole.best_step) == (resumed.density, resumed.validation, resumed.best_step)
-    assert (whole.first_loss, whole.last_loss, whole.max_exposure) == (resumed.first_loss, resumed.last_loss, resumed.max_exposure)
+    assert (whole.first_loss, whole.last_loss) == (resumed.first_loss, resumed.last_loss)
     if kind != "none":
         assert whole.density != DensityCounts() and len(whole.splats) > 40
 
@@ -100,7 +99,6 @@ def test_the_arrays_of_a_state_keep_their_names_so_that_older_checkpoints_are_re
         # These Gaussians have no higher harmonics: nothing to optimise in shN.
         "adam": {"row_steps"} | {f"{name}.{moment}" for name in splats - {"shN"} for moment in ("first", "second")},
         "density": {"sums", "seen", "radii_px", "num_first", "last_reset"},
-        "exposure": {"maps", "first", "second", "counts"},
         "best": splats,
     }
     assert set(state.arrays) == {"losses", *(f"{part}.{name}" for part, names in parts.items() for name in names)}
@@ -108,9 +106,9 @@ def test_the_arrays_of_a_state_keep_their_names_so_that_older_checkpoints_are_re
 
 
 def test_a_state_of_another_run_is_refused() -> None:
-    state = stopped_after(3, replace(CONFIG, density=replace(GROWING, kind="adc")), FitOptions()).state()
-    other = Training(start(), photographs().select([0, 1]), CONFIG, FitOptions())
-    with pytest.raises(BadInput, match=r"of another run .*exposure maps"):
+    state = stopped_after(3, replace(CONFIG, density=NoDensification()), FitOptions()).state()
+    other = Training(start(), photographs(), CONFIG, FitOptions())
+    with pytest.raises(BadInput, match=r"of another run"):
         other.restore(state)
     with pytest.raises(BadInput, match="of another run"):
         Training(start(), photographs(), CONFIG, FitOptions()).restore(TrainState(arrays={}, numbers={}))
@@ -194,7 +192,7 @@ def test_a_step_that_is_not_finite_is_not_taken_and_counted(monkeypatch: pytest.
     before = training.state().arrays
     training.take_step()
     for name, array in training.state().arrays.items():
-        if name.split(".")[0] in ("splats", "adam", "exposure"):
+        if name.split(".")[0] in ("splats", "adam"):
             np.testing.assert_array_equal(array, before[name], err_msg=name)
     while not training.is_done:
         training.take_step()
@@ -214,7 +212,7 @@ def test_the_best_model_by_validation_is_returned_not_the_last() -> None:
     validation = views.select([5])
     # Two photographs alone, learnt by heart at high rates: the view between them gets worse in the
     # end.
-    config = replace(CONFIG, num_steps=60, exposure="none", start_scale=1.0, means_lr=5e-2, scales_lr=0.1, num_looks=5, means_lr_end=1.0)
+    config = replace(CONFIG, num_steps=60, start_scale=1.0, means_lr=5e-2, scales_lr=0.1, num_looks=5, means_lr_end=1.0)
     result = fit_splats(start(), views.select([0, 1]), config, FitOptions(validation=validation))
     figures = dict(result.validation)
     assert [step for step, _ in result.validation] == [36, 42, 48, 54, 60]

@@ -10,9 +10,9 @@ Once per scene; training is the caller's. What differs from the publication, and
 - Its ground plane comes from a Manhattan alignment; our scenes are z up already.
 - The airspace ends at the 1st and 99th percentile of the heights of the cell's points: up to the
   highest one, a single wrong match would make every camera see every cell.
-- The trainer's exposures (`exposure="affine"`: an affine map of the colours per photograph), where
-  the caller's `train` turns them on, stand in for its appearance network (a CNN from the render and
-  an image's vector to a multiplier per pixel). Either is thrown away after training.
+- The trainer's canonical light (a gain per photograph and channel and a vignetting, where the
+  caller's `train` turns it on) stands in for its appearance network (a CNN from the render and an
+  image's vector to a multiplier per pixel). Either is thrown away after training.
 """
 
 from __future__ import annotations

@@ -16,7 +16,6 @@
 #include <vector>
 
 #include "training/adam.h"
-#include "training/exposure.h"
 #include "training/isa.h"
 #include "training/loss.h"
 
@@ -212,27 +211,6 @@ void adam_step(const Out& parameters, const In& gradients, const Out& first_mome
   radiant::adam_step(job, static_cast<std::int64_t>(shape[0]), runs ? static_cast<std::int64_t>(runs->shape(0)) : 0, kernels, num_threads);
 }
 
-void apply_exposure(const In& image, const In& map, const Out& shown, int num_threads) {
-  const Shape shape = image_shape(image, "image");
-  check_shape(map, "color_map", {3, 4});
-  check_shape(shown, "shown", shape);
-  nb::gil_scoped_release unlocked;
-  radiant::apply_exposure(image.data(), map.data(), shown.data(), static_cast<std::int64_t>(shape[0]), static_cast<std::int64_t>(shape[1]),
-                          num_threads);
-}
-
-void apply_exposure_backward(const In& image, const In& map, const In& shown_gradient, const Out& image_gradient, const Out& map_gradient,
-                             int num_threads) {
-  const Shape shape = image_shape(image, "image");
-  check_shape(map, "color_map", {3, 4});
-  check_shape(shown_gradient, "shown_gradient", shape);
-  check_shape(image_gradient, "image_gradient", shape);
-  check_shape(map_gradient, "map_gradient", {3, 4});
-  nb::gil_scoped_release unlocked;
-  radiant::apply_exposure_backward(image.data(), map.data(), shown_gradient.data(), image_gradient.data(), map_gradient.data(),
-                                   static_cast<std::int64_t>(shape[0]), static_cast<std::int64_t>(shape[1]), num_threads);
-}
-
 std::vector<std::int64_t> find_not_finite(const In& values, const std::optional<Runs>& runs, int num_threads) {
   const Shape shape = shape_of(values);
   if (shape.empty()) raise("values has shape (), expected rows");
@@ -276,12 +254,6 @@ void bind_training(nb::module_& module) {
              "count steps (N,) int32 of its rows, or on all rows with the count `step` where both are None.\n\n"
              "first_factors[t - 1] is 1 / (1 - beta1^t), second_factors[t - 1] is 1 / sqrt(1 - beta2^t); the last serves all later t.\n"
              "Gradients count as at most 1e18 and are not checked here: see find_not_finite. Raises ValueError naming the array for a wrong shape.");
-  module.def("apply_exposure", &apply_exposure, "image"_a, "color_map"_a, "shown"_a.noconvert(), "num_threads"_a = 1,
-             "Writes image + A image + b (H,W,3) float32 of the map (3,4), A beside b. Raises ValueError naming the array for a wrong shape.");
-  module.def("apply_exposure_backward", &apply_exposure_backward, "image"_a, "color_map"_a, "shown_gradient"_a, "image_gradient"_a.noconvert(),
-             "map_gradient"_a.noconvert(), "num_threads"_a = 1,
-             "Writes the derivatives by image (H,W,3) and map (3,4) from that by what is shown; the same bits for any number of threads.\n"
-             "Raises ValueError naming the array for a wrong shape.");
   module.def("find_not_finite", &find_not_finite, "values"_a, "runs"_a.none(), "num_threads"_a = 1,
              "[0], or the count of NaN and infinite values (N,...) in the rows of runs (R,2), or in all,\n"
              "followed by the index of the first.");
