@@ -56,7 +56,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
-from radiant_core.train.config import NEVER, TrainConfig, train_preset, with_settings
+from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_images, load_training_views
 from radiant_core.train.results import TrainResult
@@ -71,15 +71,10 @@ ABLATION_SEEDS = (0, 1, 2)
 UNLIMITED_STEPS = 10**9
 REFERENCE = "standard"
 THIN_SURFACES: dict[str, Any] = {
-    "initial_opacity": 0.5,
-    "initial_thickness": 0.15,
-    "density.min_opacity": 0.1,
-    "density.reset_opacity_every": NEVER,
     "thickness_weight": 0.05,
     "depth_spread_weight": 1.0,
 }
 """What makes a model that is thinner and more opaque (`docs/experiments/off_path.md`)."""
-_OPAQUE_AND_FLAT = ("initial_opacity", "initial_thickness", "density.min_opacity", "density.reset_opacity_every")
 ABLATIONS: dict[str, dict[str, Any]] = {
     "full size from the start": {"start_scale": 1.0},
     "no densification": {"density.kind": "none"},
@@ -91,9 +86,9 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "sizes without limit": {"max_scale_per_distance": None},
     "needles without limit": {"max_elongation": None},
     "thin surfaces": THIN_SURFACES,
-    "opaque and flat": {name: THIN_SURFACES[name] for name in _OPAQUE_AND_FLAT},
-    "less than 0.1 pruned": {"density.min_opacity": 0.1, "density.reset_opacity_every": NEVER, "initial_opacity": 0.5},
-    "flat first Gaussians": {"initial_thickness": 0.15},
+    "faint and round": {"initial_opacity": 0.1, "initial_thickness": 1.0, "density.min_opacity": 0.005},
+    "pruned below 0.005": {"density.min_opacity": 0.005},
+    "round first Gaussians": {"initial_thickness": 1.0},
     "short axes in the loss": {"thickness_weight": 0.05},
     "spread of depth in the loss": {"depth_spread_weight": 1.0},
     "any number of Gaussians": {"density.pixels_per_splat": None},

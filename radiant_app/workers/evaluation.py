@@ -59,8 +59,8 @@ LPIPS_NAME = "lpips.safetensors"
 """Weights of LPIPS in the folder where a scene is scored."""
 SCORES_NAME = "scores.json"
 """Figures that a machine reports of its held-out photographs."""
-PICTURE_KINDS = ("photographs", "renders", "differences")
-"""Folders with one PNG per held-out photograph."""
+PICTURE_KINDS = ("photographs", "renders", "differences", "canonical")
+"""Folders with one PNG per held-out photograph; the last where light is modelled."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,14 +88,19 @@ class ScoredImage:
     photograph: NDArray[np.float32]
     """(H,W,3) in 0..1."""
     used: Used
+    canonical: NDArray[np.float32] | None = None
+    """The render in the model's own light, where `view` has the photograph's; None: the same."""
 
     def save(self, folder: Path) -> list[str]:
-        """Write render, photograph and their absolute difference (×3, where `used`) as PNG; returns
-        the names relative to `folder`."""
+        """Write render, photograph and their absolute difference (×3, where `used`) as PNG, and the
+        canonical render where there is one; returns the names relative to `folder`."""
         render, name = self.view.image, self.view.name
         difference = np.clip(3 * np.abs(render - self.photograph), 0, 1) * (1.0 if self.used is None else self.used[..., None])
         names = []
-        for kind, image in (("renders", render), ("photographs", self.photograph), ("differences", difference)):
+        images = {"renders": render, "photographs": self.photograph, "differences": difference}
+        if self.canonical is not None:
+            images["canonical"] = self.canonical.clip(0, 1)
+        for kind, image in images.items():
             names.append(f"{kind}/{name}.png")
             (folder / names[-1]).parent.mkdir(parents=True, exist_ok=True)
             write_atomic(folder / names[-1], png_bytes((image * 255).round().astype(np.uint8)))
@@ -154,15 +159,17 @@ def score_images(
     Yields:
         Each render with its figures, in the order of the views.
     """
+    lights = None if views.light is None else views.light.held_out
     rendered = render_views(model, cameras, backend)
     untrained = repeat(None, len(cameras)) if views.initial is None else render_views(views.initial, views.cameras, backend)
-    if views.light is not None:
-        rendered = _shown_in(views.light.held_out, rendered, cameras)
-    for view, before, path, used in zip(rendered, untrained, views.photographs, views.used, strict=True):
+    for index, (view, before, path, used) in enumerate(zip(rendered, untrained, views.photographs, views.used, strict=True)):
+        canonical = None if lights is None else view.image
+        if lights is not None:
+            view = replace(view, image=show_in_light(view.image, lights, index, cameras))
         height, width = view.image.shape[:2]
         photograph = load_photograph(path, (width, height))
         row = _score_render(view, photograph, before=before, lpips=lpips, used=used)
-        yield ScoredImage(row=row, view=view, photograph=photograph, used=used)
+        yield ScoredImage(row=row, view=view, photograph=photograph, used=used, canonical=canonical)
 
 
 def _shown_in(lights: Lights, rendered: Iterator[RenderedView], cameras: Cameras) -> Iterator[RenderedView]:

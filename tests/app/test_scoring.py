@@ -185,6 +185,9 @@ def test_noise_in_the_place_of_photographs_held_out_changes_no_bit_of_their_pred
     assert not none and decision.topic == "light of photographs held out" and "before and after" in decision.choice
     # 14 % of brightness between the mean and a photograph, against 1 % between neighbours in time.
     assert better > plain + 10 and lit != as_rendered
+    # The model's own light is kept beside it, and is that of a score without light.
+    canonical = {path.name: path.read_bytes() for path in (tmp_path / "auto" / "evaluation" / "canonical").iterdir()}
+    assert canonical == as_rendered and not (tmp_path / "none" / "evaluation" / "canonical").exists()
     assert noisy == lit and same == decision
 
 

@@ -1,5 +1,8 @@
 """The photograph of the selected camera; if held out, with render and difference under a wipe.
 
+A render is as the photograph would have been, in the light that is predicted for it; "Canonical" is
+the same in the model's own light, where light is modelled.
+
 Held-out photographs are visited worst first. For a photograph that is not on this machine, a
 sentence names its device. Needs the `desktop` extra.
 """
@@ -18,10 +21,10 @@ from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.photo_reasons import reason_text
 from radiant_viewer.runs.run_figures import FIGURES, ImageFigures
-from radiant_viewer.runs.run_view import RunView, comparison_paths
+from radiant_viewer.runs.run_view import RunView, canonical_path, comparison_paths
 
-PAIRS = (("Photograph", "Render"), ("Photograph", "Difference"), ("Render", "Difference"))
-SINGLES = ("Photograph", "Render", "Difference")
+PAIRS = (("Photograph", "Render"), ("Photograph", "Difference"), ("Render", "Difference"), ("Render", "Canonical"))
+SINGLES = ("Photograph", "Render", "Difference", "Canonical")
 MAX_PREVIEW_PX = 1600
 NO_FIGURES = "No photograph has figures yet: finish the run, or evaluate it."
 STEPS = 1000
@@ -53,7 +56,10 @@ class PhotoDock(QDockWidget):
         self.worst.clicked.connect(self.show_worst)
         self.mode = QComboBox()
         self.mode.addItems([*(" | ".join(pair) for pair in PAIRS), *SINGLES])
-        self.mode.setToolTip("Which pictures are wiped against each other, or which one is shown alone")
+        self.mode.setToolTip(
+            "Which pictures are wiped against each other, or which one is shown alone. Render: as the photograph would have been; "
+            "canonical: in the light of the model"
+        )
         self.mode.currentIndexChanged.connect(self._show)
         self.picture = PictureLabel()
         self.picture.message = "Select a camera in the table or in a view."
@@ -119,7 +125,10 @@ class PhotoDock(QDockWidget):
             return {}, ""
         try:
             paths = comparison_paths(self._run, name)
-            return {kind: load_image(path) for kind, path in zip(SINGLES, paths, strict=True)}, ""
+            canonical = canonical_path(self._run, name)
+            # Where light is not modelled, a render is canonical.
+            kinds = zip(SINGLES, (*paths, canonical or paths[1]), strict=True)
+            return {kind: load_image(path) for kind, path in kinds}, ""
         except BadInput as error:
             # Where photographs are pooled, the preview names the device.
             return {}, f"{str(error)[0].upper()}{str(error)[1:]}" if self._run.in_field else ""

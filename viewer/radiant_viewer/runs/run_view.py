@@ -212,6 +212,13 @@ def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
     return paths[0], paths[1], paths[2]
 
 
+def canonical_path(run: RunView, name: str) -> Path | None:
+    """Return the file of a held-out photograph's render in the model's own light; None where light
+    is not modelled."""
+    path = run.folder / "pictures" / "canonical" / f"{name}.png"
+    return path if path.is_file() else None
+
+
 def no_model_text(folder: Path) -> str:
     """Return why a folder has no model, and what makes one."""
     state = {
