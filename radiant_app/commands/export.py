@@ -112,7 +112,8 @@ def _exported(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats,
     if not request.clean:
         return splats, {}
     from radiant_app.commands.steps import stage_bar
-    from radiant_core.evaluate.support import support_of, unconstrained
+    from radiant_core.evaluate.support import support_of
+    from radiant_core.geometry.support import unconstrained
 
     run = _run_of(request)
     trained = [row for row, name in enumerate(run.scene.cameras.names) if name not in run.held_out]

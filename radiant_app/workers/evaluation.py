@@ -38,6 +38,8 @@ from radiant_core.evaluate.image_error import (
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.seam_excess import BorderError, border_errors
+from radiant_core.evaluate.support import support_of
+from radiant_core.geometry.support import SUPPORT_NAME, Support, save_support
 from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.photos.listing import load_photograph
@@ -109,7 +111,7 @@ class ScoredImage:
 
 def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
     """Score the scene in inbox/ on the held-out photographs of this machine; writes scores.json and
-    three pictures per photograph."""
+    three pictures per photograph, and the owner of all of them support.safetensors."""
     own, inbox = folder.parent if task.owned else folder, folder / "inbox"
     places = read_json(own / OWN_NAME, ("images",))
     images = Path(places["images"])
@@ -127,11 +129,13 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     scored = score_views(scene, views, task, lpips, reporter)
     trained = TrainedPhotographs(own=own, images=training_images, light=light)
     errors = measure_borders(scene, plan, trained, task, reporter)
+    if not task.owned:
+        save_support(folder / SUPPORT_NAME, _support(scene, own, task, reporter))
     pictures = [name for image in scored for name in image.save(folder)]
     rows = [image.row for image in scored]
     write_json(folder / SCORES_NAME, {"images": rows, "borders": [asdict(error) for error in errors], "leakage": leakage})
     # Checking a seal reads every file it lists, and the owner's process checks those of devices.
-    return [SCORES_NAME] if task.owned else [SCORES_NAME, *pictures]
+    return [SCORES_NAME] if task.owned else [SCORES_NAME, SUPPORT_NAME, *pictures]
 
 
 def score_views(scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter) -> list[ScoredImage]:
@@ -162,14 +166,12 @@ def score_images(
     lights = None if views.light is None else views.light.held_out
     rendered = render_views(model, cameras, backend)
     untrained = repeat(None, len(cameras)) if views.initial is None else render_views(views.initial, views.cameras, backend)
-    for index, (view, before, path, used) in enumerate(zip(rendered, untrained, views.photographs, views.used, strict=True)):
-        canonical = None if lights is None else view.image
-        if lights is not None:
-            view = replace(view, image=show_in_light(view.image, lights, index, cameras))
+    for index, (own, before, path, used) in enumerate(zip(rendered, untrained, views.photographs, views.used, strict=True)):
+        view = own if lights is None else replace(own, image=show_in_light(own.image, lights, index, cameras))
         height, width = view.image.shape[:2]
         photograph = load_photograph(path, (width, height))
         row = _score_render(view, photograph, before=before, lpips=lpips, used=used)
-        yield ScoredImage(row=row, view=view, photograph=photograph, used=used, canonical=canonical)
+        yield ScoredImage(row=row, view=view, photograph=photograph, used=used, canonical=None if lights is None else own.image)
 
 
 def _shown_in(lights: Lights, rendered: Iterator[RenderedView], cameras: Cameras) -> Iterator[RenderedView]:
@@ -210,6 +212,17 @@ def measure_borders(
     )
     used = None if weights is None else [used_pixels(each) for each in weights]
     return list(border_errors(_correct_cameras(cameras, task), render(), photographs, plan, used))
+
+
+def _support(scene: Splats, own: Path, task: ScoreTask, reporter: EventReporter) -> Support:
+    """Which photographs that were trained on constrain each Gaussian, where one owner has them
+    all: a device sees a part of the scene only."""
+    cameras = _correct_cameras(_trained_cameras(own, task), task).scaled(task.long_side_px)
+
+    def report(done: int, total: int) -> None:
+        reporter.progress(done, total, "which photographs constrain each Gaussian")
+
+    return support_of(scene, cameras, task.backend, report)
 
 
 def _trained_cameras(own: Path, task: ScoreTask) -> Cameras:

@@ -22,6 +22,7 @@ from radiant_core.choices import LightMode
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Frame, Sim3
 from radiant_core.geometry.similarity import move_splats
+from radiant_core.geometry.support import SUPPORT_NAME, load_support
 from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_cameras, save_plan, save_scene, save_splats
@@ -185,6 +186,8 @@ def test_noise_in_the_place_of_photographs_held_out_changes_no_bit_of_their_pred
     assert not none and decision.topic == "light of photographs held out" and "before and after" in decision.choice
     # 14 % of brightness between the mean and a photograph, against 1 % between neighbours in time.
     assert better > plain + 10 and lit != as_rendered
+    support = load_support(tmp_path / "auto" / "evaluation" / SUPPORT_NAME)
+    assert len(support) == len(TRUTH) and support.num_views.max() <= 9 and support.constrained().mean() > 0.5
     # The model's own light is kept beside it, and is that of a score without light.
     canonical = {path.name: path.read_bytes() for path in (tmp_path / "auto" / "evaluation" / "canonical").iterdir()}
     assert canonical == as_rendered and not (tmp_path / "none" / "evaluation" / "canonical").exists()

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiant_core.errors import BadInput
+from radiant_core.geometry.support import Support
 from radiant_viewer.layers.camera_layer import camera_layer, pyramid_segments
 from radiant_viewer.layers.camera_roles import NOBODY, camera_roles
 from radiant_viewer.layers.layer import Layer, framing_positions
@@ -17,7 +18,9 @@ from radiant_viewer.layers.palette import BLUE, VERMILLION, category_colors, hea
 from radiant_viewer.layers.region_layer import duration_text, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.layers.seam_layer import color_steps, seam_layer, seam_pieces
 from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
+from radiant_viewer.layers.support_layer import LOOSE, MORE, TWO, support_layer
 from radiant_viewer.pictures.measure import scale_bar_length
+from tests.core.scenes import ground_splats
 from tests.viewer.made_up_run import HALF_WH, made_up_town
 
 TOWN = made_up_town()
@@ -202,3 +205,12 @@ def test_point_layers_say_what_they_left_out() -> None:
     faint = replace(TOWN.splats, logit_opacities=np.linspace(-9, 9, len(TOWN.splats)))
     layer = splat_layer(faint, min_opacity=0.5)
     assert len(layer.points) == pytest.approx(len(TOWN.splats) / 2, abs=1)
+
+
+def test_gaussians_are_coloured_by_their_support_and_the_loosest_lie_on_top() -> None:
+    splats = ground_splats(5)
+    support = Support(num_views=np.array([1, 2, 5, 9, 2]), parallax_deg=np.array([0.0, 20.0, 30.0, 1.0, 9.0]), shown_px=np.ones(5))
+    layer = support_layer(splats, support, splats.means.astype(np.float64))
+    assert layer.point_colors.tolist() == [list(color) for color in (MORE, TWO, TWO, LOOSE, LOOSE)]
+    np.testing.assert_array_equal(layer.points, splats.means[[2, 1, 4, 0, 3]].astype(np.float64))
+    assert [entry.text.split(" ")[0] for entry in layer.legend] == ["2", "2", "1"]

@@ -12,13 +12,14 @@ without a photograph contradicting it: from elsewhere it hangs in the air. N Gau
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
+from radiant_core.geometry.support import Support
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
@@ -26,26 +27,6 @@ from radiant_core.splats import SH_C0, Splats
 
 MIN_SHOWN_PX = 0.25
 """A view constrains a Gaussian of which it shows this many pixels."""
-MIN_VIEWS, MIN_PARALLAX_DEG = 2, 2.0
-"""What fewer views or a smaller angle constrain may lie at any depth
-(docs/experiments/off_path.md)."""
-BACKGROUND = 2.0
-"""What is farther from the middle of the sparse points than this many times their reach is sky or
-horizon, which no parallax constrains and nobody walks around."""
-REACH_QUANTILE = 0.99
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Support:
-    """Of N Gaussians: num_views (N,), parallax_deg (N,), shown_px (N,)."""
-
-    num_views: NDArray[np.int64]
-    parallax_deg: FloatArray
-    shown_px: FloatArray
-
-    def constrained(self, num_views: int, parallax_deg: float) -> NDArray[np.bool_]:
-        """Which Gaussians (N,) so many views show, with so large an angle between two of them."""
-        return (self.num_views >= num_views) & (self.parallax_deg >= parallax_deg)
 
 
 def support_of(
@@ -75,18 +56,6 @@ def support_of(
         parallax_deg=largest_angles_deg(splats.means.astype(np.float64), cameras.centers, seen),
         shown_px=shown,
     )
-
-
-def unconstrained(splats: Splats, support: Support, points: FloatArray) -> NDArray[np.bool_]:
-    """Which Gaussians (N,) too few views constrain, the background around sparse points (P,3)
-    apart; without points nothing is background."""
-    loose = ~support.constrained(MIN_VIEWS, MIN_PARALLAX_DEG)
-    if not len(points):
-        return loose
-    middle = np.median(points, axis=0)
-    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), REACH_QUANTILE))
-    away = np.linalg.norm(splats.means.astype(np.float64) - middle, axis=1)
-    return loose & (away <= BACKGROUND * reach)
 
 
 def largest_angles_deg(places: FloatArray, centers: FloatArray, seen: Sequence[NDArray[np.int64]]) -> FloatArray:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.evaluate.shown_pixels import count_shown_pixels
 from radiant_core.evaluate.support import largest_angles_deg, support_of
+from radiant_core.geometry.support import Support, load_support, save_support, unconstrained
 from radiant_core.splats import Splats, concatenate_splats
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -76,3 +79,26 @@ def test_a_gaussian_at_a_cameras_centre_and_far_away_have_finite_angles() -> Non
     assert np.isfinite(angles).all()
     exact = np.degrees(np.arctan2(1e7 * 1e9, 1e9 * (1e9 - 1e7)))
     assert angles[1] == pytest.approx(exact, rel=0.02)
+
+
+def test_a_file_of_support_comes_back_and_broken_or_poisoned_ones_are_refused(tmp_path: Path) -> None:
+    support = Support(num_views=np.array([0, 3]), parallax_deg=np.array([0.0, 12.5]), shown_px=np.array([0.0, 90.0]))
+    save_support(tmp_path / "support.safetensors", support)
+    again = load_support(tmp_path / "support.safetensors")
+    assert again.num_views.tolist() == [0, 3] and again.parallax_deg.tolist() == [0.0, 12.5] and len(again) == 2
+    with pytest.raises(BadInput, match="parallax_deg"):
+        Support(num_views=np.array([1, 2]), parallax_deg=np.array([np.nan, 1.0]), shown_px=np.zeros(2))
+    with pytest.raises(BadInput, match="shown_px"):
+        Support(num_views=np.array([1, 2]), parallax_deg=np.zeros(2), shown_px=np.zeros(3))
+    (tmp_path / "support.safetensors").write_bytes(b"no table")
+    with pytest.raises((BadInput, StoreDamaged)):
+        load_support(tmp_path / "support.safetensors")
+
+
+def test_the_background_is_not_called_unconstrained() -> None:
+    near, far = one_splat((0.0, 0.0, 0.0)), one_splat((500.0, 0.0, 0.0))
+    support = Support(num_views=np.array([1, 1]), parallax_deg=np.zeros(2), shown_px=np.ones(2))
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    model = concatenate_splats([near, far])
+    assert unconstrained(model, support, points).tolist() == [True, False]
+    assert unconstrained(model, support, points[:0]).tolist() == [True, True]

@@ -31,7 +31,7 @@ def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
         name="Sparse points" if len(scene.observations) else "Gaussians",
         points=points,
         point_colors=colors,
-        point_size_px=_point_size_px(len(points)),
+        point_size_px=point_size_px(len(points)),
         legend=(LegendEntry(text=_count_text(kind, len(points), len(scene.points)), color=GREY, marker="dot"),),
     )
 
@@ -51,7 +51,7 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
         name="Gaussians",
         points=points,
         point_colors=base_colors(sh0),
-        point_size_px=_point_size_px(len(points)),
+        point_size_px=point_size_px(len(points)),
         legend=(
             LegendEntry(text=_count_text("Gaussians", len(points), len(splats)), color=GREY, marker="dot"),
             LegendEntry(text=f"shown where opacity ≥ {min_opacity:g}", color=GREY, marker="dot"),
@@ -74,5 +74,6 @@ def _count_text(what: str, shown: int, total: int) -> str:
     return f"{total:,} {what}" if shown == total else f"{shown:,} of {total:,} {what}"
 
 
-def _point_size_px(count: int) -> float:
+def point_size_px(count: int) -> float:
+    """Return the size of each of so many points, px."""
     return float(np.clip(700 / np.sqrt(max(count, 1)), 2.0, 4.5))

@@ -17,6 +17,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.geometry.support import SUPPORT_NAME, Support, load_support
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json
@@ -210,6 +211,16 @@ def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
             f"or the run is not evaluated; {finish_command(run.folder)}."
         )
     return paths[0], paths[1], paths[2]
+
+
+def run_support(run: RunView) -> Support | None:
+    """Return which photographs constrain each Gaussian of a run's model; None where that was not
+    measured, or of another model. StoreDamaged for a broken file."""
+    path = run.folder / "evaluation" / SUPPORT_NAME
+    if run.splats is None or not path.is_file():
+        return None
+    support = load_support(path)
+    return support if len(support) == len(run.splats) else None
 
 
 def canonical_path(run: RunView, name: str) -> Path | None:
