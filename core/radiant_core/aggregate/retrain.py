@@ -81,6 +81,7 @@ def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Sp
         "density": NoDensification(),
         "start_scale": 1.0,
         "background": "black",
+        "drop_gaussians": "none",
         "settle_epochs": None,
     }
     rates = {name: getattr(train_preset("paper"), name) for name in RATES} if aggregate.preset == "paper" else {}

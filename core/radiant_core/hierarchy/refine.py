@@ -82,6 +82,7 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
         density=NoDensification(),
         start_scale=1.0,
         background="black",
+        drop_gaussians="none",
         settle_epochs=None,
     )
     options = fit_options(task.backend, reporter, machine, lambda: training_key(start, views, config, bare))

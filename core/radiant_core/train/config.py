@@ -65,6 +65,11 @@ class TrainConfig:
     depth_spread_weight: float = 0.0
     """Weight in the loss of how far apart in depth lies what a pixel blends, as a share of its
     depth (`thin_surfaces.py`)."""
+    drop_gaussians: Literal["none", "auto", "always"] = "none"
+    """Whether steps leave Gaussians out at random, so that no place depends on few of them
+    (`drop.py`); auto: where photographs are few."""
+    drop_share: float = 0.2
+    """Share of them that the last steps of a run leave out; none at its start."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the cameras' extent."""
     means_lr_end: float = 0.01
@@ -132,6 +137,8 @@ class TrainConfig:
         require_at_least(self, 0, ("thickness_weight", "depth_spread_weight"))
         if not 0 < self.initial_thickness <= 1:
             raise BadInput(f"initial_thickness is {self.initial_thickness}, expected more than 0 and at most 1.")
+        if not 0 < self.drop_share < 1:
+            raise BadInput(f"drop_share is {self.drop_share}, expected more than 0 and less than 1; drop_gaussians=none drops none.")
         if not 0 < self.initial_opacity < 1:
             raise BadInput(f"initial_opacity is {self.initial_opacity}, expected more than 0 and less than 1.")
         if not 0 <= self.sh_degree <= 3:
@@ -142,6 +149,7 @@ class TrainConfig:
             raise BadInput(f"start_scale is {self.start_scale} and full_size_from {self.full_size_from}, expected shares of at most 1.")
         require_one_of(self, "adam", ("visible", "dense"))
         require_one_of(self, "light", ("auto", "none", "always"))
+        require_one_of(self, "drop_gaussians", ("none", "auto", "always"))
         require_one_of(self, "background", ("black", "random"))
         require_one_of(self, "skip_images", ("none", "auto"))
         require_one_of(self, "dense_points", ("none", "always"))
@@ -160,6 +168,7 @@ _SHORT = TrainConfig(
     adam="dense",
     initial_opacity=0.5,
     initial_thickness=0.15,
+    drop_gaussians="auto",
     density=Adc(kind="planned", reset_opacity_every=NEVER, min_opacity=0.1),
     start_scale=0.5,
     skip_images="auto",

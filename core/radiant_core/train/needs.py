@@ -20,6 +20,9 @@ from radiant_core.train.views import TrainingViews
 
 MIN_PLANNED = 4_000
 """Planned growth may always reach this number of Gaussians."""
+FEW_PHOTOGRAPHS = 25
+"""With fewer than these to train on, leaving Gaussians out at random gains on photographs left
+out (docs/experiments/training.md)."""
 MIN_STEPS = 1_500
 """Few photographs never shorten a run below this."""
 
@@ -108,7 +111,8 @@ def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> 
     """What is "auto", decided by the scene; `views.cameras` are the scene's in the same order."""
     config, decisions = _fit_size(config, views)
     config, length = _fit_length(config, len(views))
-    return config, (*decisions, *length)
+    config, dropping = _fit_dropping(config, len(views))
+    return config, (*decisions, *length, *dropping)
 
 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
@@ -155,3 +159,20 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
         reason=f"after {config.max_epochs} steps per photograph more of them gained nothing on photographs left out",
     )
     return replace(config, num_steps=most), (decision,)
+
+
+def _fit_dropping(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """Whether steps leave Gaussians out, where that is "auto"."""
+    if config.drop_gaussians != "auto":
+        return config, ()
+    few = num_views < FEW_PHOTOGRAPHS
+    decision = Decision(
+        stage="train",
+        topic="Gaussians left out at random",
+        choice=f"up to {config.drop_share:.0%} at each step" if few else "none",
+        figure=float(num_views),
+        unit="training photographs",
+        reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out, above it costs",
+        changes_nothing=not few,
+    )
+    return replace(config, drop_gaussians="always" if few else "none"), (decision,)

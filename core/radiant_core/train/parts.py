@@ -2,7 +2,7 @@
 
 A training calls each hook of all its parts in turn, once per step unless stated otherwise:
 
-    wants_absgrad → render → loss → before_backward → backward → after_backward
+    before_render → wants_absgrad → render → loss → before_backward → backward → after_backward
                   → Adam → hold → after_update → after_step
 """
 
@@ -41,6 +41,11 @@ class Part(Protocol):
     def wants_absgrad(self, moment: Moment) -> bool:
         """Whether the rendering of this step must have `RenderOutput.absgrad`."""
         return False
+
+    def before_render(self, moment: Moment, splats: SplatTensors) -> SplatTensors:
+        """The model as this step renders it, of the same rows, through which gradients reach
+        `splats`."""
+        return splats
 
     def before_backward(self, moment: Moment, output: RenderOutput) -> None:
         """Look at a rendering of one camera before its backward pass."""

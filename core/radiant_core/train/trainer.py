@@ -27,6 +27,7 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.density import AdaptiveDensity
 from radiant_core.train.densify.mcmc import RelocatedDensity
 from radiant_core.train.densify.policies import Mcmc, NoDensification
+from radiant_core.train.drop import DroppedGaussians
 from radiant_core.train.held import HeldRows
 from radiant_core.train.initialize import camera_extent
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, StatisticsCache, target_loss
@@ -270,8 +271,11 @@ class Training:
         config, view, parts = self._config, moment.view, self._parts
         target = self._statistics.get(view, lambda: _target(self._views, view))
         height, width = target.target.shape[:2]
+        rendered = self._splats
+        for part in parts:
+            rendered = part.before_render(moment, rendered)
         output = rasterize(
-            self._splats,
+            rendered,
             self._viewmats[view : view + 1],
             self._Ks[view : view + 1],
             width,
@@ -340,6 +344,8 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
     parts: list[Part] = []
     if options.validation is not None:
         parts.append(BestModel(options.validation, config.num_looks, options.backend))
+    if config.drop_gaussians == "always":
+        parts.append(DroppedGaussians(config.drop_share, config.seed))
     if config.thickness_weight > 0 or config.depth_spread_weight > 0:
         parts.append(ThinSurfaces(views, config, options.backend))
     density = config.density
