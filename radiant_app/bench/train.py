@@ -89,6 +89,8 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "faint and round": {"initial_opacity": 0.1, "initial_thickness": 1.0, "density.min_opacity": 0.005},
     "pruned below 0.005": {"density.min_opacity": 0.005},
     "round first Gaussians": {"initial_thickness": 1.0},
+    "Gaussians left out at random": {"drop_gaussians": "always"},
+    "no Gaussians left out": {"drop_gaussians": "none"},
     "short axes in the loss": {"thickness_weight": 0.05},
     "spread of depth in the loss": {"depth_spread_weight": 1.0},
     "any number of Gaussians": {"density.pixels_per_splat": None},
