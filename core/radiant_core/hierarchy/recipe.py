@@ -64,9 +64,13 @@ class Recipe:
 
     def training_of(self, device: str) -> TrainConfig:
         """The training of a device, as long as its photographs ask for."""
+        train = self.train
+        if train.drop_gaussians == "auto" and devices_with_photographs(self.edge_plans) > 1:
+            # What a device has too few photographs of, its neighbours know (docs/experiments/training.md).
+            train = replace(train, drop_gaussians="none")
         if (law := self.step_law) is None:
-            return self.train
-        return replace(self.train, num_steps=law.steps(len(self.cameras_of(device))), max_epochs=None)
+            return train
+        return replace(train, num_steps=law.steps(len(self.cameras_of(device))), max_epochs=None)
 
     def device_settings(self, device: str) -> DeviceSettings:
         """How a device trains."""

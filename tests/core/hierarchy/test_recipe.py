@@ -134,3 +134,11 @@ def test_the_plans_cost_of_training_is_that_of_the_steps_it_takes() -> None:
     for count in (7, 13, 26, 52):
         assert float(curve(count)) == pytest.approx(law.steps(count) * (8.0 + 0.1 * count) / 800, rel=0.03)
     assert law.cost(CostCurve(), 800, 52) == CostCurve()
+
+
+def test_gaussians_are_left_out_at_random_by_a_device_alone_never_where_models_are_joined() -> None:
+    several = recipe_of(60)
+    first = several.edge_plans[0]
+    alone = replace(several, edge_plans=(replace(first, device_of_camera=np.zeros_like(first.device_of_camera)),))
+    assert several.training_of("a-1").drop_gaussians == "none"
+    assert alone.training_of("a-1").drop_gaussians == "auto"
