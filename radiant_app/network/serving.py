@@ -56,7 +56,7 @@ def serve(listening: Listening, identity: Path, answer: Callable[[Asked], Reply]
         timeout_keep_alive=IDLE_S,
         limit_concurrency=MAX_CONNECTIONS,
         timeout_graceful_shutdown=2,
-        **({} if listening.plain else {"ssl_context_factory": lambda *_: server_context(identity)}),
+        ssl_context_factory=None if listening.plain else lambda *_: server_context(identity),
     )
     # Its log would name what is asked for; what matters is in the store.
     logging.getLogger("uvicorn").setLevel(logging.CRITICAL)

@@ -45,6 +45,7 @@ from radiant_app.network.messages import (
 )
 from radiant_app.run.captured import Captured, middles_of_raster, place_rasters
 from radiant_app.run.dealing import Dealer, deal_files
+from radiant_app.run.delivered import save_delivered_by_edges
 from radiant_app.run.far_devices import FarDevices, require_names
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.progress import Progress
@@ -362,3 +363,4 @@ class CloudRun:
         if report.missing:
             facts["failed_scoring"] = sorted(report.missing)
         write_json(place / "result.json", {**result, **facts})
+        save_delivered_by_edges(self.folder, dealer, counts.origin)
