@@ -84,7 +84,7 @@ class Running:
     ended: threading.Event | None = None
     command: Callable[[NodeTask], list[str]] | None = None
     """How worker processes are started; None: as everywhere."""
-    poll_s: float = 2.0
+    poll_s: float | None = None
 
     def serve(self, folder: Path) -> None:
         """Work as an edge: fold devices, join their models; BadInput where the node is refused."""

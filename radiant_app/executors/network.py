@@ -37,11 +37,12 @@ from radiant_app.executors.local import Processes, worker_command
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_app.network.contents import check_result
 from radiant_app.network.hub import Hub
+from radiant_app.network.kinds import NOTES_NAME
 from radiant_app.network.reception import Ended, Said
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.messages import message_of
-from radiant_core.io.run_store import seal
+from radiant_core.io.run_store import seal, write_json
 
 LEASE_S = 900.0
 """Shortest lease: a machine restarts, or finds its way back into a network, in less."""
@@ -161,6 +162,10 @@ class _Machines:
         try:
             names = hub.install(far.digest)
             check_result(far.task.kind, far.task.folder, names)
+            if NOTES_NAME not in names:
+                # A report alone: whoever skips its stage later reads notes there.
+                write_json(far.task.folder / NOTES_NAME, {"decisions": [], "warnings": []})
+                names = [*names, NOTES_NAME]
             seal(far.task.folder, far.task.key, names)
         except CannotWrite as error:
             return NodeEnded(error=error)

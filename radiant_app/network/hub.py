@@ -22,6 +22,9 @@ from radiant_core.errors import BadInput
 from radiant_core.io.transport.delivery import describe_files
 from radiant_core.io.transport.envelope import Envelope, open_envelope, sign_envelope
 
+POLL_S = 2.0
+"""How long nodes wait between two polls."""
+
 
 @dataclass(kw_only=True)
 class Hub:
@@ -120,13 +123,14 @@ class Hub:
 
 
 @contextmanager
-def open_hub(home: Home, poll_s: float = 2.0) -> Iterator[Hub]:
-    """Listen for nodes until the end of the block; BadInput where that cannot be done."""
+def open_hub(home: Home, poll_s: float | None = None) -> Iterator[Hub]:
+    """Listen for nodes, which poll every `poll_s`, until the end of the block; BadInput where that
+    cannot be done."""
     listening: Listening = home.listening
     (home.folder / INCOMING).mkdir(exist_ok=True)
     store = HubStore(folder=home.folder)
     hub = Hub(home=home, store=store, arrivals=Arrivals(folder=home.folder / INCOMING))
-    reception = Reception(node=home.node, key=home.key, store=store, arrivals=hub.arrivals, heard=hub.said.put, poll_s=poll_s)
+    reception = Reception(node=home.node, key=home.key, store=store, arrivals=hub.arrivals, heard=hub.said.put, poll_s=poll_s or POLL_S)
     try:
         with serve(listening, home.identity, reception.answer) as port:
             hub.port = port
