@@ -158,7 +158,7 @@ class Errands:
             ).model_dump()
         if not self.sending:
             self.sending, self.waiting = self.waiting[:MAX_EVENTS], self.waiting[MAX_EVENTS:]
-            # The counter of a request is larger than in any process before, whatever the clock says.
+            # A request's counter is larger than in any process before, whatever the clock says.
             self.batch = self.line.counter
         return {
             "software": __version__,

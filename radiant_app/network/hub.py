@@ -46,8 +46,8 @@ class Hub:
         return member.key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
 
     def offer(self, run: str, node: str, kind: str, stage: str, folder: Path) -> KnownTask:
-        """Sign the files of a task in `folder` and offer it; the same files are the same task, other
-        ones a new attempt. BadInput where files are missing."""
+        """Sign the files of a task in `folder` and offer it; the same files are the same task,
+        other ones a new attempt. BadInput where files are missing."""
         files = describe_files(task_files(kind, folder))
         attempt, last = 1, self.store.newest_attempt(run, node, stage)
         if last is not None:

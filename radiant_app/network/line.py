@@ -155,7 +155,7 @@ class Line:
         return self._counter - 1
 
     def join(self) -> None:
-        """Register this node's key by the word of its invitation; BadInput where that is refused."""
+        """Register this node's key by the word of its invitation; BadInput where it is refused."""
         raw = self._key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
         body = {"token": self.upper.token, "key": base64.b64encode(raw).decode(), "software": __version__}
         _accepted(self.ask("POST", "/join", json.dumps(body).encode()))

@@ -179,7 +179,7 @@ class HubStore:
         tasks of its stage are withdrawn."""
         with self._changing() as database:
             database.execute(
-                f"update tasks set state = 'withdrawn', changed_s = ? where node = ? and stage = ? and digest != ? and state in {OPEN}",  # noqa: S608
+                f"update tasks set state = 'withdrawn', changed_s = ? where node = ? and stage = ? and digest != ? and state in {OPEN}",
                 (time.time(), task.node, task.stage, task.digest),
             )
             database.execute(
@@ -214,20 +214,20 @@ class HubStore:
     def _tasks(self, where: str, *values: Any) -> list[KnownTask]:
         columns = "digest, run, node, stage, attempt, text, signature, folder, tries, state, reason, changed_s"
         names = columns.split(", ")
-        rows = self._rows(f"select {columns} from tasks {where}", *values)  # noqa: S608 - text of our own
+        rows = self._rows(f"select {columns} from tasks {where}", *values)
         return [KnownTask(**{**dict(zip(names, row, strict=True)), "folder": Path(row[7])}) for row in rows]
 
     def move_task(self, digest: str, state: str, since: tuple[str, ...], reason: str = "") -> bool:
         """Change what became of a task; False where it is in none of the states `since`."""
         marks = ", ".join("?" * len(since))
         with self._changing() as database:
-            query = f"update tasks set state = ?, reason = ?, changed_s = ? where digest = ? and state in ({marks})"  # noqa: S608
+            query = f"update tasks set state = ?, reason = ?, changed_s = ? where digest = ? and state in ({marks})"
             return database.execute(query, (state, reason, time.time(), digest, *since)).rowcount > 0
 
     def withdraw_all(self, but_of_run: str = "") -> None:
         """Withdraw what is open, except of one run."""
         with self._changing() as database:
-            query = f"update tasks set state = 'withdrawn', changed_s = ? where run != ? and state in {OPEN}"  # noqa: S608
+            query = f"update tasks set state = 'withdrawn', changed_s = ? where run != ? and state in {OPEN}"
             database.execute(query, (time.time(), but_of_run))
 
     # Results
