@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from radiant_app.cli.bench import bench
+from radiant_app.cli.node import node
 from radiant_app.cli.option_types import AggregatePresetOption, AsJson, LpipsNet, LpipsWeights, SizeOption
 from radiant_app.cli.output import export, render
 from radiant_app.cli.plan import plan
@@ -49,6 +50,7 @@ app.command()(plan)
 app.command()(profile)
 app.command("replan")(replan_plan)
 app.command()(train)
+app.add_typer(node, name="node")
 
 
 @app.command()

@@ -30,8 +30,9 @@ Frames = Literal["shared", "gps", "known"]
 """shared: one owner pools and places the photographs; gps, known: every device places its own."""
 RunPreset = Literal["default", "paper"]
 """default: ours; paper: the paper's plan, training (20,000 steps) and joining, nothing skipped."""
-ExecutorName = Literal["local", "ray"]
-"""local: processes of this machine; ray: tasks of a Ray cluster of one owner's machines."""
+ExecutorName = Literal["local", "ray", "network"]
+"""local: processes of this machine; ray: tasks of a Ray cluster of one owner's machines; network:
+machines of different owners that join this one."""
 SIZES = ("long_side_px", "num_steps", "max_num_splats")
 """Fields of `TrainConfig` that have an option of their own."""
 MAX_SEED = 2**31 - 1
@@ -224,7 +225,8 @@ class ExecutionOptions:
     max_workers: Annotated[int, Option(name="--workers", min=0)] = 0
     """Processes at a time; 0: one per core."""
     executor: ExecutorName = "local"
-    """local: processes here; ray: tasks of one owner's cluster."""
+    """local: processes here; ray: tasks of one owner's cluster; network: machines of others, SOURCE
+    being the folder of this machine's node."""
     address: str | None = None
     """ray: host:port of the cluster's head, or local."""
     deadline_factor: Annotated[float, Option(min=0)] = 10.0
@@ -307,6 +309,8 @@ class RunConfig:
             raise BadInput("an emulated run runs all its devices at once: leave the number of workers out.")
         if self.execution.executor == "ray" and (self.emulated or self.execution.max_workers):
             raise BadInput("a Ray cluster has machines and processes of its own: leave out --emulate and --workers.")
+        if self.execution.executor == "network":
+            self._check_network()
         if not 0 <= self.seed <= MAX_SEED:
             raise BadInput(f"seed is {self.seed}, expected 0 to {MAX_SEED}.")
         if self.frames != "known" and self.sfm.poses is not None:
@@ -324,6 +328,19 @@ class RunConfig:
         for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.plan.file, self.evaluate.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")
+
+    def _check_network(self) -> None:
+        """Raise BadInput for what a run over a network cannot do."""
+        if self.frames == "shared":
+            raise BadInput("over a network photographs stay with their devices: use --frames gps, or known where they bring poses.")
+        if self.emulated or self.execution.max_workers:
+            raise BadInput("a network has machines of its own: leave out --emulate and --workers.")
+        if self.single_owner:
+            raise BadInput("over a network pictures stay with their devices: leave out --single-owner.")
+        if self.sfm.poses is not None:
+            raise BadInput("over a network each device has the poses of its photographs: give them there, radiant node work --poses.")
+        if self.plan.raster_cell_m == 0:
+            raise BadInput("over a network no position leaves a device: give --raster-cell-m more than 0, or leave it out.")
 
 
 def _is_text(path: Path) -> bool:

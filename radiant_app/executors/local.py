@@ -45,7 +45,7 @@ class LocalExecutor:
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
         threads = max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, _width(tree))))
-        runner = _Processes(num_workers=self.num_workers, command=self.command, num_threads=threads)
+        runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads)
         fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
         return fold.run(tree)
 
@@ -65,7 +65,7 @@ class _Running:
 
 
 @dataclass(kw_only=True)
-class _Processes:
+class Processes:
     """The worker processes of one fold; see `Runner`."""
 
     num_workers: int

@@ -7,7 +7,7 @@ or one subfolder per device, named by its id: the photographs it took, which no 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,16 +123,8 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
         if raster["num_unplaced"]:
             message = f"{raster['num_unplaced']} of {raster['num_photographs']} photographs of device {device} have no usable position."
             progress.listen(Warned(stage="plan", message=message))
-        cells = np.array(raster["cells"], np.float64).reshape(-1, 3)
-        middles = np.column_stack([cells[:, :2], np.full(len(cells), raster["altitude_m"] or 0.0)])
-        places[device] = np.repeat(middles, cells[:, 2].astype(np.int64), axis=0)
-    known = np.concatenate([*places.values(), np.zeros((0, 3))])
-    origin = _origin_of(known)
-    positions = enu_from_geodetic(known, origin)
-    owners = [device for device, middles in places.items() for _ in middles]
-    _leave_out_other_sites([f"those of {owner}" for owner in owners], positions, progress)
-    near = np.isfinite(positions).all(axis=1)
-    by_device = {device: positions[near & (np.array(owners) == device), :2] for device in places}
+        places[device] = middles_of_raster(raster)
+    origin, by_device = place_rasters(places, progress)
     return Captured(
         names=tuple(name for _, name in owned),
         owners=tuple(device for device, _ in owned),
@@ -140,6 +132,25 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
         origin=origin,
         cell_middles=by_device,
     )
+
+
+def middles_of_raster(raster: Mapping[str, Any]) -> FloatArray:
+    """The middle (K,3) of its cell, deg, deg, m, for every photograph that a device's raster
+    counts."""
+    cells = np.array(raster["cells"], np.float64).reshape(-1, 3)
+    middles = np.column_stack([cells[:, :2], np.full(len(cells), raster["altitude_m"] or 0.0)])
+    return np.repeat(middles, cells[:, 2].astype(np.int64), axis=0)
+
+
+def place_rasters(places: Mapping[str, FloatArray], progress: Progress) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """The origin (3,) of the cells (K,3) of all devices, and those of each in metres (K,2)."""
+    known = np.concatenate([*places.values(), np.zeros((0, 3))])
+    origin = _origin_of(known)
+    positions = enu_from_geodetic(known, origin)
+    owners = [device for device, middles in places.items() for _ in middles]
+    _leave_out_other_sites([f"those of {owner}" for owner in owners], positions, progress)
+    near = np.isfinite(positions).all(axis=1)
+    return origin, {device: positions[near & (np.array(owners) == device), :2] for device in places}
 
 
 def _origin_of(known: FloatArray) -> FloatArray:

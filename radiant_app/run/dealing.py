@@ -8,7 +8,7 @@ received.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,11 @@ class Dealer:
     """Node id → the key of its seal, so that only nodes that this run finished are used."""
     refined: Path | None = None
     """Where the refined scene.ply lies; None: the scene is as it was joined."""
+    conductor: str = "cloud"
+    """The node that conducts: an edge over a network signs for itself alone, else all keys are
+    here."""
+    exchange: Callable[[], None] | None = None
+    """Registers the keys of nodes that have keys of their own; None: keys are made here."""
 
     def __post_init__(self) -> None:
         self.photographs.use_recipe(self.recipe)
@@ -70,7 +75,7 @@ class Dealer:
         key = content_key(__version__, task_key(task), *inputs)
         self._log_access(node, [*inputs, folder / DELIVERIES])
         kind = self.photographs.kind if node.tier == "device" else node.tier
-        if kind in SIGNED:
+        if kind in SIGNED and self.signs_for(self.parent_of(node.id)):
             # Files in an inbox were signed by their senders.
             signed = [path.relative_to(folder).as_posix() for path in inputs if path.name != "inbox"]
             sign_task(self.run, self.parent_of(node.id), node.id, SIGNED[kind], folder, [TASK_NAME, *signed])
@@ -86,14 +91,21 @@ class Dealer:
 
     def _exchange_keys(self, node: Tree) -> None:
         """Create a node's key and exchange keys with its parent."""
+        if self.exchange is not None:
+            return self.exchange()
         exchange_keys(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.recipe.edge_plans])
         if node.tier == "cloud":
-            return
+            return None
         edge = node.id if node.tier == "edge" else self.parent_of(node.id)
         devices = next(plan.device_ids for plan in self.recipe.edge_plans if f"edges/{plan.edge_id}" == edge)
         exchange_keys(self.run, edge, "cloud", [f"devices/{device}" for device in devices])
         if node.tier == "device":
             exchange_keys(self.run, node.id, edge)
+        return None
+
+    def signs_for(self, sender: str) -> bool:
+        """Whether the key of this sender of tasks is here."""
+        return self.conductor in ("cloud", sender)
 
     def parent_of(self, node_id: str) -> str:
         """The node that signs the tasks of a device or edge."""

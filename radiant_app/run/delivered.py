@@ -1,22 +1,25 @@
 """delivered/ of a run on devices: what the run may show. Once per run.
 
-The poses that edges received, under numbers, and their plan.
+The poses that edges received, under numbers, and their plan; over a network those stay with the
+edges, and what is shown are the virtual cameras that they sent, by the strips they stand in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shapely import Point, Polygon
 
 from radiant_app.run.dealing import Dealer
-from radiant_core.cameras import concatenate_cameras
+from radiant_app.workers.inbox import load_corrections
+from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.joining import move_cameras, number_cameras
-from radiant_core.io.messages import CAMERAS_NAME
+from radiant_core.io.messages import CAMERAS_NAME, VIRTUAL_CAMERAS
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, save_plan, save_scene
 from radiant_core.numerics import FloatArray
@@ -37,6 +40,31 @@ def save_delivered(run: Path, dealer: Dealer, origin: FloatArray | None) -> None
             cameras = move_cameras(cameras, move)
         parts.append(cameras)
         owners += [device] * len(cameras)
+    _save(run, dealer, origin, parts, owners)
+
+
+def save_delivered_by_edges(run: Path, dealer: Dealer, origin: FloatArray | None) -> None:
+    """The same of a run over a network: the edges' virtual cameras, by the nearest strip."""
+    parts, owners = [], []
+    present = set(dealer.load_moves())
+    for edge, move in sorted(load_corrections(run / "cloud").items()):
+        path = run / "cloud" / "inbox" / edge / VIRTUAL_CAMERAS
+        if move is None or not path.is_file():
+            continue
+        cameras = move_cameras(number_cameras(load_cameras(path), edge), move)
+        plan = next(plan for plan in dealer.recipe.edge_plans if plan.edge_id == edge)
+        strips = {name: Polygon(strip) for name, strip in zip(plan.device_ids, plan.strips, strict=True) if name in present and len(strip)}
+        first = next(name for name in plan.device_ids if name in present)
+        owners += [_nearest(strips, Point(x, y)) or first for x, y in cameras.centers[:, :2]]
+        parts.append(cameras)
+    _save(run, dealer, origin, parts, owners)
+
+
+def _nearest(strips: Mapping[str, Polygon], place: Point) -> str | None:
+    return min(strips, key=lambda name: strips[name].distance(place), default=None)
+
+
+def _save(run: Path, dealer: Dealer, origin: FloatArray | None, parts: Sequence[Cameras], owners: Sequence[str]) -> None:
     splats = load_ply(dealer.scene_folder / "scene.ply")
     shown = np.random.default_rng(0).permutation(len(splats))[:MAX_SHOWN_POINTS]
     colors = np.clip(0.5 + SH_C0 * splats.sh0[shown, 0], 0, 1)

@@ -8,10 +8,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Listener, Outlined, Warned
@@ -21,6 +22,8 @@ from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
 from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.files.system_file import even_system, load_system
+from radiant_app.network.home import open_home, require_cloud
+from radiant_app.network.serving import require_network
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
@@ -34,9 +37,9 @@ from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
     list_nodes,
     make_executor,
+    make_recipe,
     make_time_left_listener,
     require_plan,
-    resolve_training,
     scale_for_uploads,
 )
 from radiant_app.workers.evaluation import LPIPS_NAME
@@ -45,8 +48,7 @@ from radiant_app.workers.sources import detect_source
 from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
-from radiant_core.hierarchy.decisions import step_decision
-from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
+from radiant_core.hierarchy.recipe import devices_with_photographs
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_json
@@ -54,6 +56,9 @@ from radiant_core.io.transport.signing import keeps_modes
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import System
 from radiant_core.splats import Splats
+
+if TYPE_CHECKING:
+    from radiant_app.run.over_network import CloudRun
 
 NO_MODES = (
     "the disk of {out} keeps no access rights (NTFS, exFAT, a network drive?): whoever can read it can read the keys that this run signs "
@@ -108,16 +113,19 @@ def run(
 
     system = _check_system(config)
     lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
-    with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
+    with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard, _network(config) as cloud:
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
         progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
-        photographs = _locate_photographs(config, system, progress)
-        plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
-        dealer, tree, refining = _join(config, photographs, plan, progress)
+        if cloud is not None:
+            dealer, tree, refining = cloud.join(scale_for_uploads(system, config.upload, progress), progress)
+        else:
+            photographs = _locate_photographs(config, system, progress)
+            plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
+            dealer, tree, refining = _join(config, photographs, plan, progress)
         deal_files(dealer.scene_folder, ["scene.ply"], config.out)
         emulation = emulated_figures(config.out, tree, refining.tree, manifest) if config.emulated else {}
         refined = {"refined": dealer.refined is not None, "not_refined": refining.left_out()}
@@ -141,7 +149,23 @@ def _check_system(config: RunConfig) -> System:
         require_plan(config.plan.file, system)
     if config.execution.address is not None:
         require_cluster(config.execution.address)
+    if config.execution.executor == "network":
+        require_network()
+        require_cloud(open_home(config.source))
     return system
+
+
+@contextmanager
+def _network(config: RunConfig) -> Iterator[CloudRun | None]:
+    """The machines that join this one, if the run is over a network; it listens until the end."""
+    if config.execution.executor != "network":
+        yield None
+        return
+    from radiant_app.network.hub import open_hub
+    from radiant_app.run.over_network import CloudRun
+
+    with open_home(config.source).lock(), open_hub(open_home(config.source)) as hub:
+        yield CloudRun(config=config, hub=hub)
 
 
 def _locate_photographs(config: RunConfig, system: System, progress: Progress) -> Source:
@@ -157,22 +181,8 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     first_key, num_devices = plan_key(plan.cloud, plan.edges), devices_with_photographs(plan.edges)
     if photographs.positions is not None:
         plan = load_replan(config.out, plan)
-    train, aggregate, backend = resolve_training(config, progress)
-    photographs.check(train)
-    recipe = Recipe(
-        system=plan.system,
-        cloud_plan=plan.cloud,
-        edge_plans=plan.edges,
-        train=train,
-        aggregate=aggregate,
-        backend=backend,
-        upload=config.upload,
-        checkpoint_every_s=config.execution.checkpoint_every_s,
-        num_devices=num_devices,
-        step_policy=config.train.step_policy,
-    )
-    if (decision := step_decision(recipe)) is not None:
-        progress.listen(Decided(decision=decision))
+    recipe = make_recipe(config, plan, num_devices, progress)
+    photographs.check(recipe.train)
     dealer = Dealer(run=config.out, recipe=recipe, photographs=photographs)
     tree = tree_of_plan(plan.cloud, plan.edges)
     before, after = photographs.stages(tree)

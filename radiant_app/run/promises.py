@@ -50,6 +50,8 @@ def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
 def _of_the_cloud(config: RunConfig, cluster: str | None) -> dict[str, Any]:
     if cluster is not None:
         return {"holds": False, "reason": cluster}
+    if config.execution.executor == "network":
+        return {"holds": False, "reason": "it plans: ids and counts of devices are its own; it gets no pose and no model of a device"}
     if config.frames == "shared":
         return {"holds": False, "reason": "who plans has all poses (--frames shared)"}
     if config.cell_m is None:

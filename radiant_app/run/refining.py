@@ -65,10 +65,14 @@ class Refining:
     """Device with a model in the scene → similarities from its frame to that."""
     keys: dict[str, str] = field(default_factory=dict)
     """Node id → the key of its seal."""
+    planned: RefiningPlan | None = None
+    """What was planned elsewhere, with all devices in view; None: it is planned here."""
 
     @cached_property
     def plan(self) -> RefiningPlan:
         """Which devices refine, and why others do not."""
+        if self.planned is not None:
+            return self.planned
         recipe = self.dealer.recipe
         present = {plan.edge_id: [name for name in plan.device_ids if name in self.moves] for plan in recipe.edge_plans}
         num_splats = int(read_json(self.dealer.run / "cloud" / SUMMARY_NAME, ("num_splats",))["num_splats"])
@@ -86,17 +90,23 @@ class Refining:
     def left_out(self) -> dict[str, str]:
         """Device that was to refine the scene and did not → the reason."""
         found: dict[str, str] = {}
-        for edge, names in self.plan.devices.items():
-            average = refined_at(f"edges/{edge}")
-            refused = self._refused_at(average)
-            # What the cloud did not get of an edge, it did not get of its devices.
-            of_edge = self._refused_at(refined_at("cloud")).get(edge) or (None if self.is_done(average) else UNUSED)
-            for name in names:
-                reason = refused.get(name) or of_edge
-                if not self.is_done(refined_at(f"devices/{name}")):
-                    reason = LATE
-                if reason is not None:
-                    found[name] = reason
+        for edge in self.plan.devices:
+            found |= self.left_out_of(edge)
+        return found
+
+    def left_out_of(self, edge: str) -> dict[str, str]:
+        """Those of one edge."""
+        found: dict[str, str] = {}
+        average = refined_at(f"edges/{edge}")
+        refused = self._refused_at(average)
+        # What the cloud did not get of an edge, it did not get of its devices.
+        of_edge = self._refused_at(refined_at("cloud")).get(edge) or (None if self.is_done(average) else UNUSED)
+        for name in self.plan.devices[edge]:
+            reason = refused.get(name) or of_edge
+            if not self.is_done(refined_at(f"devices/{name}")):
+                reason = LATE
+            if reason is not None:
+                found[name] = reason
         return found
 
     def is_done(self, node: str) -> bool:
@@ -131,7 +141,7 @@ class Refining:
         above = None if node.tier == "cloud" else self.dealer.parent_of(owner)
         identify_part(run, node.id, owner, above)
         kind = {"device": "refine", "edge": "average", "cloud": "finish"}[node.tier]
-        if above is not None:
+        if above is not None and self.dealer.signs_for(above):
             sign_task(run, above, owner, SIGNED[kind], folder, [TASK_NAME, SCENE_NAME])
         received = [folder / SCENE_NAME, *(path for path in (folder / "inbox", folder / DELIVERIES) if path.is_dir())]
         self.dealer.access_log.append({"node": node.id, "tier": node.tier, **count_received(received)})

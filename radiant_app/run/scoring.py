@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.config.run_config import RunConfig
+from radiant_app.events import Listener
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.dealing import count_received, deal_files
 from radiant_app.run.progress import Progress
@@ -71,18 +72,22 @@ class Scoring:
 
     def run(self, executor: Executor, progress: Progress) -> dict[str, Any]:
         """Score on every machine and combine the figures; raises as `combine_scores`."""
-        nodes = tuple(Tree(id=machine.stage, tier="device") for machine in self.machines)
-        executor.fold(Tree(id="scoring", tier="cloud", children=nodes), self._prepare, progress.listen)
-        run = self.config.out
-        stages = [machine.stage for machine in self.machines]
-        folders = [run / stage for stage in stages if stage in self.keys and is_sealed(run / stage, self.keys[stage])]
-        self.failed = tuple(stage for stage in stages if run / stage not in folders)
+        run, folders = self.config.out, self.fold(executor, progress.listen)
         # Pictures of photographs leave a machine only where all are one owner's.
         for kind in PICTURE_KINDS if self.config.frames == "shared" or self.config.single_owner else ():
             for made in (folder / kind for folder in folders):
                 if made.is_dir():
                     shutil.copytree(made, run / "pictures" / kind, dirs_exist_ok=True)
         return combine_scores(run, {folder.parent.name: folder / SCORES_NAME for folder in folders}, lpips_network_of(self.config))
+
+    def fold(self, executor: Executor, listen: Listener) -> list[Path]:
+        """Score on every machine; the folders of those that have figures."""
+        nodes = tuple(Tree(id=machine.stage, tier="device") for machine in self.machines)
+        executor.fold(Tree(id="scoring", tier="cloud", children=nodes), self._prepare, listen)
+        run, stages = self.config.out, [machine.stage for machine in self.machines]
+        folders = [run / stage for stage in stages if stage in self.keys and is_sealed(run / stage, self.keys[stage])]
+        self.failed = tuple(stage for stage in stages if run / stage not in folders)
+        return folders
 
     def _prepare(self, node: Tree) -> NodeTask | None:
         """Copy the scene and the borders to a machine; its task holds the moves of its frame."""

@@ -24,13 +24,16 @@ from radiant_app.run.predictions import (
     with_step_law,
 )
 from radiant_app.run.progress import Progress
+from radiant_app.run.source import Plan
 from radiant_app.run.time_left import TimeLeftListener
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.choices import UploadFormat
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
+from radiant_core.hierarchy.decisions import step_decision
 from radiant_core.hierarchy.messages import Renderer
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.transport.upload import BYTES_FACTORS
 from radiant_core.numerics import FloatArray
@@ -158,6 +161,26 @@ def load_plan_before_capture(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...
     if waypoints is None:
         raise BadInput(f"{path} has no waypoints: make it by `radiant plan` from waypoints or from a folder of photographs with GPS.")
     return cloud_plan, edge_plans, waypoints
+
+
+def make_recipe(config: RunConfig, plan: Plan, num_devices: int, progress: Progress) -> Recipe:
+    """What a run by this plan has decided; emits the decisions."""
+    train, aggregate, backend = resolve_training(config, progress)
+    recipe = Recipe(
+        system=plan.system,
+        cloud_plan=plan.cloud,
+        edge_plans=plan.edges,
+        train=train,
+        aggregate=aggregate,
+        backend=backend,
+        upload=config.upload,
+        checkpoint_every_s=config.execution.checkpoint_every_s,
+        num_devices=num_devices,
+        step_policy=config.train.step_policy,
+    )
+    if (decision := step_decision(recipe)) is not None:
+        progress.listen(Decided(decision=decision))
+    return recipe
 
 
 def make_executor(config: RunConfig, system: System, progress: Progress, retry_policy: RetryPolicy) -> Executor:

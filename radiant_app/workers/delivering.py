@@ -1,7 +1,8 @@
 """Keys of nodes: what one sends is signed, what it receives is verified in its own process.
 
     <run>/run.json                    the run's number: a delivery is valid in this run only
-    <node>/identity/                  post.json: run, node, receiver (its parent); own key pair
+    <node>/identity/                  post.json: run, node, receiver (its parent); own key pair;
+                                      conducts: it makes its own tasks, as an edge over a network
         above.pub                     public key of its parent, whose tasks it accepts
         taken.json                    the newest task it accepted: no older one is accepted again
         given/<node>/<kind>.json      number and hash of the newest task it signed for a child
@@ -40,7 +41,7 @@ from radiant_core.io.transport.delivery import (
     require_nothing_else,
     save_delivery,
 )
-from radiant_core.io.transport.signing import PUBLIC_NAME, load_public_key, make_signing_key
+from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME, load_public_key, make_signing_key
 
 IDENTITY, SENDERS, DELIVERIES, GIVEN, POST_NAME = "identity", "senders", "deliveries", "given", "post.json"
 ABOVE_NAME, TAKEN_NAME = "above.pub", "taken.json"
@@ -76,16 +77,53 @@ def exchange_keys(run: Path, node: str, above: str | None, below: Iterable[str] 
 
 def identify_part(run: Path, part: str, node: str, above: str | None) -> None:
     """Let the folder `part` inside that of a node accept what is addressed to the node."""
-    identity = _write_identity(run, part, node, above)
+    identity = _write_identity(run, part, node, above, conducts=conducts_itself(run / node))
     if above is not None:
         shutil.copyfile(run / node / IDENTITY / ABOVE_NAME, identity / ABOVE_NAME)
 
 
-def _write_identity(run: Path, place: str, node: str, above: str | None) -> Path:
+def identify_owned(run: Path, node: str, above: str | None, keys: Path, above_key: bytes | None, *, conducts: bool = False) -> None:
+    """Let the folder of a node be that of the node whose own key pair lies in `keys`, which is not
+    copied; `above_key`: the public key of its parent in PEM."""
+    identity = _write_identity(run, node, node, above, conducts=conducts)
+    for name in (KEY_NAME, PUBLIC_NAME):
+        if not (identity / name).is_symlink():
+            (identity / name).unlink(missing_ok=True)
+            (identity / name).symlink_to((keys / name).resolve())
+    if above_key is not None:
+        write_atomic(identity / ABOVE_NAME, above_key)
+
+
+def register_sender(run: Path, sender: str, receiver: str, key: bytes) -> None:
+    """Let `receiver` take what the holder of this public key in PEM signs as `sender`; what
+    `receiver` gives it is to be accepted by its own key."""
+    place = _sender_key(run, sender, receiver)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(place, key)
+    identity = _write_identity(run, sender, sender, receiver)
+    write_atomic(identity / ABOVE_NAME, (run / receiver / IDENTITY / PUBLIC_NAME).read_bytes())
+
+
+def use_run_number(run: Path, number: str) -> None:
+    """Make a folder part of the run with this number; BadInput where it is of another one."""
+    if not (run / "run.json").is_file():
+        write_json(run / "run.json", {"run": number})
+    if run_number(run) != number:
+        raise BadInput(f"{run} belongs to another run: remove it.")
+
+
+def conducts_itself(folder: Path) -> bool:
+    """Whether a node makes the tasks of its folder itself: nobody else signs them."""
+    path = folder / IDENTITY / POST_NAME
+    return path.is_file() and read_json(path, ("run",), MAX_RECORD_BYTES).get("conducts", False) is True
+
+
+def _write_identity(run: Path, place: str, node: str, above: str | None, *, conducts: bool = False) -> Path:
     """Write as which node the folder `place` sends and receives; returns its identity/."""
     identity = run / place / IDENTITY
     identity.mkdir(mode=0o700, parents=True, exist_ok=True)
-    write_json(identity / POST_NAME, {"run": run_number(run), "node": node, "receiver": above})
+    more = {"conducts": True} if conducts else {}
+    write_json(identity / POST_NAME, {"run": run_number(run), "node": node, "receiver": above, **more})
     return identity
 
 

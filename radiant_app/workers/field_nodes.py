@@ -43,7 +43,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig, SfmResult
 
-MADE_FROM = "made_from.json"
+MADE_FROM, OWN_POSES = "made_from.json", "own/poses"
 
 
 def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) -> Sequence[str]:
@@ -161,7 +161,7 @@ def _photographs_key(task: PlacingTask) -> str:
 
 
 def _poses_in(folder: Path) -> list[Path]:
-    return [path for path in (folder / "poses", folder / "poses.safetensors") if path.exists()]
+    return [path for path in (folder / name for name in ("poses", "poses.safetensors", OWN_POSES)) if path.exists()]
 
 
 def _report_missing(folder: Path, reason: str, reporter: EventReporter) -> Sequence[str]:
@@ -256,14 +256,15 @@ def _place_by_poses(folder: Path, photos: Path, task: PlacingTask, reporter: Eve
     if task.poses == "poses.safetensors":
         cameras = load_cameras(folder / "poses.safetensors")
     else:
-        cameras, photos = pinhole_photographs(folder / "poses", photos, folder / "pinhole", config.threads, reporter.sfm_progress)
-    given = len(cameras)
+        given = folder / (task.poses or "poses")
+        cameras, photos = pinhole_photographs(given, photos, folder / "pinhole", config.threads, reporter.sfm_progress)
+    num_given = len(cameras)
     cameras, _ = without_copies(cameras, photos)
     config, decisions = limit_to_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])
     for decision in decisions:
         reporter.decide(decision)
     scene, _ = without_repeats(scene_from_poses(cameras, photos, folder / "sfm", config, reporter.sfm_progress), photos)
-    _warn_about_copies(given - len(scene.cameras), given, reporter)
+    _warn_about_copies(num_given - len(scene.cameras), num_given, reporter)
     return _PlacedScene(scene=scene, images=photos, uncertainty=None)
 
 

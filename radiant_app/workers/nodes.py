@@ -21,7 +21,8 @@ Each reads task.json, and beside it, below its folder:
              of a device all but the inbox in the folder above
              → scores.json, renders/, photographs/, differences/
 
-`field_nodes.py` has those of devices that place their own photographs.
+`field_nodes.py` has those of devices that place their own photographs, `own_photographs.py` those
+whose photographs nobody else has heard of.
 """
 
 from __future__ import annotations
@@ -82,6 +83,10 @@ def _import_work(kind: str) -> Work:
         from radiant_app.workers.field_nodes import run_field, run_positions
 
         return {"positions": run_positions, "field": run_field}[kind]
+    if kind in ("count", "raster", "own_field"):
+        from radiant_app.workers.own_photographs import run_count, run_own_field, run_raster
+
+        return {"count": run_count, "raster": run_raster, "own_field": run_own_field}[kind]
     if kind == "regions":
         from radiant_app.workers.regions import run_regions
 

@@ -19,6 +19,8 @@ from radiant_app.events import Decided, Event, Failed, StageProgress, Warned
 from radiant_core.errors import RadiantError
 from radiant_core.io.run_store import read_json
 
+OWN_SOURCE = "own_source.json"
+"""File in the folder of a device whose photographs nobody else has heard of: where they are."""
 NOTES_NAME = "own_notes.txt"
 """File in the device's folder with the original text of everything redacted."""
 HIDDEN = f"[a name, see {NOTES_NAME} of the device]"
@@ -77,10 +79,12 @@ class Redactor:
 
 def make_redactor(kind: str, folder: Path) -> Redactor:
     """The redactor of a node, for kinds of node that open a device's own photographs."""
-    place = folder.parent if kind in ("score", "refine") else folder
+    place = folder.parent if kind in ("score", "refine", "count", "raster") else folder
     notes = place / NOTES_NAME
-    if kind not in ("positions", "field", "score", "refine"):
+    if kind not in ("positions", "field", "score", "refine", "count", "raster", "own_field"):
         return Redactor(notes=notes)
+    if (place / OWN_SOURCE).is_file():
+        return Redactor(notes=notes, source=Path(read_json(place / OWN_SOURCE, ("photographs",))["photographs"]))
     try:
         task = read_json(place / "task.json")
     except RadiantError:

@@ -6,6 +6,8 @@ parses strictly as the class of its kind: no unknown key, no number as text, not
 path that leaves a folder. Folders without an identity, made by hand, hold unsigned tasks.
 
     device, field   what to train   signed by its edge
+    own_field       the same        signed by its edge, which is another machine
+    count, raster   what to count   signed by its edge on the way (`radiant_app/network`)
     score           the scene       signed by its device's edge; not where the owner scores all
     edge            what to join    signed by the cloud
     refine          the scene       signed by its device's edge
@@ -22,7 +24,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
-from radiant_app.workers.delivering import accept_task, belongs_to_run
+from radiant_app.workers.delivering import accept_task, belongs_to_run, conducts_itself
 from radiant_core.choices import LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
@@ -47,6 +49,7 @@ from radiant_core.sfm.world_frame.placement import Placement
 
 Triple = tuple[float, float, float]
 PixelCount = Annotated[int, Field(ge=1)]
+HeldOut = Annotated[int, Field(ge=0, le=7)]
 
 
 def _inner(name: str) -> str:
@@ -104,8 +107,8 @@ class PlacingTask:
     """Whether the device fetches the photographs into its folder first."""
     origin: Triple | None
     sfm: SfmSettings
-    poses: Literal["poses", "poses.safetensors"] | None
-    """Place of given poses in the device's folder: a COLMAP model, or cameras."""
+    poses: Literal["poses", "poses.safetensors", "own/poses"] | None
+    """Place of given poses in the device's folder: a COLMAP model, or cameras; own/: its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +118,34 @@ class FieldTask(DeviceSettings):
     placing: PlacingTask
     changed: tuple[tuple[int, int], ...]
     """Sizes and modification times of the photographs, which stand for their content."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountTask:
+    """Count the photographs that a device has, over a network."""
+
+    frames: Literal["gps", "known"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RasterTask(CountTask):
+    """Count the photographs of a device's own that it trains on in the cells of a raster."""
+
+    cell_m: Positive
+    first_held_out: HeldOut
+    """Of its photographs by name this one is held out, and every eighth after it: who asks knows
+    no names, and yet holds out those that a run on one machine would."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnFieldTask(DeviceSettings):
+    """Reconstruct and train from photographs that are named by nobody but their device."""
+
+    frames: Literal["gps", "known"]
+    first_held_out: HeldOut
+    """As of a `RasterTask`."""
+    origin: Triple | None
+    sfm: SfmSettings
 
 
 def _triple(row: Iterable[float]) -> Triple:
@@ -234,6 +265,9 @@ TASKS: dict[str, type[Any]] = {
     "regions": RegionsTask,
     "device": DeviceTask,
     "field": FieldTask,
+    "count": CountTask,
+    "raster": RasterTask,
+    "own_field": OwnFieldTask,
     "edge": EdgeTask,
     "cloud": CloudTask,
     "score": ScoreTask,
@@ -245,6 +279,7 @@ TASKS: dict[str, type[Any]] = {
 SIGNED: dict[str, Kind] = {
     "device": "device_task",
     "field": "field_task",
+    "own_field": "field_task",
     "edge": "edge_task",
     "score": "score_task",
     "refine": "refine_task",
@@ -260,6 +295,6 @@ def receive_task(kind: str, folder: Path) -> Any:
         BadInput: it is of another kind or, in a run's folder, not the newest one that the parent
             signed.
     """
-    if kind in SIGNED and belongs_to_run(folder):
+    if kind in SIGNED and belongs_to_run(folder) and not conducts_itself(folder):
         accept_task(folder, SIGNED[kind])
     return load_task(TASKS[kind], folder, f"{kind} task")

@@ -40,6 +40,8 @@ class Recipe:
     num_devices: int | None = None
     """Devices that share the steps, whatever becomes of them; None: those that have photographs."""
     step_policy: StepPolicy = "per_photograph"
+    num_photographs: int | None = None
+    """Planned ones of the whole run, where the plans are those of some edges alone."""
 
     def with_plan(self, cloud_plan: CloudPlan, edge_plans: tuple[EdgePlan, ...]) -> Recipe:
         """The same settings, and steps per photograph, by another plan."""
@@ -57,7 +59,7 @@ class Recipe:
     @property
     def step_law(self) -> StepLaw | None:
         """The steps of devices by their photographs; None: all take those of `train`."""
-        num_photographs = sum(len(plan.camera_indices) for plan in self.edge_plans)
+        num_photographs = self.num_photographs or sum(len(plan.camera_indices) for plan in self.edge_plans)
         if self.step_policy == "fixed" or not num_photographs:
             return None
         return step_law_of(self.train, num_photographs, self.num_devices or devices_with_photographs(self.edge_plans))

@@ -1,0 +1,119 @@
+"""`radiant node …`: this machine as one of several that meet over a network; heavy libraries are
+imported inside, as in `cli.app`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from radiant_app.cli.option_types import AsJson
+
+node = typer.Typer(
+    help="This machine as cloud, edge or device of a run over a network: see docs/network.md.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+)
+HomeOption = Annotated[Path, typer.Option("--home", help="Folder of this machine's node.")]
+
+
+@node.command()
+def init(
+    home: HomeOption = Path("radiant_node"),
+    url: Annotated[str | None, typer.Option(help="https://HOST:PORT at which those below reach this machine; a device has none.")] = None,
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "0.0.0.0",  # noqa: S104
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen at, else that of --url.")] = None,
+    plain: Annotated[bool, typer.Option("--plain", help="Without TLS, behind a reverse proxy on this machine that has it.")] = False,
+) -> None:
+    """Make the node with a key of its own, or change where it is joined."""
+    from urllib.parse import urlsplit
+
+    from radiant_app.commands import node as commands
+    from radiant_app.network.home import Listening
+
+    listening = None
+    if url is not None:
+        listening = Listening(url=url, host=host, port=port if port is not None else urlsplit(url).port or 443, plain=plain)
+    made = commands.init(home, listening)
+    typer.echo(f"{made.folder}: {made.node}")
+
+
+@node.command()
+def invite(
+    name: Annotated[str, typer.Argument(help="Id in the system file: of an edge at the cloud, of a device at its edge.")],
+    home: HomeOption = Path("radiant_node"),
+    out: Annotated[Path | None, typer.Option("--out", help="Join file, else NAME.join.")] = None,
+    identity: Annotated[
+        Literal["pinned", "signed"],
+        typer.Option(help="pinned: TLS to this node's key alone; signed: behind a proxy that reads what passes and changes nothing."),
+    ] = "pinned",
+) -> None:
+    """Write a join file for one machine; it counts once. Give it to nobody else."""
+    from radiant_app.commands import node as commands
+
+    path = out or Path(f"{name}.join")
+    invitation = commands.invite(home, name, path, identity)
+    typer.echo(f"{path} lets one machine join as {invitation.node}: take it there, then `radiant node join {path.name}`.")
+
+
+@node.command()
+def join(
+    file: Annotated[Path, typer.Argument(help="Join file that the machine above wrote.")],
+    home: HomeOption = Path("radiant_node"),
+) -> None:
+    """Follow a join file."""
+    from radiant_app.commands import node as commands
+
+    invitation = commands.join(home, file)
+    following = "radiant node work --photos FOLDER" if invitation.node.startswith("devices/") else "radiant node serve"
+    typer.echo(f"{home} is {invitation.node} of {invitation.upper} at {invitation.url}; next: {following}")
+
+
+@node.command()
+def serve(home: HomeOption = Path("radiant_node")) -> None:
+    """Work as an edge until Ctrl-C."""
+    from radiant_app.commands import node as commands
+
+    commands.Running(say=_say).serve(home)
+
+
+@node.command()
+def work(
+    photos: Annotated[Path, typer.Option("--photos", help="Folder of this device's photographs, which stay there.")],
+    home: HomeOption = Path("radiant_node"),
+    poses: Annotated[Path | None, typer.Option(help="COLMAP model of their poses, for a run with --frames known.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Agree to what leaves this machine without being asked.")] = False,
+) -> None:
+    """Work as a device until Ctrl-C: outbound connections alone."""
+    from radiant_app.commands import node as commands
+
+    def agree(text: str) -> bool:
+        typer.echo(text, err=True)
+        return yes or typer.confirm("Agreed?", err=True)
+
+    commands.Running(say=_say).work(home, photos, poses, agree)
+
+
+@node.command()
+def status(home: HomeOption = Path("radiant_node"), as_json: AsJson = False) -> None:
+    """Who joined, since when somebody is silent, what arrived of what."""
+    from radiant_app.commands import node as commands
+
+    record = commands.status(home)
+    typer.echo(json.dumps(record) if as_json else "\n".join(commands.status_lines(record)))
+
+
+@node.command()
+def revoke(name: Annotated[str, typer.Argument(help="Id of the node.")], home: HomeOption = Path("radiant_node")) -> None:
+    """Refuse a node from its next request on."""
+    from radiant_app.commands import node as commands
+
+    typer.echo(f"{commands.revoke(home, name)} is refused from now on; `radiant node invite {name}` lets it in again.")
+
+
+def _say(text: str) -> None:
+    typer.echo(text, err=True)

@@ -1,0 +1,221 @@
+"""What `radiant node` does: this machine as one of several that meet over a network."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from radiant_app.network.home import (
+    Home,
+    Identity,
+    Invitation,
+    Listening,
+    accept_invitation,
+    invitation_text,
+    make_home,
+    new_invitation,
+    open_home,
+)
+from radiant_app.network.serving import require_network
+from radiant_app.network.store import STORE_NAME, HubStore
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import read_json, write_atomic, write_json
+
+if TYPE_CHECKING:
+    from radiant_app.events import Event
+    from radiant_app.executors.protocol import NodeTask
+
+CONSENT_NAME = "consent.json"
+SILENT_S = 60.0
+"""A node that asked for nothing for so long is shown as offline."""
+
+
+def init(folder: Path, listening: Listening | None) -> Home:
+    """Make a node, or change where it is joined."""
+    require_network()
+    return make_home(folder, listening)
+
+
+def invite(folder: Path, name: str, out: Path, identity: Identity = "pinned") -> Invitation:
+    """Write a join file for the node with this name; it counts once, and in place of earlier
+    ones."""
+    home = open_home(folder)
+    invitation = new_invitation(home, name, identity)
+    store = HubStore(folder=home.folder)
+    try:
+        store.invite(invitation.node, invitation.token)
+    finally:
+        store.close()
+    write_atomic(out, invitation_text(invitation).encode())
+    out.chmod(0o600)
+    return invitation
+
+
+def revoke(folder: Path, name: str) -> str:
+    """Refuse a node at its next request; returns its id."""
+    home = open_home(folder)
+    node = f"{'edges' if home.node == 'cloud' else 'devices'}/{name}"
+    store = HubStore(folder=home.folder)
+    try:
+        if not store.revoke(node):
+            raise BadInput(f"{node} was never invited here: radiant node status lists who was.")
+    finally:
+        store.close()
+    return node
+
+
+def join(folder: Path, file: Path) -> Invitation:
+    """Follow a join file: the node registers itself when it first reaches the one above."""
+    require_network()
+    if not (folder / "node.json").is_file():
+        make_home(folder, None)
+    return accept_invitation(open_home(folder), file)
+
+
+@dataclass(kw_only=True)
+class Running:
+    """A node that works until it is ended."""
+
+    say: Callable[[str], None] = print
+    ended: threading.Event | None = None
+    command: Callable[[NodeTask], list[str]] | None = None
+    """How worker processes are started; None: as everywhere."""
+    poll_s: float | None = None
+
+    def serve(self, folder: Path) -> None:
+        """Work as an edge: fold devices, join their models; BadInput where the node is refused."""
+        require_network()
+        from radiant_app.executors.local import worker_command
+        from radiant_app.network.edge import EdgePerformer
+        from radiant_app.network.errands import Errands
+        from radiant_app.network.hub import open_hub
+
+        home = open_home(folder)
+        if not home.node.startswith("edges/"):
+            raise BadInput(f"{folder} is {home.node}: an edge serves, a device works, and at the cloud it is the run that serves.")
+        with home.lock(), open_hub(home, self.poll_s) as hub:
+            self.say(f"{home.node} listens at port {hub.port} and asks {home.upper.upper} for work; Ctrl-C ends it.")
+            performer = EdgePerformer(hub=hub, command=self.command or worker_command, listen=self._show)
+            Errands(home=home, line=self._line(home), performer=performer, say=self.say).run()
+
+    def work(self, folder: Path, photographs: Path, poses: Path | None, agree: Callable[[str], bool]) -> None:
+        """Work as a device, once its owner agreed to what leaves it; BadInput where the node is
+        refused, or its owner does not agree."""
+        require_network()
+        from radiant_app.executors.local import worker_command
+        from radiant_app.network.device import DevicePerformer
+        from radiant_app.network.errands import Errands
+
+        home = open_home(folder)
+        if not home.node.startswith("devices/"):
+            raise BadInput(f"{folder} is {home.node}: a device works, an edge serves.")
+        if not photographs.is_dir():
+            raise BadInput(f"{photographs} is no folder: give that of this device's photographs.")
+        _require_consent(home, agree)
+        with home.lock():
+            self.say(f"{home.node} asks {home.upper.upper} for work; Ctrl-C ends it.")
+            performer = DevicePerformer(home=home, photographs=photographs, poses=poses, command=self.command or worker_command)
+            Errands(home=home, line=self._line(home), performer=performer, say=self.say).run()
+
+    def _line(self, home: Home) -> Any:
+        from radiant_app.network.line import Line
+
+        return Line(home=home, ended=self.ended or threading.Event(), say=self.say)
+
+    def _show(self, event: Event) -> None:
+        from radiant_app.events import StageDone, StageStarted, Warned
+
+        if isinstance(event, StageStarted):
+            self.say(f"{event.stage}: began.")
+        elif isinstance(event, StageDone):
+            self.say(f"{event.stage}: done after {event.seconds:.0f} s.")
+        elif isinstance(event, Warned):
+            self.say(f"{event.stage}: {event.message}")
+
+
+def consent_text(home: Home) -> str:
+    """What a device's owner agrees to."""
+    from radiant_app.network.device import LEAVES, STAYS
+
+    upper = home.upper
+    way = (
+        "TLS to that machine's own key"
+        if upper.identity == "pinned"
+        else "TLS to whoever answers there: a proxy on the way can read what is sent, and change nothing"
+    )
+    leaves = "\n".join(f"  - {each};" for each in LEAVES)
+    return f"{home.node} will send to {upper.upper} at {upper.url} ({way}):\n{leaves}\nThese never leave: {STAYS}."
+
+
+def _require_consent(home: Home, agree: Callable[[str], bool]) -> None:
+    """Ask once for each node above; BadInput where the answer is no."""
+    path, upper = home.folder / CONSENT_NAME, home.upper
+    asked = {"upper": upper.upper, "url": upper.url, "certificate": upper.certificate, "text": consent_text(home)}
+    if path.is_file() and read_json(path) == asked:
+        return
+    if not agree(consent_text(home)):
+        raise BadInput("nothing was sent: start it again to be asked again, or with --yes to agree.")
+    write_json(path, asked)
+
+
+def status(folder: Path) -> dict[str, Any]:
+    """What a node knows of those that join it, and of itself."""
+    home = open_home(folder)
+    record: dict[str, Any] = {"node": home.node, "nodes": []}
+    if home.node != "cloud":
+        record["upper"] = {"node": home.upper.upper, "url": home.upper.url, "joined": (home.folder / "joined.json").is_file()}
+    scenes = sorted(home.folder.glob("runs/*/devices/*/score/inbox/scene.ply"), key=lambda path: path.stat().st_mtime)
+    if scenes:
+        record["scene"] = str(scenes[-1])
+    if (home.folder / STORE_NAME).is_file():
+        store = HubStore(folder=home.folder)
+        try:
+            record["nodes"] = _nodes_of(home, store)
+        finally:
+            store.close()
+    return record
+
+
+def _nodes_of(home: Home, store: HubStore) -> list[dict[str, Any]]:
+    from radiant_app.network.arrivals import INCOMING, Arrivals
+    from radiant_core.io.transport.envelope import open_envelope
+
+    arrivals = Arrivals(folder=home.folder / INCOMING)
+    rows = []
+    for member in store.members():
+        silent_s = None if member.seen_s is None else time.time() - member.seen_s
+        state = "invited" if member.key is None else "revoked" if member.revoked else "offline" if (silent_s or 0) > SILENT_S else "joined"
+        row: dict[str, Any] = {"node": member.id, "state": state, "silent_s": silent_s, "doing": member.note, "software": member.software}
+        task = next((task for task in store.tasks() if task.node == member.id), None)
+        if task is not None:
+            row["task"] = {"stage": task.stage, "state": task.state, "tries": task.tries, "reason": task.reason}
+            result = store.result(task.digest)
+            if result is not None and member.key is not None and task.state in ("taken", "received"):
+                envelope = open_envelope(*result, member.key)
+                row["task"] |= {"arrived_bytes": sum(arrivals.offsets(task.digest, envelope)), "bytes": envelope.num_bytes}
+        rows.append(row)
+    return rows
+
+
+def status_lines(record: dict[str, Any]) -> list[str]:
+    """The status for people."""
+    lines = [f"this machine is {record['node']}"]
+    if "upper" in record:
+        joined = "joined" if record["upper"]["joined"] else "will join when it answers"
+        lines.append(f"above it: {record['upper']['node']} at {record['upper']['url']}, {joined}")
+    if "scene" in record:
+        lines.append(f"the newest finished scene: {record['scene']}")
+    for row in record["nodes"]:
+        since = "" if row["silent_s"] is None else f", heard {row['silent_s']:.0f} s ago"
+        line = f"{row['node']}: {row['state']}{since}"
+        if (task := row.get("task")) is not None:
+            line += f"; {task['stage']} {task['state']}"
+            if "bytes" in task:
+                line += f", {task['arrived_bytes'] / 1e6:.0f} of {task['bytes'] / 1e6:.0f} MB"
+            line += f": {task['reason']}" if task["reason"] else ""
+        lines.append(line)
+    return lines

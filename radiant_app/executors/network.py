@@ -1,0 +1,258 @@
+"""The network executor: the same fold, whose leaves are machines of others that ask for work.
+
+    leaf          a task is offered to its node, which fetches it, works, and sends the result; that
+                  is moved beside the task and sealed, as if the node's process had worked here
+    inner node    a process here
+    lost          a node that asked for nothing during its lease is given up; any request extends
+                  it, so that a slow link costs nothing
+
+The tree is cut at the edges: the cloud's leaves are edges, an edge's are its devices. What a device
+sends goes no farther than its edge, but for the edge's report.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, get_args
+
+from radiant_app.events import (
+    Decided,
+    Event,
+    Failed,
+    Heartbeat,
+    Listener,
+    Outlined,
+    StageDone,
+    StageSkipped,
+    StageStarted,
+    TimeLeft,
+    decode,
+)
+from radiant_app.executors.fold import Fold, NodeEnded, NodeStarted, RetryPolicy
+from radiant_app.executors.local import Processes, worker_command
+from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
+from radiant_app.network.contents import check_result
+from radiant_app.network.hub import Hub
+from radiant_app.network.kinds import NOTES_NAME
+from radiant_app.network.reception import Ended, Said
+from radiant_core.aggregate.tree import Tree
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
+from radiant_core.io.messages import message_of
+from radiant_core.io.run_store import seal, write_json
+
+LEASE_S = 900.0
+"""Shortest lease: a machine restarts, or finds its way back into a network, in less."""
+ALIVE_S = 30.0
+"""Interval of the signs of life of a node with a lease."""
+CHECK_S = 0.05
+FOLDING = ("region", "edge_refine")
+"""Work that begins for its node when those below it are done: so long only the lease counts."""
+_FORWARDED = tuple(kind for kind in get_args(Event) if kind not in (Failed, Heartbeat, Outlined, TimeLeft, StageSkipped))
+
+
+class Stopped(StageFailed):
+    """Who asked for the work waits for it no more."""
+
+
+@dataclass(kw_only=True)
+class NetworkExecutor:
+    """Runs leaves on the nodes that joined `hub`, inner nodes here."""
+
+    hub: Hub
+    run: str
+    """Number of the run."""
+    lease_s: Callable[[str], float] = lambda node_id: LEASE_S
+    """Id of a node in the tree → how long it may be silent."""
+    clock: Callable[[], float] = time.monotonic
+    command: Callable[[NodeTask], list[str]] = worker_command
+    retry_policy: RetryPolicy = field(default_factory=RetryPolicy)
+    stopping: threading.Event = field(default_factory=threading.Event)
+    """Set to end the fold."""
+    num_threads: int = 1
+    is_far: Callable[[Tree], bool] = lambda node: not node.children
+
+    def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
+        """See `Executor.fold`."""
+        local = Processes(num_workers=1, command=self.command, num_threads=self.num_threads)
+        runner = _Machines(executor=self, local=local)
+        return Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy).run(tree)
+
+
+@dataclass(kw_only=True)
+class _Far:
+    task: NodeTask
+    digest: str
+    node: str
+    """The id of the machine."""
+    offered_s: float
+    alive_s: float
+    started: bool = False
+    begun: set[str] = field(default_factory=set)
+    """Stages that its events have begun."""
+
+
+@dataclass(kw_only=True)
+class _Machines:
+    """The machines of one fold; see `Runner`."""
+
+    executor: NetworkExecutor
+    local: Processes
+    far: dict[str, _Far] = field(default_factory=dict)
+    ready: deque[tuple[str, Event | NodeStarted | NodeEnded | None]] = field(default_factory=deque)
+
+    def has_room(self) -> bool:
+        """Far nodes are machines of their own."""
+        return True
+
+    def start(self, node: Tree, task: NodeTask) -> bool:
+        if not self.executor.is_far(node):
+            return self.local.start(node, task)
+        now_s = time.time()
+        name = machine_of(node.id)
+        known = self.executor.hub.offer(self.executor.run, name, task.kind, task.stage, task.folder)
+        self.far[node.id] = _Far(task=task, digest=known.digest, node=name, offered_s=now_s, alive_s=now_s)
+        if known.state in ("taken", "received") and task.kind not in FOLDING:
+            self._mark_started(node.id)
+        if known.state == "received":
+            self.executor.hub.said.put(Said(digest=known.digest, received=True))
+        return False
+
+    def wait(self, timeout_s: float) -> tuple[str, Event | NodeStarted | NodeEnded | None] | None:
+        until_s = time.monotonic() + timeout_s
+        while True:
+            if self.executor.stopping.is_set():
+                raise Stopped("the work was stopped by who asked for it.")
+            self._listen_to_nodes()
+            self._check_leases()
+            if self.ready:
+                return self.ready.popleft()
+            left_s = until_s - time.monotonic()
+            message = self.local.wait(max(0.0, min(CHECK_S, left_s))) if self.local.running else None
+            if message is not None or left_s <= 0:
+                return message
+            if not self.local.running:
+                time.sleep(min(CHECK_S, left_s))
+
+    def _listen_to_nodes(self) -> None:
+        while not self.executor.hub.said.empty():
+            said = self.executor.hub.said.get()
+            found = next(((node_id, far) for node_id, far in self.far.items() if far.digest == said.digest), None)
+            if found is None:
+                continue
+            node_id, far = found
+            if said.taken and far.task.kind not in FOLDING:
+                self._mark_started(node_id)
+            for event in (event for line in said.events for event in admit_event(line, far.node, far.begun)):
+                if isinstance(event, StageStarted) and event.stage == far.task.stage:
+                    self._mark_started(node_id)
+                else:
+                    self.ready.append((node_id, event))
+            if said.received:
+                self._end(node_id, self._take(far))
+            elif said.ended is not None:
+                self._end(node_id, ended_of(far.task.stage, said.ended))
+
+    def _take(self, far: _Far) -> NodeEnded:
+        """Move a result to its place and seal it, or refuse it."""
+        hub = self.executor.hub
+        try:
+            names = hub.install(far.digest)
+            check_result(far.task.kind, far.task.folder, names)
+            if NOTES_NAME not in names:
+                # A report alone: whoever skips its stage later reads notes there.
+                write_json(far.task.folder / NOTES_NAME, {"decisions": [], "warnings": []})
+                names = [*names, NOTES_NAME]
+            seal(far.task.folder, far.task.key, names)
+        except CannotWrite as error:
+            return NodeEnded(error=error)
+        except BadInput as error:
+            hub.refuse(far.digest, str(error))
+            return NodeEnded(error=StageFailed(f"{far.task.stage}: what {far.node} sent cannot be used: {error}"))
+        hub.accept(far.digest)
+        return NodeEnded()
+
+    def _mark_started(self, node_id: str) -> None:
+        self.far[node_id].started = True
+        self.ready.append((node_id, NodeStarted(machine=self.far[node_id].node)))
+
+    def _end(self, node_id: str, ended: NodeEnded) -> None:
+        if ended.error is None and not self.far[node_id].started:
+            self._mark_started(node_id)
+        del self.far[node_id]
+        self.ready.append((node_id, ended))
+
+    def _check_leases(self) -> None:
+        now_s = time.time()
+        for node_id, far in list(self.far.items()):
+            if abs(now_s - far.alive_s) < ALIVE_S:
+                continue
+            far.alive_s = now_s
+            member = self.executor.hub.store.member(far.node)
+            if member is not None and member.revoked:
+                self._lose(node_id, far, "it is revoked")
+                continue
+            seen_s = far.offered_s if member is None or member.seen_s is None else max(far.offered_s, member.seen_s)
+            lease_s = max(LEASE_S, self.executor.lease_s(node_id))
+            if now_s - seen_s > lease_s:
+                self._lose(node_id, far, f"nothing was heard of it for {lease_s / 60:.0f} minutes")
+            else:
+                self.ready.append((node_id, None))
+
+    def _lose(self, node_id: str, far: _Far, reason: str) -> None:
+        self.executor.hub.withdraw(far.digest, reason)
+        self._end(node_id, NodeEnded(error=StageFailed(f"{far.task.stage}: {reason}; --resume waits for it again.")))
+
+    def stop(self, node_id: str) -> None:
+        if node_id not in self.far:
+            return self.local.stop(node_id)
+        self.executor.hub.withdraw(self.far[node_id].digest, "it took too long and was given up")
+        far = self.far[node_id]
+        self._end(node_id, NodeEnded(error=StageFailed(f"{far.task.stage}: it was given up.")))
+        return None
+
+    def stop_all(self) -> None:
+        """Far nodes go on: what they finish is taken when the run goes on."""
+        self.local.stop_all()
+
+
+def machine_of(node_id: str) -> str:
+    """The id of the machine that works on a node of a tree."""
+    return "/".join(node_id.split("/")[:2])
+
+
+def ended_of(stage: str, ended: Ended) -> NodeEnded:
+    """How a node ended that said so."""
+    kinds: dict[bool, type[RadiantError]] = {True: BadInput, False: StageFailed}
+    error = CannotWrite if ended.cannot_write else kinds[ended.exit_code == BadInput.exit_code]
+    found: Any = error(f"{stage}: {ended.message.removeprefix(f'{stage}: ')}")
+    return NodeEnded(error=found, crashed=ended.crashed)
+
+
+def admit_event(line: str, node: str, begun: set[str]) -> list[Event]:
+    """The event in a line that a node sent, as far as it may be heard: of its own stages, typed to
+    the last field, and none that ends what has not begun."""
+    try:
+        event = decode(line)
+        checked = event if isinstance(event, Decided) else message_of(type(event), _record_of(event), "event")
+    except (BadInput, StageFailed, TypeError):
+        return []
+    stage = getattr(event, "stage", "") if not isinstance(event, Decided) else event.decision.stage
+    own = stage == node or stage.startswith(f"{node}/") or (node.startswith("edges/") and stage.startswith("devices/"))
+    if not isinstance(checked, _FORWARDED) or not own or len(stage) > 200:
+        return []
+    if isinstance(checked, StageStarted):
+        begun.add(stage)
+    elif isinstance(checked, StageDone) and stage.startswith("edges/"):
+        return []  # said here, when its result is there
+    elif isinstance(checked, StageDone) and stage not in begun:
+        begun.add(stage)
+        return [StageStarted(stage=stage), checked]
+    return [checked]
+
+
+def _record_of(event: Event) -> dict[str, Any]:
+    return {each.name: getattr(event, each.name) for each in fields(event)}

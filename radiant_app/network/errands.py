@@ -1,0 +1,272 @@
+"""The loop of a node that asks for work: poll, fetch, work, send, wait for the verdict.
+
+All that it knows of its task is there above and in its own folders: it may end at any moment, and
+goes on after a restart where sealed files and checkpoints are. Once per node.
+"""
+
+from __future__ import annotations
+
+import base64
+import shutil
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from radiant_app.events import Event, StageProgress, Warned, encode
+from radiant_app.network.arrivals import SPARE_BYTES
+from radiant_app.network.home import Home
+from radiant_app.network.kinds import task_problem
+from radiant_app.network.line import Line, Withdrawn
+from radiant_app.network.reception import MAX_EVENT_CHARS, MAX_EVENTS, Ended
+from radiant_core import __version__
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
+from radiant_core.io.run_store import content_key, disk_is_full, read_json, write_json
+from radiant_core.io.transport.delivery import describe_files
+from radiant_core.io.transport.envelope import Envelope, open_envelope
+
+JOINED_NAME, ASKED_NAME = "joined.json", "asked.json"
+MIN_POLL_S, MAX_POLL_S = 0.05, 60.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How work ended; no error: its result is there."""
+
+    error: RadiantError | None = None
+    crashed: bool = False
+
+
+class Work(Protocol):
+    """One task being worked on."""
+
+    def heard(self) -> list[Event]:
+        """What happened since the last call."""
+        ...
+
+    def outcome(self) -> Outcome | None:
+        """How it ended; None while it goes on."""
+        ...
+
+    def stop(self) -> None:
+        """End it; what is saved stays."""
+        ...
+
+    def result(self) -> Mapping[str, Path]:
+        """Name → file of its result."""
+        ...
+
+
+class Performer(Protocol):
+    """Does the work of one kind of node."""
+
+    def place(self, envelope: Envelope) -> Path:
+        """The folder for the files of a task."""
+        ...
+
+    def begin(self, envelope: Envelope, folder: Path, digest: str) -> Work:
+        """Begin a task whose files are in `folder`, or go on with it; BadInput where they cannot be
+        used."""
+        ...
+
+
+@dataclass(kw_only=True)
+class _Errand:
+    envelope: Envelope
+    digest: str
+    tries: int
+    work: Work | None = None
+    outcome: Outcome | None = None
+    sent: bool = False
+    told: bool = False
+    """Whether its failure was told."""
+
+
+@dataclass(kw_only=True)
+class Errands:
+    """Asks the node above for work until it is ended."""
+
+    home: Home
+    line: Line
+    performer: Performer
+    say: Callable[[str], None] = lambda text: None
+    until_idle: bool = False
+    """End when a run that this node worked for is over for it, for scripts and tests."""
+    current: _Errand | None = None
+    batch: int = 0
+    waiting: list[str] = field(default_factory=list)
+    """Events that were not sent yet."""
+    sending: list[str] = field(default_factory=list)
+
+    @property
+    def ended(self) -> threading.Event:
+        """Set to end it."""
+        return self.line.ended
+
+    def run(self) -> None:
+        """Ask and work until `ended`; BadInput where the node above refuses this one."""
+        self._join()
+        try:
+            while not self.ended.is_set():
+                wait_s = self._round()
+                self.ended.wait(min(max(wait_s, MIN_POLL_S), MAX_POLL_S))
+        except Withdrawn:
+            if not self.ended.is_set():
+                raise
+        finally:
+            self._drop()
+            self.line.close()
+
+    def _join(self) -> None:
+        path, key = self.home.folder / JOINED_NAME, content_key(asdict(self.line.upper))
+        if path.is_file() and read_json(path, ("invitation",))["invitation"] == key:
+            return
+        self.line.join()
+        write_json(path, {"invitation": key})
+        self.say(f"joined {self.line.upper.upper} as {self.line.upper.node}.")
+
+    def _round(self) -> float:
+        """One poll and what follows; how long to wait for the next."""
+        self._work_on()
+        answer = self.line.poll(self._poll_body())
+        self.sending = []
+        verdict, current = answer.get("verdict"), self.current
+        if current is not None and isinstance(verdict, dict):
+            current.told = current.told or (current.outcome is not None and current.outcome.error is not None)
+            if verdict.get("state") in ("accepted", "refused", "withdrawn"):
+                self._say_verdict(current, str(verdict["state"]), str(verdict.get("reason", "")))
+                self._drop()
+        offered = answer.get("task")
+        if isinstance(offered, dict):
+            self._take(offered)
+        elif self.current is not None:
+            self._drop()
+        wait_s = answer.get("wait_s", 1.0)
+        return float(wait_s) if isinstance(wait_s, int | float) else 1.0
+
+    def _poll_body(self) -> dict[str, Any]:
+        current = self.current
+        ended = None
+        if current is not None and current.outcome is not None and current.outcome.error is not None and not current.told:
+            error = current.outcome.error
+            ended = Ended(
+                message=str(error)[:MAX_EVENT_CHARS],
+                exit_code=error.exit_code,
+                crashed=current.outcome.crashed,
+                cannot_write=isinstance(error, CannotWrite),
+            ).model_dump()
+        if not self.sending:
+            self.sending, self.waiting = self.waiting[:MAX_EVENTS], self.waiting[MAX_EVENTS:]
+            # A request's counter is larger than in any process before, whatever the clock says.
+            self.batch = self.line.counter
+        return {
+            "software": __version__,
+            "task": "" if current is None else current.digest,
+            "tries": 0 if current is None else current.tries,
+            "doing": self._doing(),
+            "ended": ended,
+            "batch": self.batch,
+            "events": self.sending,
+        }
+
+    def _doing(self) -> str:
+        if self.current is None:
+            return "idle"
+        kind = self.current.envelope.kind
+        return f"{kind}: sent" if self.current.sent else f"{kind}: {'working' if self.current.outcome is None else 'ended'}"
+
+    def _take(self, offered: Mapping[str, Any]) -> None:
+        """Begin an offered task, unless it is the current one."""
+        text, signature = (base64.b64decode(str(offered.get(name, ""))) for name in ("text", "signature"))
+        envelope, tries = open_envelope(text, signature, self.line.upper.key), offered.get("tries", 1)
+        if self.current is not None and (self.current.digest, self.current.tries) == (envelope.digest, tries):
+            return
+        self._drop()
+        self.current = errand = _Errand(envelope=envelope, digest=envelope.digest, tries=int(tries))
+        try:
+            self._require_own(envelope)
+            folder = self.performer.place(envelope)
+            if shutil.disk_usage(self.home.folder).free < envelope.num_bytes + SPARE_BYTES:
+                raise CannotWrite(f"the disk of this node is full: {envelope.num_bytes + SPARE_BYTES:,} bytes are needed there.")
+            self.line.fetch(envelope, errand.digest, folder)
+            errand.work = self.performer.begin(envelope, folder, errand.digest)
+        except RadiantError as error:
+            errand.outcome = Outcome(error=error)
+        except OSError as error:
+            message = f"{error.strerror or type(error).__name__} on the disk of this node."
+            errand.outcome = Outcome(error=CannotWrite(message) if disk_is_full(self.home.folder) else StageFailed(message))
+
+    def _require_own(self, envelope: Envelope) -> None:
+        """Raise BadInput unless a task is the newest that the node above gives this one."""
+        upper = self.line.upper
+        if (envelope.sender, envelope.receiver, envelope.answers) != (upper.upper, upper.node, ""):
+            raise BadInput(f"a task is from {envelope.sender} for {envelope.receiver}, expected one from {upper.upper} for {upper.node}.")
+        if envelope.software != __version__:
+            raise BadInput(f"{upper.upper} has Radiant {envelope.software} and {upper.node} has {__version__}: install the same version.")
+        if problem := task_problem(envelope.kind, envelope.files):
+            raise BadInput(problem)
+        run = self.home.run_folder(envelope.run)
+        run.mkdir(parents=True, exist_ok=True)
+        asked = read_json(run / ASKED_NAME) if (run / ASKED_NAME).is_file() else {}
+        attempt, digest = asked.get(envelope.stage, [0, ""])
+        if envelope.attempt < attempt or (envelope.attempt == attempt and envelope.digest != digest):
+            raise BadInput(f"a task of {envelope.stage} is attempt {envelope.attempt}, and attempt {attempt} was taken before.")
+        write_json(run / ASKED_NAME, {**asked, envelope.stage: [envelope.attempt, envelope.digest]})
+
+    def _work_on(self) -> None:
+        """Hear the work, and send its result once it is there."""
+        errand = self.current
+        if errand is None or errand.work is None:
+            return
+        self._keep(errand.work.heard())
+        if errand.outcome is None:
+            errand.outcome = errand.work.outcome()
+        if errand.outcome is not None and errand.outcome.error is None and not errand.sent:
+            self._keep(errand.work.heard())
+            try:
+                self._send(errand, errand.work.result())
+            except Withdrawn:
+                self._drop()
+            except (RadiantError, OSError) as error:
+                found = error if isinstance(error, RadiantError) else StageFailed(f"{error.strerror or type(error).__name__}")
+                errand.outcome = Outcome(error=found)
+
+    def _send(self, errand: _Errand, paths: Mapping[str, Path]) -> None:
+        asked = errand.envelope
+        result = Envelope(
+            run=asked.run,
+            sender=asked.receiver,
+            receiver=asked.sender,
+            kind=asked.kind,
+            stage=asked.stage,
+            attempt=asked.attempt,
+            answers=errand.digest,
+            software=__version__,
+            files=describe_files(paths),
+        )
+        self.line.send(result, paths)
+        errand.sent = True
+        self.say(f"{asked.stage}: {result.num_bytes:,} bytes are sent.")
+
+    def _keep(self, events: list[Event]) -> None:
+        """Keep events to be sent; of progress the newest alone."""
+        for event in events:
+            if isinstance(event, Warned):
+                self.say(f"{event.stage}: {event.message}")
+            line = encode(event)
+            if len(line) > MAX_EVENT_CHARS:
+                continue
+            if isinstance(event, StageProgress):
+                start = encode(event).split('"done"')[0]
+                self.waiting = [other for other in self.waiting if not other.startswith(start)]
+            self.waiting.append(line)
+
+    def _say_verdict(self, errand: _Errand, state: str, reason: str) -> None:
+        self.say(f"{errand.envelope.stage}: {state}{f', {reason}' if reason else '.'}")
+
+    def _drop(self) -> None:
+        if self.current is not None and self.current.work is not None:
+            self.current.work.stop()
+        self.current = None
+        self.waiting = []

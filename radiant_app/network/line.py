@@ -1,0 +1,254 @@
+"""The way from a node to the one above it: sealed requests outwards, tried until they are answered.
+
+A request that got no answer, or one that nobody signed, is made again with a new counter: every
+step may come twice. Waiting doubles up to `MAX_WAIT_S`, by no clock but this process's own. Once
+per request.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import random
+import ssl
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from radiant_app.network.arrivals import PART_BYTES
+from radiant_app.network.certificate import pinned_context
+from radiant_app.network.home import Home, Invitation
+from radiant_app.network.reception import COUNTER, NODE, REPLY, SEAL
+from radiant_core import __version__
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.io.run_store import parse_json
+from radiant_core.io.transport.delivery import SentFile
+from radiant_core.io.transport.envelope import Envelope, Request, envelope_bytes, sign_envelope
+from radiant_core.io.transport.signing import is_signed_by
+
+if TYPE_CHECKING:
+    import httpx
+
+TIMEOUT_S = 20.0
+FIRST_WAIT_S, MAX_WAIT_S = 0.25, 60.0
+GONE = 410
+PASSING = (429, 500, 502, 503, 504, 507)
+"""Statuses that another try may not have; the first is of a server with too many requests."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """A signed answer of the node above."""
+
+    status: int
+    body: bytes
+    headers: Mapping[str, str]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The body as JSON's object; empty where it is none."""
+        try:
+            found = parse_json(self.body)
+        except (ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    @property
+    def reason(self) -> str:
+        """Why something was refused."""
+        return str(self.record.get("reason", f"it answered {self.status}."))[:1000]
+
+
+class Withdrawn(Exception):
+    """The node above waits for this no more."""
+
+
+@dataclass(kw_only=True)
+class Line:
+    """Requests of one node to the one above it."""
+
+    home: Home
+    ended: threading.Event = field(default_factory=threading.Event)
+    """Set to end waiting and trying."""
+    say: Callable[[str], None] = lambda text: None
+    """Hears when the other side cannot be reached, and when it can again."""
+    max_wait_s: float = MAX_WAIT_S
+    num_resumed: int = 0
+    """Requests that had to be made again."""
+
+    def __post_init__(self) -> None:
+        self.upper: Invitation = self.home.upper
+        self._key, self._upper_key = self.home.key, self.upper.key
+        self._counter, self._beyond = self.home.reserve_counters()
+        self._client: httpx.Client | None = None
+
+    def close(self) -> None:
+        """End the connection."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    def ask(self, method: str, target: str, body: bytes = b"", headers: Mapping[str, str] | None = None) -> Answer:
+        """The answer to a request, tried until one comes.
+
+        Raises:
+            Withdrawn: nobody waits for it any more, or this process is to end.
+            BadInput: it is refused, with the reason of the other side.
+        """
+        wait_s, troubled = FIRST_WAIT_S, False
+        while not self.ended.is_set():
+            answer = self.ask_once(method, target, body, headers)
+            if answer is not None and answer.status not in PASSING:
+                if troubled:
+                    self.say(f"{self.upper.upper} answers again.")
+                if answer.status == GONE:
+                    raise Withdrawn
+                return answer
+            if wait_s >= 4 * FIRST_WAIT_S and not troubled:
+                self.say(f"{self.upper.upper} at {self.upper.url} does not answer; it is tried again until it does.")
+                troubled = True
+            self.num_resumed += 1
+            # Devices that lost one server do not come back all at once.
+            self.ended.wait(wait_s * random.uniform(0.5, 1.0))  # noqa: S311 - no secret
+            wait_s = min(2 * wait_s, self.max_wait_s)
+        raise Withdrawn
+
+    def ask_once(self, method: str, target: str, body: bytes = b"", headers: Mapping[str, str] | None = None) -> Answer | None:
+        """The signed answer to a request; None where none came."""
+        import httpx
+
+        request = Request(node=self.upper.node, counter=self._next_counter(), method=method, target=target)
+        seal = base64.b64encode(self._key.sign(request.message(body))).decode()
+        sealed = {NODE: request.node, COUNTER: str(request.counter), SEAL: seal, **(headers or {})}
+        try:
+            client = self._client = self._client or self._connect()
+            response = client.request(method, self.upper.url.rstrip("/") + target, content=body, headers=sealed)
+        except (httpx.TransportError, httpx.DecodingError, ssl.SSLError, OSError):
+            self.close()
+            return None
+        signature = _decoded(response.headers.get(REPLY, ""))
+        if not is_signed_by(self._upper_key, signature, request.reply_message(response.status_code, response.content)):
+            # A proxy's own page, or the answer of somebody else.
+            return None
+        return Answer(status=response.status_code, body=response.content, headers=dict(response.headers))
+
+    def _connect(self) -> httpx.Client:
+        import httpx
+
+        verify: Any = pinned_context(self.upper.certificate.encode()) if self.upper.identity == "pinned" else ssl.create_default_context()
+        return httpx.Client(verify=verify, timeout=TIMEOUT_S, http2=False, follow_redirects=False)
+
+    @property
+    def counter(self) -> int:
+        """That of the next request."""
+        return self._counter
+
+    def _next_counter(self) -> int:
+        if self._counter >= self._beyond:
+            self._counter, self._beyond = self.home.reserve_counters()
+        self._counter += 1
+        return self._counter - 1
+
+    def join(self) -> None:
+        """Register this node's key by the word of its invitation; BadInput where it is refused."""
+        raw = self._key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
+        body = {"token": self.upper.token, "key": base64.b64encode(raw).decode(), "software": __version__}
+        _accepted(self.ask("POST", "/join", json.dumps(body).encode()))
+
+    def poll(self, body: Mapping[str, Any]) -> dict[str, Any]:
+        """What the node above answers to what this one does; raises as `ask`."""
+        return _accepted(self.ask("POST", "/poll", json.dumps(body).encode()))
+
+    def fetch(self, envelope: Envelope, digest: str, folder: Path) -> None:
+        """Get the files of a task into a folder, from where an earlier try ended; each takes its
+        place once it has the bytes that were signed. Raises as `ask`."""
+        for number, (name, file) in enumerate(sorted(envelope.files.items())):
+            target = folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if target.is_file() and target.stat().st_size == file.bytes and _sha256(target) == file.sha256:
+                continue
+            part = target.with_name(f".{target.name}.{file.sha256[:16]}.part")
+            self._fetch_file(f"/tasks/{digest}/{number}", part, file)
+            part.replace(target)
+
+    def _fetch_file(self, target: str, part: Path, file: SentFile) -> None:
+        for _ in range(2):
+            while (have := part.stat().st_size if part.is_file() else 0) < file.bytes:
+                answer = self.ask("GET", target, headers={"Range": f"bytes={have}-"})
+                if answer.status != 206 or not answer.body:
+                    raise BadInput(f"a file of the task cannot be fetched: {answer.reason}")
+                with part.open("ab") as out:
+                    out.write(answer.body)
+            part.touch()
+            if _sha256(part) == file.sha256:
+                return
+            part.unlink()
+        raise StageFailed("a file of the task has other bytes than were signed: it was replaced meanwhile.")
+
+    def send(self, result: Envelope, paths: Mapping[str, Path], sent: Callable[[int, int], None] = lambda done, total: None) -> None:
+        """Announce a result and send its files, each from where the other side has it.
+
+        Args:
+            result: its signed list.
+            paths: name → file.
+            sent: hears bytes that are there, of how many.
+
+        Raises:
+            Withdrawn, BadInput: as `ask`.
+        """
+        text, signature = sign_envelope(result, self._key)
+        assert text == envelope_bytes(result)
+        files = sorted(result.files.items())
+        for _ in range(2):
+            offsets = _accepted(self.ask("POST", f"/results/{result.answers}", signature + text))["offsets"]
+            if not isinstance(offsets, list) or len(offsets) != len(files):
+                raise BadInput("the answer to an announcement is none: use the same version of the software on both sides.")
+            for number, (name, file) in enumerate(files):
+                before = sum(each.bytes for _, each in files[:number])
+                self._send_file(f"/results/{result.answers}/{number}", paths[name], int(offsets[number]), file.bytes)
+                sent(before + file.bytes, result.num_bytes)
+            # What arrived with other bytes was dropped there, and is sent once more.
+            again = _accepted(self.ask("POST", f"/results/{result.answers}", signature + text))["offsets"]
+            if again == [file.bytes for _, file in files]:
+                return
+        raise BadInput("a result arrived with other bytes than were signed, twice: look at the disk of this machine.")
+
+    def _send_file(self, target: str, path: Path, offset: int, num_bytes: int) -> None:
+        with path.open("rb") as file:
+            while offset < num_bytes and not self.ended.is_set():
+                file.seek(offset)
+                data = file.read(PART_BYTES)
+                headers = {"Tus-Resumable": "1.0.0", "Upload-Offset": str(offset), "Content-Type": "application/offset+octet-stream"}
+                answer = self.ask_once("PATCH", f"{target}?offset={offset}", data, headers)
+                if answer is None or answer.status in PASSING:
+                    # Which bytes arrived is known there alone.
+                    self.num_resumed += 1
+                    answer = self.ask("HEAD", target)
+                if answer.status == GONE:
+                    raise Withdrawn
+                if answer.status not in (200, 409) or "upload-offset" not in answer.headers:
+                    raise BadInput(f"a part of a result is refused: {answer.reason}")
+                offset = int(answer.headers["upload-offset"])
+
+
+def _accepted(answer: Answer) -> dict[str, Any]:
+    if answer.status != 200:
+        raise BadInput(f"{answer.reason}")
+    return answer.record
+
+
+def _decoded(text: str) -> bytes:
+    try:
+        return base64.b64decode(text, validate=True)
+    except ValueError:
+        return b""
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

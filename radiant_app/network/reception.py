@@ -1,0 +1,363 @@
+"""What a node answers to those that joined it: pure of sockets, so that tests can ask anything.
+
+    POST /join                       a key for a one-time word
+    POST /poll                       what it does and heard; at most one task, a stop, a verdict
+    GET  /tasks/DIGEST/NUMBER        a file of its own task, by Range
+    POST /results/DIGEST             the signed list of what answers its task
+    HEAD, PATCH /results/DIGEST/NUMBER?offset=   a part of one of those files, as tus 1.0 has it
+
+Before anything else a request has to be a known node's, sealed by its key, whole, and newer than
+all before. Every step may come again and changes nothing then. Refusals are one sentence.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from pydantic import Field, ValidationError
+
+from radiant_app.network.arrivals import PART_BYTES, Arrivals, DiskFull
+from radiant_app.network.kinds import result_problem
+from radiant_app.network.store import OPEN, HubStore, KnownTask
+from radiant_core import __version__
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import parse_json
+from radiant_core.io.strict import Strict
+from radiant_core.io.transport.envelope import MAX_COUNTER, MAX_ENVELOPE_BYTES, Envelope, Request, open_envelope
+from radiant_core.io.transport.signing import is_signed_by
+
+MAX_BODY_BYTES = PART_BYTES
+MAX_EVENTS, MAX_EVENT_CHARS = 500, 4000
+MAX_RESULT_BYTES = 2 * 10**10
+"""Most bytes of one node's result."""
+NODE, COUNTER, SEAL, REPLY = "x-radiant-node", "x-radiant-counter", "x-radiant-seal", "x-radiant-reply"
+_FILE = re.compile(r"/(tasks|results)/([0-9a-f]{64})(?:/(\d{1,4}))?")
+_NODE_ID = re.compile(r"(devices|edges)/[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+class JoinBody(Strict):
+    """What `POST /join` carries."""
+
+    token: str = Field(max_length=256)
+    key: str = Field(max_length=64)
+    software: str = Field(min_length=1, max_length=64)
+
+
+class Ended(Strict):
+    """That a node's work ended without a result."""
+
+    message: str = Field(max_length=4000)
+    exit_code: int = Field(ge=0, le=255)
+    crashed: bool
+    cannot_write: bool
+
+
+class PollBody(Strict):
+    """What `POST /poll` carries."""
+
+    software: str = Field(min_length=1, max_length=64)
+    task: str = Field(max_length=64)
+    """Digest of the task that it works on; empty for none."""
+    tries: int = Field(ge=0)
+    doing: str = Field(max_length=80)
+    ended: Ended | None
+    batch: int = Field(ge=0)
+    events: list[str] = Field(max_length=MAX_EVENTS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reply:
+    """An answer; `headers` are beside those of the signature."""
+
+    status: int
+    body: bytes = b""
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+
+class Refused(Exception):
+    """Why a request is refused, with its status."""
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status, self.reason = status, reason
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """A request as it came."""
+
+    method: str
+    target: str
+    headers: Mapping[str, str]
+    body: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Said:
+    """What a node said of its task, for who conducts."""
+
+    digest: str
+    events: tuple[str, ...] = ()
+    taken: bool = False
+    ended: Ended | None = None
+    received: bool = False
+
+
+@dataclass(kw_only=True)
+class Reception:
+    """Answers requests for one node."""
+
+    node: str
+    key: Ed25519PrivateKey
+    store: HubStore
+    arrivals: Arrivals
+    heard: Callable[[Said], None] = lambda said: None
+    """Called with what a node says, in any thread."""
+    poll_s: float = 2.0
+    """How long nodes wait between two polls."""
+    _writing: threading.Lock = field(default_factory=threading.Lock)
+
+    def answer(self, asked: Asked) -> Reply:
+        """The signed answer to a request."""
+        request = Request(node="", counter=0, method="", target="")
+        try:
+            request = _request_of(asked)
+            self._require_seal(request, asked)
+            reply = self._answer_node(request, asked)
+        except Refused as refused:
+            reply = _json(refused.status, {"reason": refused.reason})
+        except BadInput as error:
+            reply = _json(400, {"reason": str(error)})
+        except DiskFull:
+            reply = _json(507, {"reason": "the disk there is full: it is tried again, free space meanwhile."})
+        if asked.method == "HEAD":
+            reply = replace(reply, body=b"")
+        signature = base64.b64encode(self.key.sign(request.reply_message(reply.status, reply.body))).decode()
+        return Reply(status=reply.status, body=reply.body, headers={**reply.headers, REPLY: signature})
+
+    def _require_seal(self, request: Request, asked: Asked) -> None:
+        """Refuse what is not a member's, not sealed by its key, or not new."""
+        if len(asked.body) > MAX_BODY_BYTES:
+            raise Refused(413, f"a request has {len(asked.body)} bytes, expected at most {MAX_BODY_BYTES}.")
+        member = self.store.member(request.node)
+        if member is None or member.revoked:
+            raise Refused(403, f"{request.node} is not known here, or no longer: ask for another join file.")
+        key = _joining_key(asked) if asked.target == "/join" else member.key
+        if key is None:
+            raise Refused(403, f"{request.node} has not joined: radiant node join FILE.")
+        if not is_signed_by(key, _decoded(asked.headers.get(SEAL, "")), request.message(asked.body)):
+            raise Refused(403, f"a request of {request.node} is not sealed by its key: if it was made anew, ask for another join file.")
+        if asked.target != "/join" and not self.store.count(request.node, request.counter):
+            raise Refused(
+                409,
+                f"a request of {request.node} is not new: another process uses its key, or its folder was restored from a copy; end the "
+                "one, or ask for another join file.",
+            )
+
+    def _answer_node(self, request: Request, asked: Asked) -> Reply:
+        place = (asked.method, urlsplit(asked.target).path)
+        if place == ("POST", "/join"):
+            return self._join(request, asked)
+        if place == ("POST", "/poll"):
+            return self._poll(request.node, asked.body)
+        found = _FILE.fullmatch(place[1])
+        if found is not None:
+            what, digest, number = found.groups()
+            task = self._own_task(request.node, digest)
+            if (asked.method, what) == ("GET", "tasks") and number is not None:
+                return _part_of_file(task, int(number), asked.headers.get("range", ""))
+            if (asked.method, what) == ("POST", "results") and number is None:
+                return self._announce(task, asked.body)
+            if asked.method in ("HEAD", "PATCH") and what == "results" and number is not None:
+                return self._upload(task, int(number), asked)
+        raise Refused(404, f"{asked.method} {asked.target[:80]} is nothing that is answered here.")
+
+    def _join(self, request: Request, asked: Asked) -> Reply:
+        body = _parsed(JoinBody, asked.body)
+        if not self.store.join(request.node, body.token, _decoded(body.key), body.software, request.counter):
+            raise Refused(403, f"the join file of {request.node} is used up or not the newest: ask for another one.")
+        return _json(200, {"node": request.node})
+
+    def _poll(self, node: str, data: bytes) -> Reply:
+        body = _parsed(PollBody, data)
+        if any(len(line) > MAX_EVENT_CHARS for line in body.events):
+            raise Refused(400, f"an event of {node} is longer than {MAX_EVENT_CHARS} characters.")
+        self.store.note(node, body.doing, body.software)
+        said = self.store.task(body.task)
+        answer: dict[str, Any] = {"verdict": None, "task": None, "wait_s": self.poll_s}
+        if said is not None and said.node == node:
+            if said.tries == body.tries and self.store.take_batch(node, body.batch):
+                self._hear(said, body)
+            said = self.store.task(body.task)
+            assert said is not None
+            answer["verdict"] = {"state": said.state, "reason": said.reason, "tries": said.tries}
+        task = self.store.open_task(node)
+        if task is not None and body.software != __version__:
+            reason = f"this node has Radiant {body.software} and {self.node} has {__version__}: install the same version."
+            self.store.note(node, reason)
+            raise Refused(409, reason)
+        if task is not None:
+            answer["task"] = {"text": _text(task.text), "signature": _text(task.signature), "tries": task.tries}
+        return _json(200, answer)
+
+    def _hear(self, task: KnownTask, body: PollBody) -> None:
+        taken = self.store.move_task(task.digest, "taken", ("offered",))
+        if task.state not in OPEN:
+            return
+        ended = body.ended if body.ended is not None and self.store.move_task(task.digest, "failed", ("taken",)) else None
+        self.heard(Said(digest=task.digest, events=tuple(body.events), taken=taken, ended=ended))
+
+    def _own_task(self, node: str, digest: str) -> KnownTask:
+        task = self.store.task(digest)
+        if task is None or task.node != node:
+            raise Refused(404, f"{node} has no such task.")
+        if task.state not in OPEN:
+            raise Refused(410, f"the task is {task.state}{f': {task.reason}' if task.reason else ', nobody waits for it any more.'}")
+        return task
+
+    def _announce(self, task: KnownTask, data: bytes) -> Reply:
+        """Take the signed list of a result's files, or repeat what is there of them."""
+        signature, text = data[:64], data[64:]
+        member = self.store.member(task.node)
+        if len(data) > MAX_ENVELOPE_BYTES or member is None or member.key is None:
+            raise Refused(413, f"an announcement has {len(data)} bytes, expected at most {MAX_ENVELOPE_BYTES}.")
+        envelope = open_envelope(text, signature, member.key)
+        asked = _asked_by(task)
+        if problem := _result_problem(envelope, asked, task):
+            raise Refused(409, problem)
+        with self._writing:
+            before = self.store.result(task.digest)
+            if task.state != "received":
+                anew = before is not None and before[0] != text
+                offsets = self.arrivals.begin(task.digest, envelope, anew=anew)
+                self.store.put_result(task.digest, text, signature)
+            elif before is not None and before[0] == text:
+                offsets = [file.bytes for _, file in sorted(envelope.files.items())]
+            else:
+                raise Refused(409, "another result of this task was received first.")
+            self._finish(task, envelope)
+        return _json(200, {"offsets": offsets})
+
+    def _upload(self, task: KnownTask, number: int, asked: Asked) -> Reply:
+        result = self.store.result(task.digest)
+        member = self.store.member(task.node)
+        if result is None or member is None or member.key is None:
+            raise Refused(409, "the files of a result come after its announcement.")
+        envelope = open_envelope(*result, member.key)
+        if number >= len(envelope.files):
+            raise Refused(404, f"the announcement lists {len(envelope.files)} files, there is no number {number}.")
+        _, file = sorted(envelope.files.items())[number]
+        with self._writing:
+            status = 200
+            if asked.method == "PATCH" and task.state != "received":
+                offset = _offset_of(asked)
+                if self.arrivals.append(task.digest, number, offset, asked.body, file) is None:
+                    status = 409
+                self._finish(task, envelope)
+            offset = file.bytes if self._state(task) == "received" else self.arrivals.offsets(task.digest, envelope)[number]
+        headers = {"Tus-Resumable": "1.0.0", "Upload-Offset": str(offset), "Upload-Length": str(file.bytes), "Cache-Control": "no-store"}
+        body = b"" if asked.method == "HEAD" else json.dumps({"offset": offset}).encode()
+        return Reply(status=status, body=body, headers=headers)
+
+    def _state(self, task: KnownTask) -> str:
+        found = self.store.task(task.digest)
+        return "" if found is None else found.state
+
+    def _finish(self, task: KnownTask, envelope: Envelope) -> None:
+        """Mark a result as received where its files are whole; wrong ones come once more."""
+        if self._state(task) in ("offered", "taken") and self.arrivals.damaged(task.digest, envelope) == []:
+            self.store.move_task(task.digest, "received", ("offered", "taken"))
+            self.heard(Said(digest=task.digest, received=True))
+
+
+def _request_of(asked: Asked) -> Request:
+    node, counter = asked.headers.get(NODE, ""), asked.headers.get(COUNTER, "")
+    if not _NODE_ID.fullmatch(node) or not re.fullmatch(r"[1-9]\d{0,18}", counter) or int(counter) > MAX_COUNTER:
+        raise Refused(400, "a request names no node and no counter: this is the door of a Radiant node, see docs/network.md.")
+    return Request(node=node, counter=int(counter), method=asked.method, target=asked.target)
+
+
+def _joining_key(asked: Asked) -> Ed25519PublicKey:
+    """The key that a node joins by, which its request has to be sealed with."""
+    data = _decoded(_parsed(JoinBody, asked.body).key)
+    if len(data) != 32:
+        raise Refused(400, f"a key has {len(data)} bytes, expected 32.")
+    return Ed25519PublicKey.from_public_bytes(data)
+
+
+def _asked_by(task: KnownTask) -> Envelope:
+    record = parse_json(task.text)
+    names = ("run", "sender", "receiver", "kind", "stage", "attempt", "software")
+    return Envelope(**{name: record[name] for name in names}, answers="", files={})
+
+
+def _result_problem(envelope: Envelope, asked: Envelope, task: KnownTask) -> str | None:
+    """Why a result does not answer a task, one sentence."""
+    ends = (envelope.run, envelope.sender, envelope.receiver) == (asked.run, asked.receiver, asked.sender)
+    work = (envelope.kind, envelope.stage, envelope.attempt) == (asked.kind, asked.stage, asked.attempt)
+    if not ends or not work or envelope.answers != task.digest:
+        return "a result answers another task than the one that it was sent for."
+    if envelope.software != asked.software:
+        return f"the result was made by Radiant {envelope.software} and asked for by {asked.software}: install the same version."
+    if envelope.num_bytes > MAX_RESULT_BYTES:
+        return f"a result has {envelope.num_bytes:,} bytes, expected at most {MAX_RESULT_BYTES:,}."
+    return result_problem(envelope.kind, envelope.files)
+
+
+def _part_of_file(task: KnownTask, number: int, wanted: str) -> Reply:
+    """At most `PART_BYTES` of a task's file from the offset of a Range."""
+    files = sorted(parse_json(task.text)["files"].items())
+    found = re.fullmatch(r"bytes=(\d{1,15})-(\d{1,15})?", wanted or "bytes=0-")
+    if number >= len(files) or found is None:
+        raise Refused(404, f"the task has {len(files)} files; a Range is bytes=FIRST-LAST.")
+    name, about = files[number]
+    first = int(found[1])
+    last = min(int(found[2] or about["bytes"] - 1), first + PART_BYTES - 1, about["bytes"] - 1)
+    with (task.folder / name).open("rb") as file:
+        file.seek(first)
+        data = file.read(max(0, last - first + 1))
+    return Reply(status=206, body=data, headers={"Content-Range": f"bytes {first}-{first + len(data) - 1}/{about['bytes']}"})
+
+
+def _offset_of(asked: Asked) -> int:
+    """Where a part begins, as the sealed target says and tus's header repeats."""
+    values = parse_qs(urlsplit(asked.target).query).get("offset", [])
+    header = asked.headers.get("upload-offset", "")
+    if len(values) != 1 or not re.fullmatch(r"\d{1,15}", values[0]) or header != values[0]:
+        raise Refused(400, "a part says no offset, once in its target and once as Upload-Offset.")
+    if asked.headers.get("content-type") != "application/offset+octet-stream":
+        raise Refused(415, "a part is application/offset+octet-stream, as tus 1.0 has it.")
+    return int(values[0])
+
+
+def _parsed(kind: type[Any], data: bytes) -> Any:
+    try:
+        return kind.model_validate_json(data)
+    except ValidationError as error:
+        problem = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, problem["loc"]))
+        reason = f"a request's {where or 'body'} cannot be used ({problem['msg']}): use the same version on both sides."
+        raise Refused(400, reason) from None
+
+
+def _decoded(text: str) -> bytes:
+    try:
+        return base64.b64decode(text, validate=True)
+    except ValueError:
+        return b""
+
+
+def _text(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+def _json(status: int, record: Any) -> Reply:
+    return Reply(status=status, body=json.dumps(record).encode(), headers={"Content-Type": "application/json"})

@@ -1,0 +1,366 @@
+"""`CloudRun`: a run whose edges and devices are machines of others. Once per run.
+
+    count, raster   how many photographs each device has, and where they stand in cells
+    region          each edge folds its devices and sends its model, by its own key
+    cloud           joins the edges' models here, as in a run on one machine
+    refine, score   each edge lets its devices refine and score the scene, and sends their mean and
+                    their figures
+
+What an edge reports of its devices is laid into their folders here, so that the rest of the run
+reads it as that of a run on one machine. No name of a photograph, no pose and no device's model is
+among it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.config.run_config import RunConfig
+from radiant_app.events import Decided, Outlined, Warned
+from radiant_app.executors.fold import Deadlines, RetryPolicy
+from radiant_app.executors.local import worker_command
+from radiant_app.executors.network import NetworkExecutor
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.files.system_file import dump_system
+from radiant_app.network.contents import load_report
+from radiant_app.network.hub import Hub
+from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME
+from radiant_app.network.messages import (
+    LPIPS_NAME,
+    PLAN_NAME,
+    SCENE_NAME,
+    SYSTEM_NAME,
+    DevicesReport,
+    EdgeCountTask,
+    EdgeRasterTask,
+    EdgeRefineTask,
+    EdgeScoreTask,
+    RegionTask,
+)
+from radiant_app.run.captured import Captured, middles_of_raster, place_rasters
+from radiant_app.run.dealing import Dealer, deal_files
+from radiant_app.run.delivered import save_delivered_by_edges
+from radiant_app.run.far_devices import FarDevices, require_names
+from radiant_app.run.on_devices import DevicePhotographs
+from radiant_app.run.progress import Progress
+from radiant_app.run.refining import Refining, left_out_decision, will_refine
+from radiant_app.run.scoring import combine_scores, lpips_network_of, regions_alone
+from radiant_app.run.source import Plan
+from radiant_app.run.stages import ATTEMPTS, make_recipe, make_time_left_listener
+from radiant_app.workers.delivering import identify_owned, register_sender, run_number
+from radiant_app.workers.evaluation import LPIPS_NAME as SCORED_LPIPS
+from radiant_app.workers.evaluation import SCORES_NAME
+from radiant_app.workers.inbox import load_corrections
+from radiant_app.workers.tasks import Move, SfmSettings
+from radiant_core import __version__
+from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
+from radiant_core.errors import StageFailed
+from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
+from radiant_core.io.messages import FRAME_NAME, MODEL_NAME, REFINED_NAME, SUMMARY_NAME, save_task, task_key
+from radiant_core.io.records import save_plan
+from radiant_core.io.run_store import content_key, is_sealed, seal, write_atomic, write_json
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.system import System
+from radiant_core.plan.timeline.prediction import planned_stages
+
+
+@dataclass(kw_only=True)
+class CloudRun:
+    """The run at the cloud."""
+
+    config: RunConfig
+    hub: Hub
+    keys: dict[str, str] = field(default_factory=dict)
+    """Node of a task to an edge → the key of its seal."""
+    expected_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run."""
+        return self.config.out
+
+    def join(self, system: System, progress: Progress) -> tuple[Dealer, Tree, Refining]:
+        """Everything between the machines: plan, fold, refine, score. Raises StageFailed where no
+        model can be used."""
+        require_names(system)
+        self.hub.store.withdraw_all(run_number(self.folder))
+        devices = self._count(system, progress)
+        plan = self._plan(system, devices, progress)
+        recipe = make_recipe(self.config, plan, devices_with_photographs(plan.edges), progress)
+        dealer = Dealer(run=self.folder, recipe=recipe, photographs=devices, exchange=lambda: self._exchange_keys(recipe))
+        tree = tree_of_plan(plan.cloud, plan.edges)
+        nodes = [node.id for node in tree]
+        refines = [refined_at(node) for node in nodes] if will_refine(recipe, tree) else []
+        scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
+        progress.manifest.keep_stages({*nodes, *refines, *scores})
+        progress.listen(Outlined(stages=(*nodes, *refines, *scores)))
+        listen = make_time_left_listener(self.config, plan.system, plan.edges, progress)
+        for row in planned_stages(plan.system, plan.edges):
+            self.expected_s[row.node] = self.expected_s.get(row.node, 0.0) + row.seconds
+        self._executor(progress, listen).fold(tree, lambda node: self._prepare(node, dealer, devices), listen)
+        if not dealer.has_model("cloud"):
+            reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
+            raise StageFailed(f"no device delivered a model that could be used. {reasons}")
+        refining = Refining(dealer=dealer, moves=dealer.load_moves())
+        self._refine(refining, progress)
+        self._score(dealer, progress)
+        progress.manifest.access_log = [*dealer.access_log]
+        return dealer, tree, refining
+
+    # Machines
+
+    def _executor(self, progress: Progress, deadlines: Deadlines | None = None) -> NetworkExecutor:
+        policy = RetryPolicy(may_fail=lambda node, error: node.tier != "cloud", max_attempts=ATTEMPTS, deadlines=deadlines)
+        return NetworkExecutor(
+            hub=self.hub,
+            run=run_number(self.folder),
+            lease_s=lambda node_id: self._lease_s(node_id.removesuffix(refined_at(""))),
+            clock=progress.clock,
+            command=worker_command,
+            retry_policy=policy,
+            num_threads=os.cpu_count() or 1,
+            is_far=lambda node: node.tier == "edge",
+        )
+
+    def _lease_s(self, node_id: str) -> float:
+        """How long an edge may be silent: as long as the plan gives it."""
+        return self.expected_s.get(node_id, 0.0)
+
+    def _exchange_keys(self, recipe: Recipe) -> None:
+        """Take what edges sign with the keys that they joined by."""
+        identify_owned(self.folder, "cloud", None, self.hub.home.identity, None, conducts=True)
+        for plan in recipe.edge_plans:
+            member = self.hub.store.member(f"edges/{plan.edge_id}")
+            if member is not None and member.key is not None:
+                register_sender(self.folder, member.id, "cloud", self.hub.public_key(member.id))
+
+    # Counting
+
+    def _ask_edges(self, kind: str, tasks: Mapping[str, Any], progress: Progress, files: Mapping[str, Path] | None = None) -> DevicesReport:
+        """Ask every edge of the same kind of work; what all their devices answer."""
+        name = kind.removeprefix("edge_")
+
+        def prepare(node: Tree) -> NodeTask | None:
+            if node.tier != "edge":
+                return None
+            folder = self.folder / node.id
+            folder.mkdir(parents=True, exist_ok=True)
+            task = tasks[node.id.split("/")[1]]
+            save_task(folder, task)
+            for given, path in (files or {}).items():
+                deal_files(path.parent, [path.name], folder)
+                (folder / path.name).replace(folder / given)
+            key = content_key(__version__, task_key(task), *((folder / given) for given in files or ()))
+            self.keys[node.id] = key
+            return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
+
+        nodes = tuple(Tree(id=f"edges/{edge}/{name}", tier="edge") for edge in tasks)
+        self._executor(progress).fold(Tree(id=name, tier="cloud", children=nodes), prepare, progress.listen)
+        found: dict[str, dict[str, Any]] = {}
+        missing: dict[str, str] = {}
+        for edge, task in tasks.items():
+            place = self.folder / f"edges/{edge}/{name}"
+            done = is_sealed(place, self.keys[f"edges/{edge}/{name}"])
+            report = load_report(place) if done else DevicesReport(found={}, missing={})
+            own = {device: report.found[device] for device in task.devices if device in report.found}
+            found |= own
+            missing |= {device: report.missing.get(device, f"edges/{edge} did not answer.") for device in task.devices if device not in own}
+        return DevicesReport(found=found, missing=missing)
+
+    def _count(self, system: System, progress: Progress) -> FarDevices:
+        """How many photographs each device has."""
+        frames = self.config.frames
+        assert frames != "shared"
+        tasks = {edge.id: EdgeCountTask(frames=frames, devices=tuple(own.id for own in edge.devices)) for edge in system.edges}
+        report = self._ask_edges("edge_count", {edge: task for edge, task in tasks.items() if task.devices}, progress)
+        for device, reason in report.missing.items():
+            progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {reason}"))
+        return FarDevices(counts={device: record["num_photographs"] for device, record in sorted(report.found.items())})
+
+    def _plan(self, system: System, devices: FarDevices, progress: Progress) -> Plan:
+        """The plan in which every device keeps what it took."""
+        assert self.config.frames != "shared" and self.config.cell_m is not None
+        tasks = {}
+        for edge in system.edges:
+            own = tuple(device.id for device in edge.devices if devices.counts.get(device.id, 0))
+            if own:
+                tasks[edge.id] = EdgeRasterTask(
+                    frames=self.config.frames,
+                    devices=own,
+                    cell_m=self.config.cell_m,
+                    first_held_out=tuple(devices.first_held_out(device) for device in own),
+                )
+        report = self._ask_edges("edge_raster", tasks, progress)
+        for device, reason in report.missing.items():
+            progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {reason}"))
+        rasters = {device: report.found[device] for device in devices.devices() if device in report.found}
+        for device, raster in rasters.items():
+            if raster["num_unplaced"]:
+                message = f"{raster['num_unplaced']} of {raster['num_photographs']} photographs of device {device} have no usable position."
+                progress.listen(Warned(stage="plan", message=message))
+        places = {device: middles_of_raster(raster) for device, raster in rasters.items()}
+        origin: FloatArray | None = None
+        if self.config.frames == "gps":
+            origin, middles = place_rasters(places, progress)
+        else:
+            middles = {device: place[:, :2] for device, place in places.items()}
+        captured = Captured(names=(), owners=(), positions=np.zeros((0, 3)), origin=origin, cell_middles=middles)
+        devices.origin = origin
+        folders = dict.fromkeys(rasters, self.folder)
+        return DevicePhotographs(config=self.config, captured=captured, folders=folders, poses=None).make_plan(system, progress)
+
+    # Folding
+
+    def _prepare(self, node: Tree, dealer: Dealer, devices: FarDevices) -> NodeTask | None:
+        if node.tier == "device":
+            return None
+        if node.tier == "edge":
+            return self._prepare_region(node, dealer, devices)
+        for edge in node.children:
+            self._open_region(edge, dealer)
+        return dealer.prepare(node)
+
+    def _prepare_region(self, edge: Tree, dealer: Dealer, devices: FarDevices) -> NodeTask:
+        recipe, folder = dealer.recipe, self.folder / edge.id
+        folder.mkdir(parents=True, exist_ok=True)
+        plan = next(plan for plan in recipe.edge_plans if plan.edge_id == edge.name)
+        own = next(each for each in recipe.system.edges if each.id == edge.name)
+        names = tuple(device.name for device in edge.children)
+        assert self.config.frames != "shared"
+        task = RegionTask(
+            train=recipe.train,
+            backend=recipe.backend,
+            checkpoint_every_s=recipe.checkpoint_every_s,
+            frames=self.config.frames,
+            devices=names,
+            first_held_out=tuple(map(devices.first_held_out, names)),
+            num_dealt=tuple(map(devices.num_dealt, names)),
+            origin=None if devices.origin is None else (float(devices.origin[0]), float(devices.origin[1]), float(devices.origin[2])),
+            sfm=SfmSettings(matching=self.config.sfm.matching, seed=self.config.seed, two_view_points=True),
+            aggregate=recipe.aggregate,
+            upload=recipe.upload,
+            step_policy=recipe.step_policy,
+            num_devices=recipe.num_devices or devices_with_photographs(recipe.edge_plans),
+            num_photographs=sum(len(each.camera_indices) for each in recipe.edge_plans),
+            deadline_factor=self.config.execution.deadline_factor,
+            lpips=lpips_network_of(self.config),
+        )
+        save_task(folder, task)
+        save_plan(folder / PLAN_NAME, regions_alone(recipe.cloud_plan), (plan,))
+        write_atomic(folder / SYSTEM_NAME, dump_system(replace(recipe.system, edges=(own,))).encode())
+        key = content_key(__version__, task_key(task), folder / PLAN_NAME, folder / SYSTEM_NAME)
+        self.keys[edge.id] = key
+        for name in names:
+            dealer.keys[f"devices/{name}"] = self._key_of_device(key, name)
+        return NodeTask(kind="region", stage=edge.id, folder=folder, key=key)
+
+    def _key_of_device(self, key: str, device: str) -> str:
+        return content_key(key, device)
+
+    def _open_region(self, edge: Tree, dealer: Dealer) -> None:
+        """Lay out what an edge reports of its devices, and count its model as there."""
+        folder, key = self.folder / edge.id, self.keys[edge.id]
+        if not is_sealed(folder, key):
+            return
+        report = load_report(folder)
+        for device in edge.children:
+            record = report.found.get(device.name)
+            if record is not None:
+                files = {FRAME_NAME: record["frame"], SUMMARY_NAME: record["summary"]}
+                self._seal_reported(device.id, files, self._key_of_device(key, device.name))
+        if (folder / MODEL_NAME).is_file():
+            dealer.keys[edge.id] = key
+
+    def _seal_reported(self, node: str, files: Mapping[str, Any], key: str) -> None:
+        folder = self.folder / node
+        folder.mkdir(parents=True, exist_ok=True)
+        contents = {**files, NOTES_NAME: {"decisions": [], "warnings": []}}
+        for name, record in contents.items():
+            write_json(folder / name, record)
+        seal(folder, key, sorted(contents))
+
+    # Refining and scoring
+
+    def _refine(self, refining: Refining, progress: Progress) -> None:
+        for decision in refining.plan.decisions:
+            progress.listen(Decided(decision=decision))
+        if (tree := refining.tree) is None:
+            return
+        to_cloud = load_corrections(self.folder / "cloud")
+
+        def prepare(node: Tree) -> NodeTask | None:
+            if node.tier == "device":
+                return None
+            if node.tier == "cloud":
+                for edge in node.children:
+                    self._open_refined(edge, refining)
+                return refining.prepare(node)
+            folder, edge = self.folder / node.id, node.id.split("/")[1]
+            folder.mkdir(parents=True, exist_ok=True)
+            move = to_cloud[edge]
+            assert move is not None
+            devices = tuple(child.id.split("/")[1] for child in node.children)
+            task = EdgeRefineTask(devices=devices, to_cloud=Move.of(move))
+            save_task(folder, task)
+            deal_files(self.folder / "cloud", [SCENE_NAME], folder)
+            # The edge's own model stands for what its devices have.
+            own = self.folder / f"edges/{edge}" / REPORT_NAME
+            key = self.keys[node.id] = content_key(__version__, task_key(task), folder / SCENE_NAME, own)
+            for device in devices:
+                refining.keys[refined_at(f"devices/{device}")] = self._key_of_device(key, device)
+            return NodeTask(kind="edge_refine", stage=node.id, folder=folder, key=key)
+
+        self._executor(progress).fold(tree, prepare, progress.listen)
+        refining.dealer.refined = refining.scene_folder
+        if refining.dealer.refined is None:
+            progress.listen(Warned(stage=tree.id, message="the scene stays as it was joined: no refinement arrived; --resume tries again."))
+        if left_out := refining.left_out():
+            num_devices = sum(node.tier == "device" for node in tree)
+            progress.listen(Decided(decision=left_out_decision(tree.id, left_out, num_devices)))
+
+    def _open_refined(self, edge: Tree, refining: Refining) -> None:
+        folder, key = self.folder / edge.id, self.keys[edge.id]
+        if not is_sealed(folder, key):
+            return
+        report = load_report(folder)
+        for device in edge.children:
+            name = device.id.split("/")[1]
+            if name in report.found:
+                self._seal_reported(device.id, {}, self._key_of_device(key, name))
+        if (folder / REFINED_NAME).is_file():
+            refining.keys[edge.id] = key
+
+    def _score(self, dealer: Dealer, progress: Progress) -> None:
+        """Let the devices score the scene, and combine their figures."""
+        moves, to_cloud = dealer.load_moves(), load_corrections(self.folder / "cloud")
+        tasks = {}
+        for plan in dealer.recipe.edge_plans:
+            names, move = tuple(name for name in sorted(moves) if name in plan.device_ids), to_cloud.get(plan.edge_id)
+            if names and move is not None:
+                tasks[plan.edge_id] = EdgeScoreTask(devices=names, to_cloud=Move.of(move))
+        place = self.folder / "evaluation"
+        place.mkdir(exist_ok=True)
+        save_plan(place / PLAN_NAME, regions_alone(dealer.recipe.cloud_plan), ())
+        files = {SCENE_NAME: dealer.scene_folder / SCENE_NAME, PLAN_NAME: place / PLAN_NAME}
+        if lpips_network_of(self.config):
+            files[LPIPS_NAME] = place / SCORED_LPIPS
+        report = self._ask_edges("edge_score", tasks, progress, files)
+        scores = {}
+        for device, record in sorted(report.found.items()):
+            self._seal_reported(f"devices/{device}/score", {SCORES_NAME: record}, content_key(record))
+            scores[device] = self.folder / f"devices/{device}/score" / SCORES_NAME
+        result = combine_scores(self.folder, scores, lpips_network_of(self.config))
+        counts = dealer.photographs
+        assert isinstance(counts, FarDevices)
+        num_held_out = sum(counts.num_held_out(device) for device in counts.devices())
+        facts: dict[str, Any] = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": False}
+        if report.missing:
+            facts["failed_scoring"] = sorted(report.missing)
+        write_json(place / "result.json", {**result, **facts})
+        save_delivered_by_edges(self.folder, dealer, counts.origin)
