@@ -1,8 +1,10 @@
 /* Preloaded into every process of a run: appends "command line<TAB>path" to $OPENED_FILES for each file that is opened to be read or written,
-   "command line<TAB>network" for each socket that is bound or connected beyond this machine's own file system. */
+   "command line<TAB>network" for each socket that is bound, listened on or connected beyond this machine's own file system. Binding the loopback
+   address alone is not noted: urllib3, which Open3D imports, does so to see whether there is IPv6, and nobody can reach it before `listen`. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>
+#include <netinet/in.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -46,7 +48,21 @@ static int noted_address(const char* name, int socket, const struct sockaddr* ad
   return ((address_t)dlsym(RTLD_NEXT, name))(socket, address, length);
 }
 int connect(int socket, const struct sockaddr* address, socklen_t length) { return noted_address("connect", socket, address, length); }
-int bind(int socket, const struct sockaddr* address, socklen_t length) { return noted_address("bind", socket, address, length); }
+static int is_loopback(const struct sockaddr* address, socklen_t length) {
+  return address && address->sa_family == AF_INET6 && length >= sizeof(struct sockaddr_in6) &&
+         memcmp(&((const struct sockaddr_in6*)address)->sin6_addr, &in6addr_loopback, sizeof in6addr_loopback) == 0;
+}
+int bind(int socket, const struct sockaddr* address, socklen_t length) {
+  if (is_loopback(address, length)) return ((address_t)dlsym(RTLD_NEXT, "bind"))(socket, address, length);
+  return noted_address("bind", socket, address, length);
+}
+typedef int (*listen_t)(int, int);
+int listen(int socket, int backlog) {
+  struct sockaddr_storage own;
+  socklen_t length = sizeof own;
+  if (getsockname(socket, (struct sockaddr*)&own, &length) || own.ss_family != AF_UNIX) write_line("network");
+  return ((listen_t)dlsym(RTLD_NEXT, "listen"))(socket, backlog);
+}
 
 #define MODE va_list rest; va_start(rest, flags); mode_t mode = va_arg(rest, int); va_end(rest)
 int open(const char* path, int flags, ...) { MODE; note(path); return real_open(path, flags, mode); }

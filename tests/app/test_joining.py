@@ -86,7 +86,7 @@ def test_what_exceeds_the_clouds_memory_by_little_is_joined_in_tiles_as_well_as_
     # 6,000 Gaussians take so little that tiles spare nothing: each is said to take 100 times as
     # much.
     monkeypatch.setattr(join_memory, "RASTERIZER_BYTES_PER_SPLAT", 50_000)
-    tiled = joined_again(trained, tmp_path / "tiled", memory_bytes=6.6e8)
+    tiled = joined_again(trained, tmp_path / "tiled", memory_bytes=7.2e8)
     (warning,) = tiled.warnings
     assert tiled.choice.startswith("retraining") and "models are joined in " in warning and " tiles" in warning
     # 0.005 dB more were measured; another seed changes more than a tenth.

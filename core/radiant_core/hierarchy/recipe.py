@@ -67,8 +67,8 @@ class Recipe:
     def training_of(self, device: str) -> TrainConfig:
         """The training of a device, as long as its photographs ask for."""
         train = self.train
-        if train.drop_gaussians == "auto" and devices_with_photographs(self.edge_plans) > 1:
-            # What a device has too few photographs of, its neighbours know (docs/experiments/training.md).
+        if train.drop_gaussians == "auto" and (self.num_devices or devices_with_photographs(self.edge_plans)) > 1:
+            # What a device lacks photographs of its neighbours know (docs/experiments/training.md).
             train = replace(train, drop_gaussians="none")
         if (law := self.step_law) is None:
             return train

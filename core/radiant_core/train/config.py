@@ -271,4 +271,7 @@ def with_settings(config: TrainConfig, settings: Mapping[str, Any]) -> TrainConf
     for name in knobs:
         if name not in names:
             raise BadInput(f"density.{name} is no setting of {density.kind!r}: use one of {', '.join(names)}, or another density.kind.")
-    return replace(config, **values, density=replace(density, **knobs))
+    density = replace(density, **knobs)
+    if isinstance(density, Adc):
+        density.require_resettable()
+    return replace(config, **values, density=density)

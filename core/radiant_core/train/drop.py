@@ -1,6 +1,6 @@
 """Gaussians left out at random, so that a place does not depend on few of them. Once per step.
 
-    o' = 0 of those dropped, each with probability r p;   o' = min(o / (1 − r p), 0.999) of the others
+    o' = 0 of those dropped, each with probability r p,   o' = o / (1 − r p) ≤ 0.999 of the others
 
 p is the share of the run that is spent. What only one photograph shows is otherwise fitted to that
 photograph by piles of half-transparent Gaussians (Park 2025, DropGaussian).

@@ -20,7 +20,7 @@ from radiant_core.train.views import TrainingViews
 
 MIN_PLANNED = 4_000
 """Planned growth may always reach this number of Gaussians."""
-FEW_PHOTOGRAPHS = 25
+FEW_PHOTOGRAPHS = 36
 """With fewer than these to train on, leaving Gaussians out at random gains on photographs left
 out (docs/experiments/training.md)."""
 MIN_STEPS = 1_500

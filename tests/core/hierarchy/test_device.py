@@ -58,9 +58,9 @@ def test_a_device_trains_the_same_model_each_time_and_names_itself_in_its_decisi
     assert [decision.topic for decision in reporter.decisions][:5] == [
         "repeated photographs",
         "blurred photographs",
+        "Gaussians left out at random",
         "light",
         "sky",
-        "fill-in points",
     ]
     assert model.summary["num_steps"] == TRAIN.num_steps and model.summary["num_photographs"] == 4
     assert model.initial is not None and model.summary["num_splats"] == len(model.splats)

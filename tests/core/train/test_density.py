@@ -16,7 +16,7 @@ from radiant_core.errors import BadInput
 from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats, morton_order
-from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.densify import density
 from radiant_core.train.densify.density import (
     AdaptiveDensity,
@@ -362,5 +362,7 @@ def test_less_opaque_gaussians_than_the_policy_allows_are_pruned_and_resets_may_
         with pytest.raises(BadInput, match="min_opacity"):
             Adc(min_opacity=wrong)
     with pytest.raises(BadInput, match="all would be pruned"):
-        Adc(min_opacity=0.1)
-    assert Adc(min_opacity=0.1, reset_opacity_every=15_000).min_opacity == 0.1
+        Adc(min_opacity=0.1).require_resettable()
+    with pytest.raises(BadInput, match="all would be pruned"):
+        with_settings(train_preset("default"), {"density.reset_opacity_every": 3_000})
+    Adc(min_opacity=0.1, reset_opacity_every=15_000).require_resettable()

@@ -162,6 +162,7 @@ class AdaptiveDensity(Part):
 
     def __init__(self, policy: Adc, config: TrainConfig, extent: float, splats: SplatTensors) -> None:
         """`extent` of the cameras in world units; `splats`: the model before the first step."""
+        policy.require_resettable()
         self._policy, self._config, self._extent = policy, config, extent
         self._num_first = len(splats)
         self._last_reset = 0

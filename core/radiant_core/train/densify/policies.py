@@ -71,6 +71,9 @@ class Adc:
         require_positive_or_none(self, ("prune_radius_px",))
         if not 0 <= self.min_opacity < 1:
             raise BadInput(f"min_opacity is {self.min_opacity}, expected at least 0 and less than 1.")
+
+    def require_resettable(self) -> None:
+        """Raise BadInput where a reset of opacities would prune all Gaussians."""
         if self.min_opacity > RESET_OPACITY and self.reset_opacity_every < self.until_step:
             raise BadInput(
                 f"min_opacity is {self.min_opacity}, but opacities are reset to {RESET_OPACITY} every {self.reset_opacity_every:,} steps, "
