@@ -108,6 +108,9 @@ def apply_exposure_backward(
     image: Tensor, color_map: Tensor, shown_gradient: Tensor, image_gradient: Tensor, map_gradient: Tensor, num_threads: int = 1
 ) -> None: ...
 def find_not_finite(values: Tensor, runs: NDArray[np.int32] | None, num_threads: int = 1) -> list[int]: ...
+def compare_descriptors(
+    first: NDArray[np.uint8], second: NDArray[np.uint8], instruction_set: str = ""
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]: ...
 def match_planes(
     reference: NDArray[np.uint8],
     sources: Sequence[NDArray[np.uint8]],
