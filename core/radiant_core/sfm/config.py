@@ -14,9 +14,10 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.scene import SfmScene
 
-Effort = Literal["auto", "thorough"]
-"""auto: features by OpenCV, previews of pairs, few adjustments of all, and thoroughly where over a
-tenth stays unregistered; thorough: as COLMAP does by default."""
+Effort = Literal["auto", "quick", "thorough"]
+"""auto: COLMAP's features, matched exactly, and few adjustments of all photographs; quick: OpenCV's
+features and the pairs alone that a preview finds promising, and as auto where over a tenth stays
+unregistered; thorough: all as COLMAP does it."""
 Mapper = Literal["auto", "incremental", "global"]
 """auto: incremental, then global where over a tenth is unregistered; others: that one alone."""
 
@@ -34,10 +35,10 @@ class SfmConfig:
     matching: Matching = "auto"
     """Which pairs are matched: auto, spatial (GPS neighbours) or exhaustive (all)."""
     num_partners: int = 10
-    """Of its candidates each photograph is matched in full with so many that have most in common in
-    a preview; 0: with all."""
+    """With `effort` quick each photograph is matched in full with so many candidates that have most
+    in common in a preview; 0: with all."""
     effort: Effort = "auto"
-    """Whether steps are shortened that lose nothing where photographs overlap well, or none."""
+    """Which steps are shortened: auto, quick or thorough."""
     mapper: Mapper = "auto"
     """Which mapper estimates the poses: auto, incremental or global."""
     two_view_points: bool = False
@@ -54,7 +55,14 @@ class SfmConfig:
     def __post_init__(self) -> None:
         if self.memory_bytes is not None and not 0 < self.memory_bytes < math.inf:
             raise BadInput(f"sfm.memory_bytes is {self.memory_bytes!r}, expected a positive number of bytes.")
-        for name, least in (("max_image_size_px", 64), ("max_num_features", 64), ("num_neighbors", 1), ("num_partners", 0), ("num_threads", 0), ("seed", 0)):
+        for name, least in (
+            ("max_image_size_px", 64),
+            ("max_num_features", 64),
+            ("num_neighbors", 1),
+            ("num_partners", 0),
+            ("num_threads", 0),
+            ("seed", 0),
+        ):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise BadInput(f"sfm.{name} is {value!r}, expected a whole number of at least {least}.")

@@ -49,7 +49,7 @@ def extract_features(
         names = [name for name in group if name not in found]
         for chunk in _chunks(names, PHOTOS_PER_CALL_AND_THREAD * config.threads):
             for part, folder in _by_mask(chunk, masks):
-                if config.effort == "thorough":
+                if config.effort != "quick":
                     _extract((database, photo_folder, folder), part, camera_id, config)
                     count(len(part))
                 else:

@@ -15,16 +15,14 @@ from radiant_core.sfm.quick.partners import NUM_PREVIEWED, choose_partners
 
 def keep_promising(database: Path, candidates: Pairs, config: SfmConfig, report: Report) -> tuple[Pairs, tuple[Decision, ...]]:
     """The candidates to match in full, and why. All where a user asked for spatial or exhaustive
-    matching or for thorough work, and where no photograph has more than `num_partners`."""
+    matching, without `effort` quick, and where no photograph has more than `num_partners`."""
     names = sorted({name for pair in candidates for name in pair})
     report(SfmProgress(phase="pairs", done=0, total=len(candidates)))
     few = 2 * len(candidates) <= config.num_partners * len(names)
-    if config.effort == "thorough" or config.matching != "auto" or not config.num_partners or few:
+    if config.effort != "quick" or config.matching != "auto" or not config.num_partners or few:
         report(SfmProgress(phase="pairs", done=len(candidates), total=len(candidates)))
         return candidates, ()
-    scores = preview_pairs(
-        database, candidates, config, lambda done: report(SfmProgress(phase="pairs", done=done, total=len(candidates)))
-    )
+    scores = preview_pairs(database, candidates, config, lambda done: report(SfmProgress(phase="pairs", done=done, total=len(candidates))))
     number_of = {name: number for number, name in enumerate(names)}
     numbered = np.array([[number_of[name] for name in pair] for pair in candidates], np.int64)
     kept = np.flatnonzero(choose_partners(numbered, scores, len(names), config.num_partners))

@@ -123,7 +123,9 @@ def _descriptors(store: pycolmap.Database, image_id: int) -> Descriptors:
 
 
 def _points(store: pycolmap.Database, image_id: int) -> FloatArray:
-    return np.asarray(store.read_keypoints(image_id), np.float64).reshape(-1, 4)[:, :2]
+    points = np.asarray(store.read_keypoints(image_id), np.float64)
+    # COLMAP's own have a matrix in place of scale and angle.
+    return np.ascontiguousarray(points[:, :2]) if len(points) else np.zeros((0, 2))
 
 
 def preview_pairs(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDone) -> NDArray[np.int64]:

@@ -33,9 +33,7 @@ def match_descriptors(first: Descriptors, second: Descriptors, instruction_set: 
             raise BadInput(f"descriptors have shape {array.shape} and type {array.dtype}, expected (N, {NUM_BYTES}) of uint8.")
     if not len(first) or not len(second):
         return np.zeros((0, 2), np.uint32)
-    index, best, second_best, column_best = compare_descriptors(
-        np.ascontiguousarray(first), np.ascontiguousarray(second), instruction_set
-    )
+    index, best, second_best, column_best = compare_descriptors(np.ascontiguousarray(first), np.ascontiguousarray(second), instruction_set)
     near, next_rad = _angles_rad(best), _angles_rad(second_best)
     rows = np.flatnonzero((best == column_best[index]) & (near < MAX_RATIO * next_rad) & (near < MAX_ANGLE_RAD))
     return np.column_stack([rows, index[rows]]).astype(np.uint32)
