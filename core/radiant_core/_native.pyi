@@ -104,6 +104,9 @@ def adam_step(
     instruction_set: str = "",
 ) -> None: ...
 def find_not_finite(values: Tensor, runs: NDArray[np.int32] | None, num_threads: int = 1) -> list[int]: ...
+def compare_descriptors(
+    first: NDArray[np.uint8], second: NDArray[np.uint8], instruction_set: str = ""
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]: ...
 def match_planes(
     reference: NDArray[np.uint8],
     sources: Sequence[NDArray[np.uint8]],

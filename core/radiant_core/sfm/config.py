@@ -14,6 +14,10 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.scene import SfmScene
 
+Effort = Literal["auto", "quick", "thorough"]
+"""auto: COLMAP's features, matched exactly, and few adjustments of all photographs; quick: OpenCV's
+features and the pairs alone that a preview finds promising, and as auto where over a tenth stays
+unregistered; thorough: all as COLMAP does it."""
 Mapper = Literal["auto", "incremental", "global"]
 """auto: incremental, then global where over a tenth is unregistered; others: that one alone."""
 
@@ -30,6 +34,11 @@ class SfmConfig:
     """With GPS, each photograph is matched with this many nearest ones."""
     matching: Matching = "auto"
     """Which pairs are matched: auto, spatial (GPS neighbours) or exhaustive (all)."""
+    num_partners: int = 10
+    """With `effort` quick each photograph is matched in full with so many candidates that have most
+    in common in a preview; 0: with all."""
+    effort: Effort = "auto"
+    """Which steps are shortened: auto, quick or thorough."""
     mapper: Mapper = "auto"
     """Which mapper estimates the poses: auto, incremental or global."""
     two_view_points: bool = False
@@ -46,11 +55,18 @@ class SfmConfig:
     def __post_init__(self) -> None:
         if self.memory_bytes is not None and not 0 < self.memory_bytes < math.inf:
             raise BadInput(f"sfm.memory_bytes is {self.memory_bytes!r}, expected a positive number of bytes.")
-        for name, least in (("max_image_size_px", 64), ("max_num_features", 64), ("num_neighbors", 1), ("num_threads", 0), ("seed", 0)):
+        for name, least in (
+            ("max_image_size_px", 64),
+            ("max_num_features", 64),
+            ("num_neighbors", 1),
+            ("num_partners", 0),
+            ("num_threads", 0),
+            ("seed", 0),
+        ):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise BadInput(f"sfm.{name} is {value!r}, expected a whole number of at least {least}.")
-        for name, choices in (("matching", get_args(Matching)), ("mapper", get_args(Mapper))):
+        for name, choices in (("matching", get_args(Matching)), ("effort", get_args(Effort)), ("mapper", get_args(Mapper))):
             if getattr(self, name) not in choices:
                 raise BadInput(f"sfm.{name} is {getattr(self, name)!r}, expected one of {', '.join(choices)}.")
 
@@ -60,7 +76,7 @@ class SfmConfig:
         return self.num_threads or os.cpu_count() or 1
 
 
-Phase = Literal["checking photographs", "features", "matching", "mapping", "triangulating", "refining", "undistorting"]
+Phase = Literal["checking photographs", "features", "pairs", "matching", "mapping", "triangulating", "refining", "undistorting"]
 
 
 @dataclass(frozen=True, kw_only=True)

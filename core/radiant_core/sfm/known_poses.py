@@ -28,6 +28,7 @@ from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
 from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
 from radiant_core.sfm.colmap.pairs import neighbor_pairs
+from radiant_core.sfm.colmap.previewed_pairs import keep_promising
 from radiant_core.sfm.colmap.undistort import undistort
 from radiant_core.sfm.colmap.workspace import list_usable
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, number_phases
@@ -93,7 +94,7 @@ def scene_from_poses(
     `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are
     0. Raises BadInput when a photograph is missing or not of its camera's size, or when no point
     can be triangulated."""
-    report = number_phases(report, ("checking photographs", "features", "matching", "triangulating"))
+    report = number_phases(report, ("checking photographs", "features", "pairs", "matching", "triangulating"))
     photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
     config, _ = limit_to_memory(config, [photo.size_wh for photo in photographs])
     with prepare_database(work_folder, database_key(photographs, config, masks)) as database:
@@ -102,7 +103,8 @@ def scene_from_poses(
         keep_masks(given, work_folder)
         model_folder = work_folder / "sparse"
         posed = _posed_model(cameras, database, model_folder)
-        match_pairs(database, neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors), config, report)
+        candidates = neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors)
+        match_pairs(database, keep_promising(database, candidates, config, report)[0], config, report)
         report(SfmProgress(phase="triangulating", done=0, total=len(cameras)))
         triangulate(posed, database, photo_folder, model_folder, config)
         report(SfmProgress(phase="triangulating", done=len(cameras), total=len(cameras)))

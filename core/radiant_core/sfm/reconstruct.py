@@ -1,7 +1,7 @@
 """Structure from motion: from a folder of photographs to cameras and points in one world frame.
 
-Once per scene: list and check the photographs, features, matches, poses (`database.py`,
-`mapping.py`, `refine.py`), undistort to pinhole (`undistort.py`), then the world frame
+Once per scene: list and check the photographs, features, pairs, matches, poses (`attempts.py`,
+`refine.py`), undistort to pinhole (`undistort.py`), then the world frame
 (`world.py`). EXIF orientation is ignored for pixels throughout.
 """
 
@@ -14,10 +14,7 @@ from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
-from radiant_core.sfm.colmap.database import extract_features, match_pairs
-from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
-from radiant_core.sfm.colmap.mapping import MappingJob, map_photographs
-from radiant_core.sfm.colmap.pairs import choose_pairs
+from radiant_core.sfm.attempts import PhotographSet, find_poses
 from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
@@ -31,7 +28,7 @@ from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, scene_in_world
 
-PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "undistorting")
+PHASES: tuple[Phase, ...] = ("checking photographs", "features", "pairs", "matching", "mapping", "refining", "undistorting")
 
 
 def reconstruct(
@@ -50,24 +47,12 @@ def reconstruct(
     placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
     config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
-    with prepare_database(work_folder, database_key(photographs, config, masks)) as database:
-        given = take_masks(masks, photographs, work_folder)
-        pairs, matching = choose_pairs(photographs, config)
-        extract_features(database, photo_folder, photographs, config, report, given)
-        match_pairs(database, pairs, config, report)
-        job = MappingJob(
-            photo_folder=photo_folder,
-            photographs=photographs,
-            database=database,
-            pairs=pairs,
-            work_folder=work_folder / "models",
-            config=config,
-            report=report,
-        )
-        mapped = map_photographs(job)
-        (work_folder / "sparse").mkdir()
-        if config.two_view_points:
-            triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
+    attempt = find_poses(PhotographSet(folder=photo_folder, photographs=photographs, masks=masks), work_folder, config, report)
+    mapped, given = attempt.mapped, attempt.given_masks
+    assert mapped is not None
+    (work_folder / "sparse").mkdir()
+    if config.two_view_points:
+        triangulate(mapped.model, attempt.database, photo_folder, work_folder / "sparse", attempt.config)
     refine(mapped.model, config, report).write_binary(work_folder / "sparse")
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
@@ -82,7 +67,7 @@ def reconstruct(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
-        decisions=(*limited, matching, *mapped.decisions, *placed.decisions, *masks_decision(scene, masks)),
+        decisions=(*limited, *attempt.decisions, *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
             *warn_of_unused(listing),
             *repeats,

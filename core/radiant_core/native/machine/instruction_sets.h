@@ -7,7 +7,7 @@
 
 namespace radiant {
 
-// Whether this CPU runs the build of that name: avx512, avx2 or portable.
+// Whether this CPU runs the build of that name: avx512vnni, avx512, avx2 or portable.
 bool cpu_runs(const std::string& name);
 
 // Of `builds`, the fastest first: the one of that name, for an empty name the first that runs here,

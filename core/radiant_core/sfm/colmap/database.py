@@ -17,6 +17,7 @@ from radiant_core.io.photos.masks import mask_name
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.pairs import Pairs
+from radiant_core.sfm.colmap.quick_database import extract_quickly, match_quickly
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
 
 Item = TypeVar("Item")
@@ -36,16 +37,24 @@ def extract_features(
         groups[photo.camera].append(photo.name)
     found = _cameras_by_name(database) if database.is_file() else {}
     done = len(found)
-    report(SfmProgress(phase="features", done=done, total=len(photographs)))
+
+    def count(num_photographs: int) -> None:
+        nonlocal done
+        done += num_photographs
+        report(SfmProgress(phase="features", done=done, total=len(photographs)))
+
+    count(0)
     for group in groups.values():
         camera_id = next((found[name] for name in group if name in found), -1)
         names = [name for name in group if name not in found]
         for chunk in _chunks(names, PHOTOS_PER_CALL_AND_THREAD * config.threads):
             for part, folder in _by_mask(chunk, masks):
-                _extract((database, photo_folder, folder), part, camera_id, config)
+                if config.effort != "quick":
+                    _extract((database, photo_folder, folder), part, camera_id, config)
+                    count(len(part))
+                else:
+                    extract_quickly((database, photo_folder, folder), part, camera_id, config, lambda: count(1))
                 camera_id = camera_id if camera_id >= 0 else _camera_of(database, part[0])
-            done += len(chunk)
-            report(SfmProgress(phase="features", done=done, total=len(photographs)))
 
 
 def _cameras_by_name(database: Path) -> dict[str, int]:
@@ -99,6 +108,9 @@ def match_pairs(database: Path, pairs: Pairs, config: SfmConfig, report: Report)
     done = len(pairs) - len(left)
     report(SfmProgress(phase="matching", done=done, total=len(pairs)))
     if not left:
+        return
+    if config.effort != "thorough":
+        match_quickly(database, left, config, lambda num: report(SfmProgress(phase="matching", done=done + num, total=len(pairs))))
         return
     with _numbered_names(database) as number_of:
         for chunk in _chunks(left, PAIRS_PER_CALL):

@@ -17,7 +17,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from radiant_core.decisions import Decision
-from radiant_core.errors import BadInput
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.database import match_pairs
@@ -28,6 +27,9 @@ from radiant_core.sfm.world_frame.align import robust_sim3
 MIN_POINTS = 15
 FEW_POINTS = 60
 GPS_FACTOR = 5.0
+GROWTH = 1.4
+"""The model may grow by so much before all of it is adjusted again: 1.1 as COLMAP has it took 40 %
+longer and gave the same poses (docs/experiments/sfm.md)."""
 MAX_LEFT_SHARE = 0.1
 
 
@@ -53,18 +55,15 @@ class Mapped:
     decisions: tuple[Decision, ...]
 
 
-def map_photographs(job: MappingJob) -> Mapped:
-    """The best model of the job's photographs; BadInput when they do not overlap enough for any."""
+def map_photographs(job: MappingJob) -> Mapped | None:
+    """The best model of the job's photographs; None when they do not overlap enough for any."""
     if job.config.mapper == "global":
         candidate, decisions = without_strays(job, _global_model(job)), []
     else:
         candidate = without_strays(job, _incremental_model(job, "incremental"))
         candidate, decisions = _improve(job, candidate)
     if candidate is None:
-        raise BadInput(
-            f"the {len(job.photographs)} photographs in {job.photo_folder} do not overlap enough for structure "
-            "from motion: take photographs of one place in which neighbours share more than half of their view."
-        )
+        return None
     return Mapped(model=candidate, unregistered=_missing_names(job, candidate), decisions=tuple(decisions))
 
 
@@ -91,6 +90,8 @@ def _incremental_model(job: MappingJob, name: str) -> pycolmap.Reconstruction | 
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = job.config.threads
     options.random_seed = job.config.seed
+    if job.config.effort != "thorough":
+        _adjust_seldom(options)
     models = call_colmap(
         "mapping",
         pycolmap.incremental_mapping,
@@ -104,6 +105,12 @@ def _incremental_model(job: MappingJob, name: str) -> pycolmap.Reconstruction | 
     )
     job.report(SfmProgress(phase="mapping", done=total, total=total))
     return _best(models)
+
+
+def _adjust_seldom(options: pycolmap.IncrementalPipelineOptions) -> None:
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = GROWTH
+    options.ba_global_max_refinements = 2
+    options.ba_local_max_refinements = 1
 
 
 def _global_model(job: MappingJob) -> pycolmap.Reconstruction | None:

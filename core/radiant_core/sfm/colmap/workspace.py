@@ -11,6 +11,7 @@ from radiant_core.io.photos.listing import PhotoListing, list_photographs, unrea
 from radiant_core.sfm.config import Report, SfmProgress
 
 DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json", "names.json")
+THOROUGH_FOLDER = "thorough"
 WORK_FILES = ("pairs.txt",)
 WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", "masks.part", "masks.given")
 """All that structure from motion puts into its work folder and removes there at the start."""
@@ -40,5 +41,5 @@ def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:
     work_folder.mkdir(parents=True, exist_ok=True)
     for name in (*WORK_FILES, *(() if keep_database else DATABASE_FILES)):
         (work_folder / name).unlink(missing_ok=True)
-    for name in WORK_FOLDERS:
+    for name in (*WORK_FOLDERS, *(() if keep_database else (THOROUGH_FOLDER,))):
         shutil.rmtree(work_folder / name, ignore_errors=True)

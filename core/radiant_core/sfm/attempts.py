@@ -1,0 +1,126 @@
+"""Poses of the photographs, and once more where a quick way loses some. Once per scene.
+
+`SfmConfig.effort` quick leaves out what photographs that overlap well do not need. Where more than a
+tenth of them finds no place by it, COLMAP's own features and all candidates are tried in thorough/,
+with a database of its own, and what places more photographs is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.io.photos.listing import Photograph
+from radiant_core.sfm.colmap.database import extract_features, match_pairs
+from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
+from radiant_core.sfm.colmap.mapping import GROWTH, MAX_LEFT_SHARE, Mapped, MappingJob, map_photographs
+from radiant_core.sfm.colmap.pairs import choose_pairs
+from radiant_core.sfm.colmap.previewed_pairs import keep_promising
+from radiant_core.sfm.colmap.workspace import THOROUGH_FOLDER
+from radiant_core.sfm.config import Report, SfmConfig
+from radiant_core.sfm.masks import take_masks
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotographSet:
+    """Photographs of one folder, with a folder of masks if there is one."""
+
+    folder: Path
+    photographs: tuple[Photograph, ...]
+    masks: Path | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attempt:
+    """What one way of finding poses came to; None for photographs that do not overlap enough."""
+
+    mapped: Mapped | None
+    database: Path
+    given_masks: Path | None
+    config: SfmConfig
+    decisions: tuple[Decision, ...]
+
+    @property
+    def num_registered(self) -> int:
+        """Photographs with a pose."""
+        return 0 if self.mapped is None else int(self.mapped.model.num_reg_images())
+
+
+def find_poses(photos: PhotographSet, work_folder: Path, config: SfmConfig, report: Report) -> Attempt:
+    """The attempt that places most photographs; its `mapped` is there. Raises BadInput where none
+    places any."""
+    attempt = _attempt(photos, work_folder, config, report)
+    left = 1 - attempt.num_registered / len(photos.photographs)
+    if config.effort != "quick" or left <= MAX_LEFT_SHARE:
+        return _require_mapped(attempt, photos)
+    thorough = _attempt(photos, work_folder / THOROUGH_FOLDER, replace(config, effort="auto"), report)
+    taken = thorough if thorough.num_registered > attempt.num_registered else attempt
+    decision = Decision(
+        stage="sfm",
+        topic="effort",
+        choice="done again thoroughly, which is taken" if taken is thorough else "done again thoroughly: no gain, dropped",
+        figure=float(thorough.num_registered),
+        unit="photographs registered",
+        reason=f"{attempt.num_registered} of {len(photos.photographs)} were registered before",
+    )
+    # Masks are the same whichever database they went into.
+    taken = replace(taken, given_masks=attempt.given_masks, decisions=(*taken.decisions, decision))
+    return _require_mapped(taken, photos)
+
+
+def _require_mapped(attempt: Attempt, photos: PhotographSet) -> Attempt:
+    if attempt.mapped is None:
+        raise BadInput(
+            f"the {len(photos.photographs)} photographs in {photos.folder} do not overlap enough for structure "
+            "from motion: take photographs of one place in which neighbours share more than half of their view."
+        )
+    return attempt
+
+
+def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report: Report) -> Attempt:
+    with prepare_database(work_folder, database_key(photos.photographs, config, photos.masks)) as database:
+        given = take_masks(photos.masks, photos.photographs, work_folder)
+        candidates, matching = choose_pairs(photos.photographs, config)
+        extract_features(database, photos.folder, photos.photographs, config, report, given)
+        pairs, previewed = keep_promising(database, candidates, config, report)
+        match_pairs(database, pairs, config, report)
+        job = MappingJob(
+            photo_folder=photos.folder,
+            photographs=photos.photographs,
+            database=database,
+            pairs=pairs,
+            work_folder=work_folder / "models",
+            config=config,
+            report=report,
+        )
+        mapped = map_photographs(job)
+    decisions = (*_shortened(config), matching, *previewed, *(mapped.decisions if mapped else ()))
+    return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions)
+
+
+def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
+    """What is left out before anything is known of the photographs."""
+    if config.effort == "thorough":
+        return ()
+    adjusting = Decision(
+        stage="sfm",
+        topic="adjustment",
+        choice=f"of all photographs whenever the model has grown {GROWTH:g} times",
+        figure=GROWTH,
+        unit="times",
+        reason="adjusting at every tenth takes 40 % longer to the same poses",
+    )
+    if config.effort == "auto":
+        return (adjusting,)
+    features = Decision(
+        stage="sfm",
+        topic="features",
+        choice=f"OpenCV's SIFT, {config.max_num_features:,} a photograph at most",
+        figure=float(config.max_num_features),
+        unit="features a photograph",
+        reason="asked for by sfm.effort=quick: a third of the time of COLMAP's",
+        forced=True,
+    )
+    return (features, adjusting)
