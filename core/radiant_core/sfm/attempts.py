@@ -1,8 +1,8 @@
 """Poses of the photographs, and once more where a quick way loses some. Once per scene.
 
-`SfmConfig.effort` quick leaves out what photographs that overlap well do not need. Where more than a
-tenth of them finds no place by it, COLMAP's own features and all candidates are tried in thorough/,
-with a database of its own, and what places more photographs is taken.
+`SfmConfig.effort` quick leaves out what photographs that overlap well do not need. Where more than
+a tenth of them finds no place by it, COLMAP's own features and all candidates are tried in
+thorough/, with a database of its own, and what places more photographs is taken.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
             report=report,
         )
         mapped = map_photographs(job)
-    decisions = (*_shortened(config), matching, *previewed, *(mapped.decisions if mapped else ()))
+    decisions = (matching, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
     return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions)
 
 

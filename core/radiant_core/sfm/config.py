@@ -94,6 +94,12 @@ class SfmProgress:
 Report = Callable[[SfmProgress], None]
 
 
+def with_preview(phases: tuple[Phase, ...], config: SfmConfig) -> tuple[Phase, ...]:
+    """The phases of a job, with that of choosing pairs where `effort` is quick."""
+    at = phases.index("matching")
+    return (*phases[:at], "pairs", *phases[at:]) if config.effort == "quick" else phases
+
+
 def number_phases(report: Report, phases: Sequence[Phase]) -> Report:
     """A report that numbers the job's `phases`; a phase that comes twice has its number twice."""
     return lambda progress: report(replace(progress, step=phases.index(progress.phase) + 1, num_steps=len(phases)))

@@ -31,7 +31,7 @@ from radiant_core.sfm.colmap.pairs import neighbor_pairs
 from radiant_core.sfm.colmap.previewed_pairs import keep_promising
 from radiant_core.sfm.colmap.undistort import undistort
 from radiant_core.sfm.colmap.workspace import list_usable
-from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, number_phases
+from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, number_phases, with_preview
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
 from radiant_core.sfm.memory import limit_to_memory
@@ -94,7 +94,7 @@ def scene_from_poses(
     `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are
     0. Raises BadInput when a photograph is missing or not of its camera's size, or when no point
     can be triangulated."""
-    report = number_phases(report, ("checking photographs", "features", "pairs", "matching", "triangulating"))
+    report = number_phases(report, with_preview(("checking photographs", "features", "matching", "triangulating"), config))
     photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
     config, _ = limit_to_memory(config, [photo.size_wh for photo in photographs])
     with prepare_database(work_folder, database_key(photographs, config, masks)) as database:

@@ -19,7 +19,7 @@ from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
-from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmResult, number_phases
+from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmResult, number_phases, with_preview
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.known_poses import triangulate
@@ -28,7 +28,7 @@ from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, scene_in_world
 
-PHASES: tuple[Phase, ...] = ("checking photographs", "features", "pairs", "matching", "mapping", "refining", "undistorting")
+PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "undistorting")
 
 
 def reconstruct(
@@ -41,7 +41,7 @@ def reconstruct(
     photographs, masks and settings are used, all else there is removed. Raises BadInput when fewer
     than two photographs can be used or they do not overlap, or `masks` or `placement` do not fit.
     """
-    report = number_phases(report, PHASES)
+    report = number_phases(report, with_preview(PHASES, config))
     listing = list_usable(photo_folder, report)
     photographs = listing.photographs
     placement.check_copies(listing.copies)

@@ -21,10 +21,11 @@ from radiant_core.sfm.colmap import undistort as sfm_undistort
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.kept_database import RECORD_NAME, database_key, prepare_database
 from radiant_core.sfm.colmap.workspace import list_usable
-from radiant_core.sfm.config import SfmConfig, SfmProgress
+from radiant_core.sfm.config import Effort, SfmConfig, SfmProgress
 from radiant_core.sfm.reconstruct import reconstruct
 
-SMALL = SfmConfig(max_image_size_px=320, max_num_features=600, num_threads=1)
+# COLMAP matches in calls, with numbers for names; the exact matching ends between any two pairs.
+SMALL = SfmConfig(max_image_size_px=320, max_num_features=600, num_threads=1, effort="thorough")
 PHOTOS_PER_CALL, PAIRS_PER_CALL = 2, 10
 KILLED = f"""
 import os, signal, sys
@@ -40,7 +41,7 @@ def report(progress):
     if progress.phase == phase and progress.done >= least:
         os.kill(os.getpid(), signal.SIGKILL)
 
-config = SfmConfig(max_image_size_px={SMALL.max_image_size_px}, max_num_features={SMALL.max_num_features}, num_threads=1)
+config = SfmConfig(max_image_size_px={SMALL.max_image_size_px}, max_num_features={SMALL.max_num_features}, num_threads=1, effort=sys.argv[5])
 reconstruct(Path(sys.argv[1]), Path(sys.argv[2]), config, report)
 """
 
@@ -63,8 +64,8 @@ def content(database: Path) -> dict[str, Any]:
         return found | {f"{names[a]} {names[b]}": store.read_two_view_geometry(a, b).inlier_matches.tobytes() for a, b in pairs}
 
 
-def killed(photos: Path, work: Path, phase: str, least: int) -> None:
-    command = [sys.executable, "-c", KILLED, str(photos), str(work), phase, str(least)]
+def killed(photos: Path, work: Path, phase: str, least: int, effort: str = "thorough") -> None:
+    command = [sys.executable, "-c", KILLED, str(photos), str(work), phase, str(least), effort]
     assert subprocess.run(command, capture_output=True, timeout=120, check=False).returncode == -signal.SIGKILL
 
 
@@ -89,6 +90,22 @@ def test_a_killed_reconstruction_goes_on_with_its_features_and_matches(
     np.testing.assert_allclose(result.scene.cameras.centers, whole.scene.cameras.centers, atol=1e-6)
 
 
+@pytest.mark.parametrize("effort", ["auto", "quick"])
+def test_a_killed_exact_matching_goes_on_to_the_same_database(effort: Effort, photos: Path, tmp_path: Path) -> None:
+    config = replace(SMALL, effort=effort)
+    whole = reconstruct(photos, tmp_path / "whole", config, lambda progress: None)
+    work = tmp_path / "killed"
+    killed(photos, work, "matching", 9, effort)
+    assert 0 < len(content(work / "database.db")) < len(content(tmp_path / "whole" / "database.db"))
+    told: list[SfmProgress] = []
+    result = reconstruct(photos, work, config, told.append)
+    assert next(progress.done for progress in told if progress.phase == "matching") >= 8
+    assert content(work / "database.db") == content(tmp_path / "whole" / "database.db")
+    np.testing.assert_allclose(result.scene.cameras.centers, whole.scene.cameras.centers, atol=1e-6)
+    wanted = {"adjustment", "features"} if effort == "quick" else {"adjustment"}
+    assert wanted <= {decision.topic for decision in result.decisions}
+
+
 def test_what_is_of_other_photographs_settings_or_another_start_of_the_machine_is_not_kept(photos: Path, tmp_path: Path) -> None:
     photographs = list_usable(photos, lambda progress: None).photographs
     key = database_key(photographs, SMALL, None)
@@ -100,8 +117,9 @@ def test_what_is_of_other_photographs_settings_or_another_start_of_the_machine_i
         database_key((replace(photographs[0], path=photographs[1].path), *photographs[1:]), SMALL, None),
         database_key(photographs, replace(SMALL, max_num_features=601), None),
         database_key(photographs, SMALL, masks),
+        database_key(photographs, replace(SMALL, effort="quick"), None),
     ]
-    assert len({key, *others}) == 5 and key == database_key(photographs, replace(SMALL, num_threads=2), None)
+    assert len({key, *others}) == 6 and key == database_key(photographs, replace(SMALL, num_threads=2), None)
 
     def is_kept(key: str) -> bool:
         with prepare_database(tmp_path / "work", key) as database:

@@ -16,10 +16,12 @@ from radiant_core.sfm.quick.partners import NUM_PREVIEWED, choose_partners
 def keep_promising(database: Path, candidates: Pairs, config: SfmConfig, report: Report) -> tuple[Pairs, tuple[Decision, ...]]:
     """The candidates to match in full, and why. All where a user asked for spatial or exhaustive
     matching, without `effort` quick, and where no photograph has more than `num_partners`."""
+    if config.effort != "quick":
+        return candidates, ()
     names = sorted({name for pair in candidates for name in pair})
     report(SfmProgress(phase="pairs", done=0, total=len(candidates)))
     few = 2 * len(candidates) <= config.num_partners * len(names)
-    if config.effort != "quick" or config.matching != "auto" or not config.num_partners or few:
+    if config.matching != "auto" or not config.num_partners or few:
         report(SfmProgress(phase="pairs", done=len(candidates), total=len(candidates)))
         return candidates, ()
     scores = preview_pairs(database, candidates, config, lambda done: report(SfmProgress(phase="pairs", done=done, total=len(candidates))))

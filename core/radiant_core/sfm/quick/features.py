@@ -67,7 +67,8 @@ def _decode(path: Path, max_side_px: int) -> tuple[NDArray[np.uint8], int]:
 
 
 def _detect(grey: NDArray[np.uint8], most: int, mask: NDArray[np.uint8] | None) -> Features:
-    sift = cv2.SIFT_create(FOUND_PER_KEPT * most, LAYERS, CONTRAST, EDGE, 1.6, cv2.CV_32F, True)  # pyright: ignore
+    shape = LAYERS, CONTRAST, EDGE, 1.6, cv2.CV_32F, True
+    sift = cv2.SIFT_create(FOUND_PER_KEPT * most, *shape)  # pyright: ignore
     found, histograms = sift.detectAndCompute(grey, mask)
     if not found:
         return Features(keypoints=np.zeros((0, 4), np.float32), descriptors=np.zeros((0, NUM_BYTES), np.uint8))
