@@ -158,11 +158,12 @@ def match_quickly(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDo
 
         for block in _blocks(pairs, block_size):
             for name in {name for pair in block for name in pair}:
-                reader.descriptors(name), reader.points(name)
+                reader.descriptors(name)
+                reader.points(name)
             for pair, (matches, geometry) in zip(block, _in_order(verify, block, config.threads), strict=True):
-                numbers = [reader.ids[name] for name in pair]
-                store.write_matches(*numbers, matches)
-                store.write_two_view_geometry(*numbers, geometry)
+                first, second = (reader.ids[name] for name in pair)
+                store.write_matches(first, second, matches)
+                store.write_two_view_geometry(first, second, geometry)
             done += len(block)
             on_done(done)
 
