@@ -41,7 +41,8 @@ def report(progress):
     if progress.phase == phase and progress.done >= least:
         os.kill(os.getpid(), signal.SIGKILL)
 
-config = SfmConfig(max_image_size_px={SMALL.max_image_size_px}, max_num_features={SMALL.max_num_features}, num_threads=1, effort=sys.argv[5])
+sizes = dict(max_image_size_px={SMALL.max_image_size_px}, max_num_features={SMALL.max_num_features})
+config = SfmConfig(**sizes, num_threads=1, effort=sys.argv[5])
 reconstruct(Path(sys.argv[1]), Path(sys.argv[2]), config, report)
 """
 
