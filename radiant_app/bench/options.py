@@ -25,9 +25,10 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "hold_out": ("train",),
     "off_path": ("train", "methods"),
     "long_side_px": _ON_MODELS,
+    "num_steps": ("methods",),
     "ablations": ("train",),
     "plot": ("train", "methods"),
-    "methods": _ON_MODELS,
+    "methods": ("sfm", *_ON_MODELS),
     "layout": ("methods",),
     "num_placements": ("methods",),
     "cut_by": ("methods",),
@@ -46,10 +47,11 @@ _FLAGS = {
     "off_path": "--off-path",
     "methods": "--method",
     "num_placements": "--placements",
+    "num_steps": "--steps",
 }
 OF_RUN = "run"
 """The layout of a cell that has the plan, the settings and the seed of the run `scene`."""
-_OF_A_LAYOUT = ("quick", "num_seeds", "num_placements", "long_side_px", "cut_by")
+_OF_A_LAYOUT = ("quick", "num_seeds", "num_placements", "long_side_px", "num_steps", "cut_by")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +80,8 @@ class BenchOptions:
     """Views that were never flown, as the generator writes them."""
     long_side_px: int | None = None
     """Size of the training images."""
+    num_steps: int | None = None
+    """Steps of a device, the mean of all; None for the benchmark's own."""
     ablations: bool = False
     """Whether parts of the training are switched off, one at a time."""
     plot: Path | None = None

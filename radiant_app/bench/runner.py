@@ -44,7 +44,7 @@ def measure(name: BenchName, options: BenchOptions) -> Sequence[Metric]:
         case "sfm":
             from radiant_app.bench.sfm import bench_sfm
 
-            return bench_sfm(options.scene, options.quick)
+            return bench_sfm(options.scene, options.quick, options.methods)
         case "plan":
             from radiant_app.bench.plan import bench_plan
 
@@ -87,7 +87,7 @@ def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
         num_placements=options.num_placements,
         num_seeds=options.num_seeds or 1,
         long_side_px=options.long_side_px or (160 if options.quick else 384),
-        num_steps=60 if options.quick else 500,
+        num_steps=options.num_steps or (60 if options.quick else 500),
         cut_by=options.cut_by,
         max_gaussians=options.max_gaussians,
         off_path=options.off_path,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.balance import Balance, balance_teachers, exposure_balance
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.ownership import Ownership, ownership
+from radiant_core.aggregate.ownership import Ownership, find_owners
 from radiant_core.aggregate.retrain import retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tiles import retrain_by_tiles
@@ -124,8 +124,7 @@ def cut_at_borders(teachers: Sequence[Teacher], claims: Claims | None = None) ->
 
 
 def _find_owners(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
-    cameras = [teacher.cameras for teacher in teachers]
-    return [ownership(teacher.splats.means, cameras, claims) for teacher in teachers]
+    return find_owners([teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers], claims)
 
 
 def _cut(teachers: Sequence[Teacher], owned: Sequence[Ownership]) -> Joined:
