@@ -26,9 +26,12 @@ def bench(
     hold_out: Annotated[HoldOut, typer.Option(help="train: every eighth photograph, or a whole flight line.")] = "interleaved",
     off_path: Annotated[Path | None, typer.Option(help="train, methods: folder of views never flown, scored as well.")] = None,
     long_side_px: LongSide = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="methods: steps of a device, the mean of all; 500 without it.")] = None,
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
     plot: BenchPlot = None,
-    method: Annotated[list[str] | None, typer.Option(help="methods: those compared; paper: sections; train: ablations; else all.")] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="sfm: arms; methods: those compared; paper: sections; train: ablations; else all.")
+    ] = None,
     layout: Annotated[str, typer.Option(help="methods: edges x devices per edge; run: plan and settings of the run.")] = "2x2",
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
     cut_by: Annotated[CutBy, typer.Option(help="methods: what regions are cut by, as in a run.")] = "auto",
@@ -52,6 +55,7 @@ def bench(
         hold_out=hold_out,
         off_path=off_path,
         long_side_px=long_side_px,
+        num_steps=steps,
         ablations=ablations,
         plot=plot,
         methods=tuple(method or ()),

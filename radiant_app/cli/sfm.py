@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, MatchingOption, Out, UpOption
-from radiant_app.report.tables import finish
+from radiant_app.report.tables import finish, print_scene
 
 
 def sfm(
@@ -23,9 +23,14 @@ def sfm(
     as_json: AsJson = False,
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
-    from radiant_app.commands import steps as commands
-    from radiant_app.report.progress import terminal_display
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.commands import steps as commands
 
     placement = {"up": up or "auto", "distance": distance, "height_m": height}
     result = commands.sfm(source, out, matching, terminal_display(), masks, placement, resume=resume)
-    finish(result if as_json else {**result, "unregistered": ", ".join(result["unregistered"]) or "none"}, as_json)
+    if as_json:
+        finish(result, as_json)
+    else:
+        print_scene(result)

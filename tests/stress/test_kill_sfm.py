@@ -31,7 +31,7 @@ from radiant_core.sfm.colmap import database
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.reconstruct import reconstruct
 
-database.PHOTOS_PER_CALL_AND_THREAD, database.PAIRS_PER_CALL = 2, 10
+database.PHOTOS_PER_CALL_AND_THREAD = 2
 
 def end():
     while time.process_time() < float(sys.argv[3]):

@@ -59,9 +59,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
         yield temporary
-        _fsync(temporary)
+        force_to_disk(temporary)
         temporary.replace(path)
-        _fsync(path.parent)
+        force_to_disk(path.parent)
     except OSError as error:
         raise CannotWrite(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
     finally:
@@ -183,7 +183,7 @@ def seal(folder: Path, key: str, names: Sequence[str]) -> None:
     files = {name: file_sha256(folder / name) for name in names}
     try:
         for name in names:
-            _fsync(folder / name)
+            force_to_disk(folder / name)
     except OSError as error:
         raise CannotWrite(f"cannot seal {folder}: {error.strerror or error}: free space or choose another output folder.") from error
     write_json(folder / SEAL_NAME, {"version": SEAL_VERSION, "key": key, "files": files})
@@ -311,7 +311,8 @@ def _stays_inside(name: str) -> bool:
     return bool(parts) and not name.startswith("/") and ".." not in parts and "\0" not in name
 
 
-def _fsync(path: Path) -> None:
+def force_to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, would outlast a power cut."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

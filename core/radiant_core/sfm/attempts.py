@@ -1,8 +1,8 @@
-"""Poses of the photographs, and once more where a quick way loses some. Once per scene.
+"""Poses of the photographs, and once more where the short way loses some. Once per scene.
 
-`SfmConfig.effort` quick leaves out what photographs that overlap well do not need. Where more than
-a tenth of them finds no place by it, COLMAP's own features and all candidates are tried in
-thorough/, with a database of its own, and what places more photographs is taken.
+`SfmConfig.effort` auto leaves out what photographs that overlap well do not need. Where more than a
+tenth of them finds no place by it, COLMAP's own features and all candidates are tried in thorough/,
+with a database of its own, and what places more photographs is taken.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ def find_poses(photos: PhotographSet, work_folder: Path, config: SfmConfig, repo
     places any."""
     attempt = _attempt(photos, work_folder, config, report)
     left = 1 - attempt.num_registered / len(photos.photographs)
-    if config.effort != "quick" or left <= MAX_LEFT_SHARE:
+    if config.effort == "thorough" or left <= MAX_LEFT_SHARE:
         return _require_mapped(attempt, photos)
-    thorough = _attempt(photos, work_folder / THOROUGH_FOLDER, replace(config, effort="auto"), report)
+    thorough = _attempt(photos, work_folder / THOROUGH_FOLDER, replace(config, effort="thorough"), report)
     taken = thorough if thorough.num_registered > attempt.num_registered else attempt
     decision = Decision(
         stage="sfm",
@@ -112,15 +112,12 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
         unit="times",
         reason="adjusting at every tenth takes 40 % longer to the same poses",
     )
-    if config.effort == "auto":
-        return (adjusting,)
     features = Decision(
         stage="sfm",
         topic="features",
         choice=f"OpenCV's SIFT, {config.max_num_features:,} a photograph at most",
         figure=float(config.max_num_features),
         unit="features a photograph",
-        reason="asked for by sfm.effort=quick: a third of the time of COLMAP's",
-        forced=True,
+        reason="a third of the time of COLMAP's, to the same poses",
     )
     return (features, adjusting)

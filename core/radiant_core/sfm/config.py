@@ -14,10 +14,10 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.scene import SfmScene
 
-Effort = Literal["auto", "quick", "thorough"]
-"""auto: COLMAP's features, matched exactly, and few adjustments of all photographs; quick: OpenCV's
-features and the pairs alone that a preview finds promising, and as auto where over a tenth stays
-unregistered; thorough: all as COLMAP does it."""
+Effort = Literal["auto", "thorough"]
+"""auto: OpenCV's features, the pairs alone that a preview finds promising, few adjustments of all
+photographs, and thorough where over a tenth stays unregistered; thorough: COLMAP's features, all
+pairs of neighbours, and COLMAP's adjustments."""
 Mapper = Literal["auto", "incremental", "global"]
 """auto: incremental, then global where over a tenth is unregistered; others: that one alone."""
 
@@ -28,17 +28,17 @@ class SfmConfig:
 
     max_image_size_px: int = 1600
     """Long side in pixels to which photographs are reduced for finding features."""
-    max_num_features: int = 4096
+    max_num_features: int = 6144
     """Features kept per photograph, roughly."""
     num_neighbors: int = 30
     """With GPS, each photograph is matched with this many nearest ones."""
     matching: Matching = "auto"
     """Which pairs are matched: auto, spatial (GPS neighbours) or exhaustive (all)."""
     num_partners: int = 10
-    """With `effort` quick each photograph is matched in full with so many candidates that have most
+    """With `effort` auto each photograph is matched in full with so many candidates that have most
     in common in a preview; 0: with all."""
     effort: Effort = "auto"
-    """Which steps are shortened: auto, quick or thorough."""
+    """Which steps are shortened: auto or thorough."""
     mapper: Mapper = "auto"
     """Which mapper estimates the poses: auto, incremental or global."""
     two_view_points: bool = False
@@ -89,15 +89,17 @@ class SfmProgress:
     step: int = 0
     """Number of the phase among those of the job, from 1; 0 where they were not counted."""
     num_steps: int = 0
+    left_s: float | None = None
+    """Seconds left of the whole job, all phases to come included; None without an estimate."""
 
 
 Report = Callable[[SfmProgress], None]
 
 
 def with_preview(phases: tuple[Phase, ...], config: SfmConfig) -> tuple[Phase, ...]:
-    """The phases of a job, with that of choosing pairs where `effort` is quick."""
+    """The phases of a job, with that of choosing pairs unless `effort` is thorough."""
     at = phases.index("matching")
-    return (*phases[:at], "pairs", *phases[at:]) if config.effort == "quick" else phases
+    return (*phases[:at], "pairs", *phases[at:]) if config.effort == "auto" else phases
 
 
 def number_phases(report: Report, phases: Sequence[Phase]) -> Report:

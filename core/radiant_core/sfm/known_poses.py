@@ -35,6 +35,7 @@ from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, n
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
 from radiant_core.sfm.memory import limit_to_memory
+from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.world import cameras_of
 
 DEFAULT_CONFIG = SfmConfig()
@@ -94,9 +95,11 @@ def scene_from_poses(
     `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are
     0. Raises BadInput when a photograph is missing or not of its camera's size, or when no point
     can be triangulated."""
-    report = number_phases(report, with_preview(("checking photographs", "features", "matching", "triangulating"), config))
+    phases = with_preview(("checking photographs", "features", "matching", "triangulating"), config)
+    report = number_phases(report, phases)
     photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
     config, _ = limit_to_memory(config, [photo.size_wh for photo in photographs])
+    report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
     with prepare_database(work_folder, database_key(photographs, config, masks)) as database:
         given = take_masks(masks, photographs, work_folder)
         extract_features(database, photo_folder, photographs, config, report, given)

@@ -25,6 +25,7 @@ from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.known_poses import triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
+from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, scene_in_world
 
@@ -41,12 +42,14 @@ def reconstruct(
     photographs, masks and settings are used, all else there is removed. Raises BadInput when fewer
     than two photographs can be used or they do not overlap, or `masks` or `placement` do not fit.
     """
-    report = number_phases(report, with_preview(PHASES, config))
+    phases = with_preview(PHASES, config)
+    report = number_phases(report, phases)
     listing = list_usable(photo_folder, report)
     photographs = listing.photographs
     placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
     config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
+    report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
     attempt = find_poses(PhotographSet(folder=photo_folder, photographs=photographs, masks=masks), work_folder, config, report)
     mapped, given = attempt.mapped, attempt.given_masks
     assert mapped is not None
@@ -71,7 +74,8 @@ def reconstruct(
         warnings=(
             *warn_of_unused(listing),
             *repeats,
-            *_unregistered_warnings(mapped.unregistered, photographs),
+            *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
+            *_named(_doubted_counts(mapped.doubted), mapped.doubted),
             *outliers.warning(),
             *placed.warnings,
         ),
@@ -79,6 +83,7 @@ def reconstruct(
             *warn_of_unused(listing, named=False),
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
+            *_doubted_counts(mapped.doubted),
             *outliers.warning(named=False),
             *placed.warnings,
         ),
@@ -156,12 +161,17 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
             )
 
 
-def _unregistered_warnings(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:
-    names = ", ".join(unregistered[:10])
-    return tuple(f"{count.removesuffix('.')}: {names}." for count in _unregistered_counts(unregistered, photographs))
-
-
 def _unregistered_counts(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:
     if not unregistered:
         return ()
     return (f"{len(unregistered)} of {len(photographs)} photographs have no pose and are left out.",)
+
+
+def _doubted_counts(doubted: tuple[str, ...]) -> tuple[str, ...]:
+    if not doubted:
+        return ()
+    return (f"{len(doubted)} of the photographs have a pose that most of their matches contradict.",)
+
+
+def _named(warnings: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{warning.removesuffix('.')}: {', '.join(names[:10])}." for warning in warnings)

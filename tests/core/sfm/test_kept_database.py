@@ -16,7 +16,6 @@ import pytest
 
 from radiant_core.errors import CannotWrite, StageFailed
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.sfm.colmap import database as sfm_database
 from radiant_core.sfm.colmap import undistort as sfm_undistort
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.kept_database import RECORD_NAME, database_key, prepare_database
@@ -24,9 +23,8 @@ from radiant_core.sfm.colmap.workspace import list_usable
 from radiant_core.sfm.config import Effort, SfmConfig, SfmProgress
 from radiant_core.sfm.reconstruct import reconstruct
 
-# COLMAP matches in calls, with numbers for names; the exact matching ends between any two pairs.
 SMALL = SfmConfig(max_image_size_px=320, max_num_features=600, num_threads=1, effort="thorough")
-PHOTOS_PER_CALL, PAIRS_PER_CALL = 2, 10
+PHOTOS_PER_CALL = 2
 KILLED = f"""
 import os, signal, sys
 from pathlib import Path
@@ -34,7 +32,7 @@ from radiant_core.sfm.colmap import database
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.reconstruct import reconstruct
 
-database.PHOTOS_PER_CALL_AND_THREAD, database.PAIRS_PER_CALL = {PHOTOS_PER_CALL}, {PAIRS_PER_CALL}
+database.PHOTOS_PER_CALL_AND_THREAD = {PHOTOS_PER_CALL}
 phase, least = sys.argv[3], int(sys.argv[4])
 
 def report(progress):
@@ -70,41 +68,25 @@ def killed(photos: Path, work: Path, phase: str, least: int, effort: str = "thor
     assert subprocess.run(command, capture_output=True, timeout=120, check=False).returncode == -signal.SIGKILL
 
 
-def test_a_killed_reconstruction_goes_on_with_its_features_and_matches(
-    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = reconstruct(photos, tmp_path / "whole", SMALL, lambda progress: None)
+@pytest.mark.parametrize("effort", ["auto", "thorough"])
+def test_a_killed_reconstruction_goes_on_with_its_features_and_matches(effort: Effort, photos: Path, tmp_path: Path) -> None:
+    config = replace(SMALL, effort=effort)
+    whole = reconstruct(photos, tmp_path / "whole", config, lambda progress: None)
     work = tmp_path / "killed"
-    killed(photos, work, "features", 3)
-    assert len(content(work / "database.db")) == 4, "two calls of two photographs"
-    # In the middle of matching the images have numbers for names.
-    killed(photos, work, "matching", 11)
-    assert all(name.split()[0].isdigit() for name in content(work / "database.db"))
+    killed(photos, work, "features", 3, effort)
+    num_found = len(content(work / "database.db"))
+    assert 3 <= num_found <= 4, "two calls of two photographs by COLMAP, three by OpenCV, one of which may be found besides"
+    killed(photos, work, "matching", 9, effort)
+    assert 8 < len(content(work / "database.db")) < len(content(tmp_path / "whole" / "database.db"))
     told: list[SfmProgress] = []
-    monkeypatch.setattr(sfm_database, "PAIRS_PER_CALL", PAIRS_PER_CALL)
-    result = reconstruct(photos, work, SMALL, told.append)
+    result = reconstruct(photos, work, config, told.append)
     features, matching = ([progress.done for progress in told if progress.phase == phase] for phase in ("features", "matching"))
-    assert features == [8] and matching == [20, 28], "what was there is not done again"
+    assert features == [8] and matching[0] >= 8, "what was there is not done again"
     assert content(work / "database.db") == content(tmp_path / "whole" / "database.db")
     assert result.scene.cameras.names == whole.scene.cameras.names
     # Mapping is done anew from the same features and matches, in one thread.
     np.testing.assert_allclose(result.scene.cameras.centers, whole.scene.cameras.centers, atol=1e-6)
-
-
-@pytest.mark.parametrize("effort", ["auto", "quick"])
-def test_a_killed_exact_matching_goes_on_to_the_same_database(effort: Effort, photos: Path, tmp_path: Path) -> None:
-    config = replace(SMALL, effort=effort)
-    whole = reconstruct(photos, tmp_path / "whole", config, lambda progress: None)
-    work = tmp_path / "killed"
-    killed(photos, work, "matching", 9, effort)
-    assert 0 < len(content(work / "database.db")) < len(content(tmp_path / "whole" / "database.db"))
-    told: list[SfmProgress] = []
-    result = reconstruct(photos, work, config, told.append)
-    assert next(progress.done for progress in told if progress.phase == "matching") >= 8
-    assert content(work / "database.db") == content(tmp_path / "whole" / "database.db")
-    np.testing.assert_allclose(result.scene.cameras.centers, whole.scene.cameras.centers, atol=1e-6)
-    wanted = {"adjustment", "features"} if effort == "quick" else {"adjustment"}
-    assert wanted <= {decision.topic for decision in result.decisions}
+    assert ({"adjustment", "features"} <= {decision.topic for decision in result.decisions}) == (effort == "auto")
 
 
 def test_what_is_of_other_photographs_settings_or_another_start_of_the_machine_is_not_kept(photos: Path, tmp_path: Path) -> None:
@@ -118,7 +100,7 @@ def test_what_is_of_other_photographs_settings_or_another_start_of_the_machine_i
         database_key((replace(photographs[0], path=photographs[1].path), *photographs[1:]), SMALL, None),
         database_key(photographs, replace(SMALL, max_num_features=601), None),
         database_key(photographs, SMALL, masks),
-        database_key(photographs, replace(SMALL, effort="quick"), None),
+        database_key(photographs, replace(SMALL, effort="auto"), None),
     ]
     assert len({key, *others}) == 6 and key == database_key(photographs, replace(SMALL, num_threads=2), None)
 

@@ -13,7 +13,9 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.extras import require_extra
 
+require_extra("sfm", "photographs cannot be placed", "give a scene that is placed: a COLMAP project or a folder of `radiant sfm`")
 try:
     import pycolmap
 except (ImportError, RuntimeError, MemoryError) as error:

@@ -1,4 +1,4 @@
-"""Features and matches in a COLMAP database, in chunks for progress. Once per scene.
+"""Features and matches in a COLMAP database, with progress. Once per scene.
 
 This is the slowest part of all. What an interrupted attempt has left in a database is not done
 again (`kept_database.py`).
@@ -8,23 +8,18 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from radiant_core.io.photos.listing import CameraKey, Photograph
 from radiant_core.io.photos.masks import mask_name
-from radiant_core.io.run_store import read_json, write_json
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.pairs import Pairs
 from radiant_core.sfm.colmap.quick_database import extract_quickly, match_quickly
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
 
 Item = TypeVar("Item")
-NAMES_NAME = "names.json"
 PHOTOS_PER_CALL_AND_THREAD = 6
-PAIRS_PER_CALL = 400
-"""Each call builds its photographs' index: calls of 32 pairs took 40 % longer than one call."""
 
 
 def extract_features(
@@ -49,7 +44,7 @@ def extract_features(
         names = [name for name in group if name not in found]
         for chunk in _chunks(names, PHOTOS_PER_CALL_AND_THREAD * config.threads):
             for part, folder in _by_mask(chunk, masks):
-                if config.effort != "quick":
+                if config.effort == "thorough":
                     _extract((database, photo_folder, folder), part, camera_id, config)
                     count(len(part))
                 else:
@@ -109,15 +104,7 @@ def match_pairs(database: Path, pairs: Pairs, config: SfmConfig, report: Report)
     report(SfmProgress(phase="matching", done=done, total=len(pairs)))
     if not left:
         return
-    if config.effort != "thorough":
-        match_quickly(database, left, config, lambda num: report(SfmProgress(phase="matching", done=done + num, total=len(pairs))))
-        return
-    with _numbered_names(database) as number_of:
-        for chunk in _chunks(left, PAIRS_PER_CALL):
-            lines = [f"{number_of[first]} {number_of[second]}\n" for first, second in chunk]
-            _match(database, "".join(lines), config)
-            done += len(chunk)
-            report(SfmProgress(phase="matching", done=done, total=len(pairs)))
+    match_quickly(database, left, config, lambda num: report(SfmProgress(phase="matching", done=done + num, total=len(pairs))))
 
 
 def _unmatched_pairs(database: Path, pairs: Pairs) -> Pairs:
@@ -126,59 +113,10 @@ def _unmatched_pairs(database: Path, pairs: Pairs) -> Pairs:
         return [pair for pair in pairs if not store.exists_two_view_geometry(*(ids[name] for name in pair))]
 
 
-def _match(database: Path, pair_lines: str, config: SfmConfig) -> None:
-    options = pycolmap.FeatureMatchingOptions()
-    options.use_gpu = False
-    options.num_threads = config.threads
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = config.seed
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = database.with_name("pairs.txt")
-    pairing.match_list_path.write_text(pair_lines, encoding="ascii")
-    call_colmap(
-        "matching",
-        pycolmap.match_image_pairs,
-        database,
-        matching_options=options,
-        pairing_options=pairing,
-        verification_options=verification,
-        device=pycolmap.Device.cpu,
-        cancellation_token=pycolmap.CancellationToken(),
-    )
-
-
 def _camera_of(database: Path, name: str) -> int:
     with pycolmap.Database.open(database) as store:
         image = store.read_image_with_name(name)
     return -1 if image is None else image.camera_id
-
-
-@contextmanager
-def _numbered_names(database: Path) -> Iterator[dict[str, str]]:
-    """While open, images are named by number: COLMAP's list of pairs cannot hold a space."""
-    with pycolmap.Database.open(database) as store:
-        names = {image.image_id: image.name for image in store.read_all_images()}
-    write_json(database.with_name(NAMES_NAME), {str(image_id): name for image_id, name in names.items()})
-    _rename(database, {image_id: str(image_id) for image_id in names})
-    try:
-        yield {name: str(image_id) for image_id, name in names.items()}
-    finally:
-        restore_names(database)
-
-
-def restore_names(database: Path) -> None:
-    """Give the images the names that they had before matching, where they do not have them."""
-    record = database.with_name(NAMES_NAME)
-    if record.is_file():
-        _rename(database, {int(image_id): name for image_id, name in read_json(record).items()})
-        record.unlink()
-
-
-def _rename(database: Path, names: dict[int, str]) -> None:
-    with pycolmap.Database.open(database) as store:
-        for image in store.read_all_images():
-            image.name = names[image.image_id]
-            store.update_image(image)
 
 
 def _chunks(items: list[Item], size: int) -> Iterator[list[Item]]:

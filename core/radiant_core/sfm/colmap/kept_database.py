@@ -1,7 +1,6 @@
 """What an interrupted attempt left in its database, for the next one to go on with.
 
     database.json   key: hash of photographs, masks and settings; boot: of the machine, its start
-    names.json      the images' names by number, while matching has them renamed (`database.py`)
 
 COLMAP writes features and matches in transactions: a process that is killed leaves whole ones. It
 does not wait for the disk: nothing is kept once the machine went down. What cannot be read is not
@@ -19,7 +18,6 @@ from radiant_core.errors import RadiantError, StageFailed
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.io.run_store import content_key, read_json, require_room, write_json
 from radiant_core.sfm.colmap.calls import pycolmap
-from radiant_core.sfm.colmap.database import restore_names
 from radiant_core.sfm.colmap.workspace import start_clean
 from radiant_core.sfm.config import SfmConfig
 
@@ -58,11 +56,10 @@ def _is_record(record: Path, made_from: dict[str, str | None]) -> bool:
 
 
 def _is_whole(database: Path) -> bool:
-    """Whether COLMAP can open the database and read what it needs, under the images' own names."""
+    """Whether COLMAP can open the database and read what it needs."""
     if not database.is_file():
         return False
     try:
-        restore_names(database)
         with pycolmap.Database.open(database) as store:
             for image in store.read_all_images():
                 if store.exists_keypoints(image.image_id):

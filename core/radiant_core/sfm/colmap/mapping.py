@@ -1,9 +1,8 @@
 """From matches to one sparse model: incremental mapping, then more pairs, then globally.
 
-Once per scene. Of several models the one with most images, then most points, is kept. An image is a
-stray when it sees almost no point, when few points and its GPS is far from where the model puts it,
-or when no chain of images with common points leads to most others, so that nothing fixes where it
-is: the global mapper claims every image and leaves such.
+Once per scene. Of several models the one with most images, then most points, is kept, without its
+strays (`strays.py`). Mapping then goes on from it: an image that a few wrong matches placed early
+finds its place among all others.
 """
 
 from __future__ import annotations
@@ -12,24 +11,21 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
-
 from radiant_core.decisions import Decision
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.database import match_pairs
-from radiant_core.sfm.colmap.pairs import Pairs, gps_positions, pairs_with
+from radiant_core.sfm.colmap.pairs import Pairs, pairs_with
+from radiant_core.sfm.colmap.previewed_pairs import keep_related
+from radiant_core.sfm.colmap.strays import contradicted, remove, without_strays
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
-from radiant_core.sfm.world_frame.align import robust_sim3
 
-MIN_POINTS = 15
-FEW_POINTS = 60
-GPS_FACTOR = 5.0
 GROWTH = 1.4
 """The model may grow by so much before all of it is adjusted again: 1.1 as COLMAP has it took 40 %
 longer and gave the same poses (docs/experiments/sfm.md)."""
+LEAST_GAIN = 1e-4
+"""An adjustment while mapping ends where an iteration lowers its cost by a smaller share: without
+such an end, as COLMAP has it, mapping took 50 % longer and gave the same poses."""
 MAX_LEFT_SHARE = 0.1
 
 
@@ -48,56 +44,83 @@ class MappingJob:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mapped:
-    """The chosen model without its strays, the photographs not in it, and the decisions for it."""
+    """The chosen model without its strays, the photographs not in it, those in it whose place most
+    of their matches contradict, and the decisions for it."""
 
     model: pycolmap.Reconstruction
     unregistered: tuple[str, ...]
+    doubted: tuple[str, ...]
     decisions: tuple[Decision, ...]
 
 
 def map_photographs(job: MappingJob) -> Mapped | None:
     """The best model of the job's photographs; None when they do not overlap enough for any."""
     if job.config.mapper == "global":
-        candidate, decisions = without_strays(job, _global_model(job)), []
+        model, decisions = _believed(job, _global_model(job)), []
     else:
-        candidate = without_strays(job, _incremental_model(job, "incremental"))
-        candidate, decisions = _improve(job, candidate)
-    if candidate is None:
+        model, decisions = _improve(job, incremental_model(job, "incremental"))
+    if model is None:
         return None
-    return Mapped(model=candidate, unregistered=_missing_names(job, candidate), decisions=tuple(decisions))
+    doubted = tuple(model.image(image_id).name for image_id in contradicted(model, job.database))
+    return Mapped(model=model, unregistered=_missing_names(job, model), doubted=doubted, decisions=tuple(decisions))
 
 
-def _improve(job: MappingJob, model: pycolmap.Reconstruction | None) -> tuple[pycolmap.Reconstruction | None, list[Decision]]:
-    """Try what is unregistered again with all its pairs, then globally; the best model of all."""
+def _believed(job: MappingJob, model: pycolmap.Reconstruction | None) -> pycolmap.Reconstruction | None:
+    return without_strays(model, job.photographs, job.config.seed)
+
+
+def _improve(job: MappingJob, found: pycolmap.Reconstruction | None) -> tuple[pycolmap.Reconstruction | None, list[Decision]]:
+    """Go on with all pairs of what is unregistered, a stray or misplaced, then globally; the best
+    model of all."""
     decisions: list[Decision] = []
-    extra = pairs_with([photo.name for photo in job.photographs], _missing_names(job, model), job.pairs)
-    if extra:
-        match_pairs(job.database, extra, job.config, job.report)
-        wider = without_strays(job, _incremental_model(job, "incremental-wider"))
-        decisions.append(_retry_decision(job, model, wider, f"{len(extra)} more pairs"))
+    num_misplaced = 0 if found is None else _remove_misplaced(job, found)
+    model = _believed(job, found)
+    missing = _missing_names(job, model)
+    extra = keep_related(job.database, pairs_with([photo.name for photo in job.photographs], missing, job.pairs), job.config, job.report)
+    match_pairs(job.database, extra, job.config, job.report)
+    if extra or num_misplaced:
+        wider = _believed(job, incremental_model(job, "incremental-wider", model))
+        without = f", without {num_misplaced} that had been misplaced" if num_misplaced else ""
+        decisions.append(_retry_decision(job, model, wider, f"{len(extra)} more pairs{without}"))
         model = _better(model, wider)
     left = len(_missing_names(job, model)) / len(job.photographs)
     if job.config.mapper == "auto" and left > MAX_LEFT_SHARE:
-        overall = without_strays(job, _global_model(job))
+        overall = _believed(job, _global_model(job))
         decisions.append(_retry_decision(job, model, overall, "the global mapper"))
         model = _better(model, overall)
     return model, decisions
 
 
-def _incremental_model(job: MappingJob, name: str) -> pycolmap.Reconstruction | None:
+def _remove_misplaced(job: MappingJob, model: pycolmap.Reconstruction) -> int:
+    """Take out what its own matches contradict, and count it; what finds a place again among all
+    others is believed. Where that is over a tenth the matches are not of one rigid scene, and say
+    nothing."""
+    misplaced = contradicted(model, job.database)
+    if len(misplaced) > MAX_LEFT_SHARE * model.num_reg_images():
+        return 0
+    remove(model, misplaced)
+    return len(misplaced)
+
+
+def incremental_model(job: MappingJob, name: str, begun: pycolmap.Reconstruction | None = None) -> pycolmap.Reconstruction | None:
+    """The largest model that COLMAP maps into a folder `name`, or what `begun` grows to."""
     total = len(job.photographs)
-    registered: list[None] = []
+    registered: list[None] = [None] * _size(begun)[0]
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = job.config.threads
     options.random_seed = job.config.seed
     if job.config.effort != "thorough":
         _adjust_seldom(options)
+    folder = _empty_folder(job.work_folder / name)
+    if begun is not None:
+        begun.write_binary(_empty_folder(folder / "begun"))
     models = call_colmap(
         "mapping",
         pycolmap.incremental_mapping,
         job.database,
         job.photo_folder,
-        _empty_folder(job.work_folder / name),
+        folder,
+        input_path=str(folder / "begun") if begun is not None else "",
         options=options,
         next_image_callback=lambda: registered.append(None),
         cancellation_token=pycolmap.CancellationToken(),
@@ -111,6 +134,7 @@ def _adjust_seldom(options: pycolmap.IncrementalPipelineOptions) -> None:
     options.ba_global_frames_ratio = options.ba_global_points_ratio = GROWTH
     options.ba_global_max_refinements = 2
     options.ba_local_max_refinements = 1
+    options.ba_global_function_tolerance = options.ba_local_function_tolerance = LEAST_GAIN
 
 
 def _global_model(job: MappingJob) -> pycolmap.Reconstruction | None:
@@ -160,48 +184,3 @@ def _retry_decision(job: MappingJob, old: pycolmap.Reconstruction | None, new: p
         unit="photographs registered",
         reason=f"{_size(old)[0]} of {len(job.photographs)} were registered before",
     )
-
-
-def without_strays(job: MappingJob, model: pycolmap.Reconstruction | None) -> pycolmap.Reconstruction | None:
-    """The model without its strays; None with fewer than two images or too few points left."""
-    if model is None:
-        return None
-    # A removed image takes points along, on which others may have hung.
-    while strays := _strays(job, model) or _unconnected_images(model):
-        for image_id in strays:
-            model.deregister_frame(model.image(image_id).frame_id)
-    return model if model.num_reg_images() >= 2 and model.num_points3D() >= MIN_POINTS else None
-
-
-def _strays(job: MappingJob, model: pycolmap.Reconstruction) -> list[int]:
-    ids = sorted(model.reg_image_ids())
-    num_points = np.array([model.image(image_id).num_points3D for image_id in ids])
-    far = _far_from_gps(job, model, ids)
-    stray = (num_points < MIN_POINTS) | (far & (num_points < FEW_POINTS))
-    return [ids[index] for index in np.flatnonzero(stray)]
-
-
-def _unconnected_images(model: pycolmap.Reconstruction) -> list[int]:
-    """Images outside the largest set in which each hangs on another by 15 common points or more."""
-    ids = sorted(model.reg_image_ids())
-    row_of = {image_id: row for row, image_id in enumerate(ids)}
-    seen_by = [(row, row_of[element.image_id]) for row, point in enumerate(model.points3D.values()) for element in point.track.elements]
-    rows, columns = np.array(seen_by, np.int64).reshape(-1, 2).T
-    seen = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(model.num_points3D(), len(ids)))
-    _, part = connected_components((seen.T @ seen) >= MIN_POINTS, directed=False)
-    largest = np.bincount(part).argmax() if ids else 0
-    return [image_id for image_id, number in zip(ids, part, strict=True) if number != largest]
-
-
-def _far_from_gps(job: MappingJob, model: pycolmap.Reconstruction, ids: list[int]) -> np.ndarray:
-    """Which images (N,) lie farther from GPS than five times a robust fit's median residual."""
-    positions_m, _ = gps_positions(job.photographs)
-    row_of = {photo.name: row for row, photo in enumerate(job.photographs)}
-    target = positions_m[[row_of[model.image(image_id).name] for image_id in ids]]
-    centers = np.array([model.image(image_id).projection_center() for image_id in ids]).reshape(-1, 3)
-    known = np.isfinite(target).all(axis=1)
-    far = np.zeros(len(ids), bool)
-    fit = robust_sim3(centers[known], target[known], job.config.seed)
-    if fit.target_from_source is not None:
-        far[known] = fit.residuals > GPS_FACTOR * np.median(fit.residuals)
-    return far

@@ -10,7 +10,7 @@ from radiant_core.io.photos.copies import copies_count, copies_warning
 from radiant_core.io.photos.listing import PhotoListing, list_photographs, unread_warning
 from radiant_core.sfm.config import Report, SfmProgress
 
-DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json", "names.json")
+DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json")
 THOROUGH_FOLDER = "thorough"
 WORK_FILES = ("pairs.txt",)
 WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", "masks.part", "masks.given")
