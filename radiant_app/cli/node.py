@@ -39,7 +39,8 @@ def init(
     if url is not None:
         listening = Listening(url=url, host=host, port=port if port is not None else urlsplit(url).port or 443, plain=plain)
     made = commands.init(home, listening)
-    typer.echo(f"{made.folder}: {made.node}")
+    known = "a node that is the cloud, unless it joins another one" if made.node == "cloud" else made.node
+    typer.echo(f"{made.folder} is {known}.")
 
 
 @node.command()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,19 +18,19 @@ from radiant_app.network.home import (
     make_home,
     new_invitation,
     open_home,
+    write_private,
 )
+from radiant_app.network.overview import NodeRow, read_rows
 from radiant_app.network.serving import require_network
-from radiant_app.network.store import STORE_NAME, HubStore
+from radiant_app.network.store import HubStore
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.io.run_store import read_json, write_json
 
 if TYPE_CHECKING:
     from radiant_app.events import Event
     from radiant_app.executors.protocol import NodeTask
 
 CONSENT_NAME = "consent.json"
-SILENT_S = 60.0
-"""A node that asked for nothing for so long is shown as offline."""
 
 
 def init(folder: Path, listening: Listening | None) -> Home:
@@ -50,8 +49,7 @@ def invite(folder: Path, name: str, out: Path, identity: Identity = "pinned") ->
         store.invite(invitation.node, invitation.token)
     finally:
         store.close()
-    write_atomic(out, invitation_text(invitation).encode())
-    out.chmod(0o600)
+    write_private(out, invitation_text(invitation).encode())
     return invitation
 
 
@@ -171,34 +169,17 @@ def status(folder: Path) -> dict[str, Any]:
     scenes = sorted(home.folder.glob("runs/*/devices/*/score/inbox/scene.ply"), key=lambda path: path.stat().st_mtime)
     if scenes:
         record["scene"] = str(scenes[-1])
-    if (home.folder / STORE_NAME).is_file():
-        store = HubStore(folder=home.folder)
-        try:
-            record["nodes"] = _nodes_of(home, store)
-        finally:
-            store.close()
+    record["nodes"] = [_record_of(row) for row in read_rows(home.folder)]
     return record
 
 
-def _nodes_of(home: Home, store: HubStore) -> list[dict[str, Any]]:
-    from radiant_app.network.arrivals import INCOMING, Arrivals
-    from radiant_core.io.transport.envelope import open_envelope
-
-    arrivals = Arrivals(folder=home.folder / INCOMING)
-    rows = []
-    for member in store.members():
-        silent_s = None if member.seen_s is None else time.time() - member.seen_s
-        state = "invited" if member.key is None else "revoked" if member.revoked else "offline" if (silent_s or 0) > SILENT_S else "joined"
-        row: dict[str, Any] = {"node": member.id, "state": state, "silent_s": silent_s, "doing": member.note, "software": member.software}
-        task = next((task for task in store.tasks() if task.node == member.id), None)
-        if task is not None:
-            row["task"] = {"stage": task.stage, "state": task.state, "tries": task.tries, "reason": task.reason}
-            result = store.result(task.digest)
-            if result is not None and member.key is not None and task.state in ("taken", "received"):
-                envelope = open_envelope(*result, member.key)
-                row["task"] |= {"arrived_bytes": sum(arrivals.offsets(task.digest, envelope)), "bytes": envelope.num_bytes}
-        rows.append(row)
-    return rows
+def _record_of(row: NodeRow) -> dict[str, Any]:
+    record: dict[str, Any] = {"node": row.node, "state": row.state, "silent_s": row.silent_s, "doing": row.doing, "software": row.software}
+    if (task := row.task) is not None:
+        record["task"] = {"stage": task.stage, "state": task.state, "tries": task.tries, "reason": task.reason}
+        if row.num_bytes is not None:
+            record["task"] |= {"arrived_bytes": row.arrived_bytes, "bytes": row.num_bytes}
+    return {**record, "text": row.text}
 
 
 def status_lines(record: dict[str, Any]) -> list[str]:
@@ -209,13 +190,4 @@ def status_lines(record: dict[str, Any]) -> list[str]:
         lines.append(f"above it: {record['upper']['node']} at {record['upper']['url']}, {joined}")
     if "scene" in record:
         lines.append(f"the newest finished scene: {record['scene']}")
-    for row in record["nodes"]:
-        since = "" if row["silent_s"] is None else f", heard {row['silent_s']:.0f} s ago"
-        line = f"{row['node']}: {row['state']}{since}"
-        if (task := row.get("task")) is not None:
-            line += f"; {task['stage']} {task['state']}"
-            if "bytes" in task:
-                line += f", {task['arrived_bytes'] / 1e6:.0f} of {task['bytes'] / 1e6:.0f} MB"
-            line += f": {task['reason']}" if task["reason"] else ""
-        lines.append(line)
-    return lines
+    return [*lines, *(row["text"] for row in record["nodes"])]

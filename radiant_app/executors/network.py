@@ -16,7 +16,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, get_args
 
 from radiant_app.events import (
@@ -38,7 +38,7 @@ from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_app.network.contents import check_result
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME
-from radiant_app.network.reception import Ended, Said
+from radiant_app.network.reception import Ended, Said, plain_text
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.messages import message_of
@@ -49,6 +49,8 @@ LEASE_S = 900.0
 ALIVE_S = 30.0
 """Interval of the signs of life of a node with a lease."""
 CHECK_S = 0.05
+MAX_STEP_S = 5.0
+"""Most seconds that count against a node between two checks."""
 FOLDING = ("region", "edge_refine")
 """Work that begins for its node when those below it are done: so long only the lease counts."""
 _FORWARDED = tuple(kind for kind in get_args(Event) if kind not in (Failed, Heartbeat, Outlined, TimeLeft, StageSkipped))
@@ -68,6 +70,7 @@ class NetworkExecutor:
     lease_s: Callable[[str], float] = lambda node_id: LEASE_S
     """Id of a node in the tree → how long it may be silent."""
     clock: Callable[[], float] = time.monotonic
+    """Seconds; leases are counted by it too, so that a system clock that is set right ends none."""
     command: Callable[[NodeTask], list[str]] = worker_command
     retry_policy: RetryPolicy = field(default_factory=RetryPolicy)
     stopping: threading.Event = field(default_factory=threading.Event)
@@ -79,7 +82,13 @@ class NetworkExecutor:
         """See `Executor.fold`."""
         local = Processes(num_workers=1, command=self.command, num_threads=self.num_threads)
         runner = _Machines(executor=self, local=local)
-        return Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy).run(tree)
+
+        def settle(event: Event) -> None:
+            if isinstance(event, StageSkipped):
+                self.hub.settle_stage(self.run, event.stage)
+            listen(event)
+
+        return Fold(runner=runner, prepare=prepare, listen=settle, clock=self.clock, retry_policy=self.retry_policy).run(tree)
 
 
 @dataclass(kw_only=True)
@@ -88,8 +97,12 @@ class _Far:
     digest: str
     node: str
     """The id of the machine."""
-    offered_s: float
+    heard: int
+    """How many of its requests had come when it was looked for last."""
     alive_s: float
+    """When it was told last that it is waited for."""
+    silent_s: float = 0.0
+    """How long nothing was heard of it, while somebody here could have heard it."""
     started: bool = False
     begun: set[str] = field(default_factory=set)
     """Stages that its events have begun."""
@@ -103,6 +116,8 @@ class _Machines:
     local: Processes
     far: dict[str, _Far] = field(default_factory=dict)
     ready: deque[tuple[str, Event | NodeStarted | NodeEnded | None]] = field(default_factory=deque)
+    checked_s: float | None = None
+    """When leases were checked last."""
 
     def has_room(self) -> bool:
         """Far nodes are machines of their own."""
@@ -111,10 +126,11 @@ class _Machines:
     def start(self, node: Tree, task: NodeTask) -> bool:
         if not self.executor.is_far(node):
             return self.local.start(node, task)
-        now_s = time.time()
         name = machine_of(node.id)
         known = self.executor.hub.offer(self.executor.run, name, task.kind, task.stage, task.folder)
-        self.far[node.id] = _Far(task=task, digest=known.digest, node=name, offered_s=now_s, alive_s=now_s)
+        self.far[node.id] = _Far(
+            task=task, digest=known.digest, node=name, heard=self.executor.hub.heard_of.get(name, 0), alive_s=self.executor.clock()
+        )
         if known.state in ("taken", "received") and task.kind not in FOLDING:
             self._mark_started(node.id)
         if known.state == "received":
@@ -169,6 +185,8 @@ class _Machines:
             seal(far.task.folder, far.task.key, names)
         except CannotWrite as error:
             return NodeEnded(error=error)
+        except OSError as error:
+            return NodeEnded(error=CannotWrite(f"{far.task.stage}: {error.strerror or type(error).__name__} on the disk of this machine."))
         except BadInput as error:
             hub.refuse(far.digest, str(error))
             return NodeEnded(error=StageFailed(f"{far.task.stage}: what {far.node} sent cannot be used: {error}"))
@@ -186,18 +204,20 @@ class _Machines:
         self.ready.append((node_id, ended))
 
     def _check_leases(self) -> None:
-        now_s = time.time()
+        now_s = self.executor.clock()
+        # A process that was suspended heard nobody: that counts against no node.
+        passed_s, self.checked_s = min(now_s - (self.checked_s or now_s), MAX_STEP_S), now_s
         for node_id, far in list(self.far.items()):
-            if abs(now_s - far.alive_s) < ALIVE_S:
+            heard = self.executor.hub.heard_of.get(far.node, 0)
+            far.silent_s, far.heard = (far.silent_s + passed_s if heard == far.heard else 0.0), heard
+            if now_s - far.alive_s < ALIVE_S:
                 continue
             far.alive_s = now_s
             member = self.executor.hub.store.member(far.node)
+            lease_s = max(LEASE_S, self.executor.lease_s(node_id))
             if member is not None and member.revoked:
                 self._lose(node_id, far, "it is revoked")
-                continue
-            seen_s = far.offered_s if member is None or member.seen_s is None else max(far.offered_s, member.seen_s)
-            lease_s = max(LEASE_S, self.executor.lease_s(node_id))
-            if now_s - seen_s > lease_s:
+            elif far.silent_s > lease_s:
                 self._lose(node_id, far, f"nothing was heard of it for {lease_s / 60:.0f} minutes")
             else:
                 self.ready.append((node_id, None))
@@ -250,9 +270,18 @@ def admit_event(line: str, node: str, begun: set[str]) -> list[Event]:
         return []  # said here, when its result is there
     elif isinstance(checked, StageDone) and stage not in begun:
         begun.add(stage)
-        return [StageStarted(stage=stage), checked]
-    return [checked]
+        return [StageStarted(stage=plain_text(stage)), _plain_event(checked)]
+    return [_plain_event(checked)]
 
 
-def _record_of(event: Event) -> dict[str, Any]:
+def _plain_event(event: Event) -> Event:
+    """Its texts are printed in a terminal."""
+    if isinstance(event, Decided):
+        texts = {key: plain_text(value) for key, value in _record_of(event.decision).items() if isinstance(value, str)}
+        return Decided(decision=replace(event.decision, **texts))
+    texts = {key: plain_text(value) for key, value in _record_of(event).items() if isinstance(value, str)}
+    return replace(event, **texts)
+
+
+def _record_of(event: Any) -> dict[str, Any]:
     return {each.name: getattr(event, each.name) for each in fields(event)}

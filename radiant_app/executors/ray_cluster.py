@@ -28,7 +28,6 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +37,7 @@ from radiant_app.executors.local import defer_interrupts, outcome_of, worker_com
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.extras import require_extra
 from radiant_core.io.messages import task_setting
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
@@ -73,8 +73,7 @@ class RayExecutor:
 
 def require_cluster(address: str) -> None:
     """Raise BadInput for a malformed address and without Ray or a cluster; cheap, before a run."""
-    if find_spec("ray") is None:
-        raise BadInput("Ray is not installed: pip install 'radiant-splats[cluster]', or leave out --executor ray.")
+    require_extra("cluster", "no cluster can be used", "leave out --executor ray")
     if address == "local":
         return
     host, _, port = address.rpartition(":")

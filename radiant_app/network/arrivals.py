@@ -10,19 +10,23 @@ the name and the byte.
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from radiant_core.io.run_store import file_sha256
+from radiant_core.io.run_store import atomic_path, file_sha256, force_to_disk
 from radiant_core.io.transport.delivery import SentFile
 from radiant_core.io.transport.envelope import Envelope
 
 INCOMING = "incoming"
 PART_BYTES = 4 << 20
 """Most bytes of one request: a part is checked in memory."""
+FORCED_BYTES = 64 << 20
+"""Bytes that are forced to the disk at once: a part that a power cut took from a file is found by
+the file's hash, so that nobody has to wait for the disk after each."""
 SPARE_BYTES = 64 << 20
 """What stays free on the disk, for the records of what arrives."""
 
@@ -46,15 +50,15 @@ class Arrivals:
         """How many bytes of each announced file are there, by their sorted names."""
         return [self._length(task, number) for number in range(len(envelope.files))]
 
-    def begin(self, task: str, envelope: Envelope, *, anew: bool) -> list[int]:
+    def begin(self, task: str, envelope: Envelope, *, anew: bool, promised: int = 0) -> list[int]:
         """Make room for what was announced; `anew`: it is something else than before. Raises
-        DiskFull before a byte is taken."""
+        DiskFull before a byte is taken, where it has no room beside `promised` bytes of others."""
         place = self.place(task)
         if anew:
             shutil.rmtree(place, ignore_errors=True)
         place.mkdir(parents=True, exist_ok=True)
         offsets = self.offsets(task, envelope)
-        if shutil.disk_usage(self.folder).free < envelope.num_bytes - sum(offsets) + SPARE_BYTES:
+        if shutil.disk_usage(self.folder).free < envelope.num_bytes - sum(offsets) + promised + SPARE_BYTES:
             raise DiskFull
         for number, (_, file) in enumerate(sorted(envelope.files.items())):
             if not file.bytes:
@@ -65,16 +69,26 @@ class Arrivals:
         """Append a part at `offset` and return the new one; None where another one is there, or the
         part would go beyond the end. Raises DiskFull; then nothing was written."""
         part = self._part(task, number)
-        if offset != self._length(task, number) or offset + len(data) > file.bytes or not part.parent.is_dir():
+        if offset != self._length(task, number) or offset + len(data) > file.bytes:
             return None
+        if shutil.disk_usage(self.folder).free < len(data) + SPARE_BYTES // 2:
+            # The rest is for the database: without room for it nothing could be answered.
+            raise DiskFull
+        is_new = not part.exists()
+        part.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT, 0o600)
         try:
             _write_whole(descriptor, data, offset)
+            if (offset + len(data)) // FORCED_BYTES != offset // FORCED_BYTES:
+                os.fdatasync(descriptor)
         except OSError as error:
             os.ftruncate(descriptor, offset)
             raise DiskFull from error
         finally:
             os.close(descriptor)
+        if is_new:
+            # Else a power cut may leave a result that counts as received without its file.
+            force_to_disk(part.parent)
         return offset + len(data)
 
     def damaged(self, task: str, envelope: Envelope) -> list[str] | None:
@@ -83,6 +97,8 @@ class Arrivals:
         files = sorted(envelope.files.items())
         if self.offsets(task, envelope) != [file.bytes for _, file in files]:
             return None
+        for number in range(len(files)):
+            force_to_disk(self._part(task, number))
         wrong = [number for number, (_, file) in enumerate(files) if file_sha256(self._part(task, number)) != file.sha256]
         for number in wrong:
             self._part(task, number).unlink()
@@ -95,12 +111,22 @@ class Arrivals:
         for number, name in enumerate(names):
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             if (part := self._part(task, number)).is_file():
-                part.replace(target / name)
+                _move(part, target / name)
         return names
 
     def remove(self, task: str) -> None:
         """Forget what arrived for a task."""
         shutil.rmtree(self.place(task), ignore_errors=True)
+
+    def num_bytes(self, task: str) -> int:
+        """How many bytes arrived for a task."""
+        return sum(path.stat().st_size for path in self.place(task).glob("*.part"))
+
+    def remove_all_but(self, tasks: Collection[str]) -> None:
+        """Forget what arrived for others than these tasks."""
+        for place in self.folder.iterdir():
+            if place.name not in tasks:
+                shutil.rmtree(place, ignore_errors=True)
 
     def _part(self, task: str, number: int) -> Path:
         return self.place(task) / f"{number}.part"
@@ -117,4 +143,15 @@ def _write_whole(descriptor: int, data: bytes, offset: int) -> None:
     while view:
         written = os.pwrite(descriptor, view, offset)
         view, offset = view[written:], offset + written
-    os.fdatasync(descriptor)
+
+
+def _move(part: Path, target: Path) -> None:
+    """Move a file, to another disk too; it is whole at one of the two places at any moment."""
+    try:
+        part.replace(target)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        with atomic_path(target) as temporary:
+            shutil.copyfile(part, temporary)
+        part.unlink()

@@ -9,14 +9,15 @@ once more. Once per task.
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from radiant_app.events import Event
+from radiant_app.events import Event, decode, encode
 from radiant_app.executors.fold import NodeEnded
 from radiant_app.executors.local import Processes, worker_command
 from radiant_app.executors.protocol import NodeTask
@@ -37,6 +38,7 @@ LEAVES = (
     "to its edge alone: where each photograph was taken, under a number",
     "figures of the finished scene on the photographs that it holds out; messages, with names left out",
 )
+HIDDEN_PLACE = "[a folder of the device]"
 STAYS = "photographs, their names, their EXIF, pictures made of them"
 
 
@@ -47,6 +49,8 @@ class DeviceWork:
     folder: Path
     task: NodeTask
     processes: Processes
+    places: tuple[Path, ...] = ()
+    """Folders of the device's owner, whose names are nobody's business."""
     ended: Outcome | None = None
     events: list[Event] = field(default_factory=list)
 
@@ -55,9 +59,10 @@ class DeviceWork:
         while self.processes.running and (message := self.processes.wait(0.0)) is not None:
             _, said = message
             if isinstance(said, NodeEnded):
-                self.ended = Outcome(error=said.error, crashed=said.crashed)
+                error = said.error and type(said.error)(hide_places(str(said.error), self.places))
+                self.ended = Outcome(error=error, crashed=said.crashed)
             elif said is not None:
-                self.events.append(said)
+                self.events.append(decode(hide_places(encode(said), self.places)))
         events, self.events = self.events, []
         return events
 
@@ -79,6 +84,14 @@ class DeviceWork:
             return files
         signed = {name: self.folder / name for name in (RECORD_NAME, SIGNATURE_NAME)}
         return {**files, **sent_files(self.folder), **signed}
+
+
+def hide_places(text: str, places: Iterable[Path]) -> str:
+    """A text, or a line of JSON, without the names of these folders."""
+    for place in sorted({str(path) for own in places for path in (own, own.resolve())}, key=len, reverse=True):
+        for written in (place, json.dumps(place)[1:-1]):
+            text = text.replace(written, HIDDEN_PLACE)
+    return text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +121,8 @@ class DevicePerformer:
         save_own_source(run / node, self.photographs, self.poses)
         task = NodeTask(kind=envelope.kind, stage=envelope.stage, folder=folder, key=digest)
         processes = Processes(num_workers=1, command=self.command, num_threads=os.cpu_count() or 1)
-        work = DeviceWork(folder=folder, task=task, processes=processes)
+        places = (self.home.folder, self.photographs, *([self.poses] if self.poses else []))
+        work = DeviceWork(folder=folder, task=task, processes=processes, places=tuple(path.absolute() for path in places))
         if is_sealed(folder, digest):
             work.ended = Outcome()
         else:

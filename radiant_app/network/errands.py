@@ -7,6 +7,7 @@ goes on after a restart where sealed files and checkpoints are. Once per node.
 from __future__ import annotations
 
 import base64
+import json
 import shutil
 import threading
 from collections.abc import Callable, Mapping
@@ -27,7 +28,9 @@ from radiant_core.io.transport.delivery import describe_files
 from radiant_core.io.transport.envelope import Envelope, open_envelope
 
 JOINED_NAME, ASKED_NAME = "joined.json", "asked.json"
-MIN_POLL_S, MAX_POLL_S = 0.05, 60.0
+MIN_POLL_S, MAX_POLL_S = 0.05, 10.0
+MAX_EVENT_BYTES = 1 << 20
+"""Of all events of one poll, as JSON has them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,8 +94,6 @@ class Errands:
     line: Line
     performer: Performer
     say: Callable[[str], None] = lambda text: None
-    until_idle: bool = False
-    """End when a run that this node worked for is over for it, for scripts and tests."""
     current: _Errand | None = None
     batch: int = 0
     waiting: list[str] = field(default_factory=list)
@@ -134,6 +135,8 @@ class Errands:
         verdict, current = answer.get("verdict"), self.current
         if current is not None and isinstance(verdict, dict):
             current.told = current.told or (current.outcome is not None and current.outcome.error is not None)
+            # A hub that lost what it had, by a power cut or an old copy, asks once more.
+            current.sent = current.sent and verdict.get("state") not in ("offered", "taken")
             if verdict.get("state") in ("accepted", "refused", "withdrawn"):
                 self._say_verdict(current, str(verdict["state"]), str(verdict.get("reason", "")))
                 self._drop()
@@ -157,7 +160,8 @@ class Errands:
                 cannot_write=isinstance(error, CannotWrite),
             ).model_dump()
         if not self.sending:
-            self.sending, self.waiting = self.waiting[:MAX_EVENTS], self.waiting[MAX_EVENTS:]
+            num_sent = _num_fitting(self.waiting)
+            self.sending, self.waiting = self.waiting[:num_sent], self.waiting[num_sent:]
             # A request's counter is larger than in any process before, whatever the clock says.
             self.batch = self.line.counter
         return {
@@ -178,12 +182,16 @@ class Errands:
 
     def _take(self, offered: Mapping[str, Any]) -> None:
         """Begin an offered task, unless it is the current one."""
-        text, signature = (base64.b64decode(str(offered.get(name, ""))) for name in ("text", "signature"))
-        envelope, tries = open_envelope(text, signature, self.line.upper.key), offered.get("tries", 1)
+        try:
+            text, signature = (base64.b64decode(str(offered.get(name, ""))) for name in ("text", "signature"))
+            tries = int(offered.get("tries", 1))
+        except (ValueError, TypeError) as error:
+            raise BadInput(f"{self.line.upper.upper} offers a task that is none: use the same version on both sides.") from error
+        envelope = open_envelope(text, signature, self.line.upper.key)
         if self.current is not None and (self.current.digest, self.current.tries) == (envelope.digest, tries):
             return
         self._drop()
-        self.current = errand = _Errand(envelope=envelope, digest=envelope.digest, tries=int(tries))
+        self.current = errand = _Errand(envelope=envelope, digest=envelope.digest, tries=tries)
         try:
             self._require_own(envelope)
             folder = self.performer.place(envelope)
@@ -191,6 +199,9 @@ class Errands:
                 raise CannotWrite(f"the disk of this node is full: {envelope.num_bytes + SPARE_BYTES:,} bytes are needed there.")
             self.line.fetch(envelope, errand.digest, folder)
             errand.work = self.performer.begin(envelope, folder, errand.digest)
+        except Withdrawn:
+            # Planned anew while its files came.
+            self._drop()
         except RadiantError as error:
             errand.outcome = Outcome(error=error)
         except OSError as error:
@@ -234,17 +245,7 @@ class Errands:
 
     def _send(self, errand: _Errand, paths: Mapping[str, Path]) -> None:
         asked = errand.envelope
-        result = Envelope(
-            run=asked.run,
-            sender=asked.receiver,
-            receiver=asked.sender,
-            kind=asked.kind,
-            stage=asked.stage,
-            attempt=asked.attempt,
-            answers=errand.digest,
-            software=__version__,
-            files=describe_files(paths),
-        )
+        result = asked.result(describe_files(paths), __version__)
         self.line.send(result, paths)
         errand.sent = True
         self.say(f"{asked.stage}: {result.num_bytes:,} bytes are sent.")
@@ -270,3 +271,13 @@ class Errands:
             self.current.work.stop()
         self.current = None
         self.waiting = []
+
+
+def _num_fitting(lines: list[str]) -> int:
+    """How many events one poll carries."""
+    num_bytes = 0
+    for number, line in enumerate(lines[:MAX_EVENTS]):
+        num_bytes += len(json.dumps(line))
+        if num_bytes > MAX_EVENT_BYTES:
+            return max(1, number)
+    return min(len(lines), MAX_EVENTS)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import re
 import secrets
 from dataclasses import asdict, dataclass
@@ -24,7 +25,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 
 from radiant_app.network.certificate import key_of_certificate, make_certificate
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import RunLock, parse_json, read_bounded, read_json, write_json
+from radiant_core.io.run_store import RunLock, atomic_path, parse_json, read_bounded, read_json, write_json
 from radiant_core.io.transport.signing import load_signing_key, make_signing_key
 
 IDENTITY, NODE_NAME, UPPER_NAME, COUNTER_NAME, RUNS = "identity", "node.json", "upper.json", "counter.json", "runs"
@@ -156,10 +157,27 @@ def make_home(folder: Path, listening: Listening | None) -> Home:
     """Make a node with a key of its own, or change where one listens; raises as
     `make_signing_key`."""
     home = Home(folder=folder)
+    make_private_folder(folder)
     make_signing_key(home.identity)
     known = read_json(folder / NODE_NAME).get("listening") if (folder / NODE_NAME).is_file() else None
     write_json(folder / NODE_NAME, {"listening": known if listening is None else asdict(listening)})
     return home
+
+
+def make_private_folder(folder: Path) -> None:
+    """Make the folder of a node, which others on this machine may not look into: it holds words
+    that were not used yet, poses and models. BadInput where that cannot be done."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.chmod(0o700)
+    except OSError as error:
+        raise BadInput(f"cannot make {folder}: {error.strerror}: choose a folder that can be written.") from error
+
+
+def write_private(path: Path, data: bytes) -> None:
+    """Write a file that nobody but its owner may read, at any moment; raises as `atomic_path`."""
+    with atomic_path(path) as temporary, open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
+        file.write(data)
 
 
 def new_invitation(home: Home, name: str, identity: Identity = "pinned") -> Invitation:

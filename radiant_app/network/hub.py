@@ -4,9 +4,9 @@ per process."""
 from __future__ import annotations
 
 import queue
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
@@ -24,6 +24,8 @@ from radiant_core.io.transport.envelope import Envelope, open_envelope, sign_env
 
 POLL_S = 2.0
 """How long nodes wait between two polls."""
+MAX_SAID = 200
+"""While nobody reads, members could fill the memory with events: these are progress alone."""
 
 
 @dataclass(kw_only=True)
@@ -36,6 +38,15 @@ class Hub:
     port: int = 0
     said: queue.Queue[Said] = field(default_factory=queue.Queue)
     """What nodes say of their tasks."""
+    heard_of: Mapping[str, int] = field(default_factory=dict)
+    """Node → how many requests it made of this process."""
+
+    def hear(self, said: Said) -> None:
+        """Keep what a node says until it is read; of events no more than `MAX_SAID` sayings."""
+        if self.said.qsize() >= MAX_SAID:
+            said = replace(said, events=())
+        if said != Said(digest=said.digest):
+            self.said.put(said)
 
     def public_key(self, node: str) -> bytes:
         """The key of a node that joined, in PEM; BadInput where it has not."""
@@ -108,6 +119,10 @@ class Hub:
         self.store.move_task(digest, "withdrawn", ("offered", "taken", "received"), reason)
         self.arrivals.remove(digest)
 
+    def settle_stage(self, run: str, stage: str) -> None:
+        """A stage is sealed: what was received for it is taken, also if a process ended between."""
+        self.store.settle_stage(run, stage)
+
     def _known(self, digest: str) -> KnownTask:
         task = self.store.task(digest)
         assert task is not None
@@ -130,9 +145,11 @@ def open_hub(home: Home, poll_s: float | None = None) -> Iterator[Hub]:
     (home.folder / INCOMING).mkdir(exist_ok=True)
     store = HubStore(folder=home.folder)
     hub = Hub(home=home, store=store, arrivals=Arrivals(folder=home.folder / INCOMING))
-    reception = Reception(node=home.node, key=home.key, store=store, arrivals=hub.arrivals, heard=hub.said.put, poll_s=poll_s or POLL_S)
+    reception = Reception(node=home.node, key=home.key, store=store, arrivals=hub.arrivals, heard=hub.hear, poll_s=poll_s or POLL_S)
+    hub.heard_of = reception.heard_of
+    hub.arrivals.remove_all_but(store.open_digests())
     try:
-        with serve(listening, home.identity, reception.answer) as port:
+        with serve(listening, home.identity, reception) as port:
             hub.port = port
             yield hub
     finally:

@@ -1,8 +1,9 @@
 """The way from a node to the one above it: sealed requests outwards, tried until they are answered.
 
 A request that got no answer, or one that nobody signed, is made again with a new counter: every
-step may come twice. Waiting doubles up to `MAX_WAIT_S`, by no clock but this process's own. Once
-per request.
+step may come twice. Waiting doubles up to `MAX_WAIT_S`, by no clock but this process's own. Parts
+are halved when one is lost and double again after some that arrive: a slow or broken link loses
+little with each. Once per request.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from radiant_app.network.arrivals import PART_BYTES
 from radiant_app.network.certificate import pinned_context
 from radiant_app.network.home import Home, Invitation
-from radiant_app.network.reception import COUNTER, NODE, REPLY, SEAL
+from radiant_app.network.reception import BODY, COUNTER, GONE, JOIN, NODE, OFFSET, REPLY, SEAL
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import parse_json
@@ -35,8 +36,15 @@ if TYPE_CHECKING:
     import httpx
 
 TIMEOUT_S = 20.0
-FIRST_WAIT_S, MAX_WAIT_S = 0.25, 60.0
-GONE = 410
+FIRST_WAIT_S, MAX_WAIT_S = 0.25, 10.0
+"""The longest is what a node may be late when the one above is there again."""
+MIN_PART_BYTES, FIRST_PART_BYTES = 1 << 16, 1 << 19
+GROWS_AFTER, MAX_GROWS_AFTER = 4, 32
+"""Parts in a row that arrive before the next are twice as long; each that is lost doubles this."""
+MAX_ANSWER_BYTES = PART_BYTES + (4 << 20)
+"""Longer is no answer of ours: a part of a file, or a task with its verdict."""
+MAX_IN_VAIN = 8
+"""Parts in a row that arrive and change nothing."""
 PASSING = (429, 500, 502, 503, 504, 507)
 """Statuses that another try may not have; the first is of a server with too many requests."""
 
@@ -80,6 +88,11 @@ class Line:
     max_wait_s: float = MAX_WAIT_S
     num_resumed: int = 0
     """Requests that had to be made again."""
+    part_bytes: int = FIRST_PART_BYTES
+    """Of the next part."""
+    _in_a_row: int = 0
+    _grows_after: int = GROWS_AFTER
+    _trouble: str = "no answer"
 
     def __post_init__(self) -> None:
         self.upper: Invitation = self.home.upper
@@ -110,7 +123,8 @@ class Line:
                     raise Withdrawn
                 return answer
             if wait_s >= 4 * FIRST_WAIT_S and not troubled:
-                self.say(f"{self.upper.upper} at {self.upper.url} does not answer; it is tried again until it does.")
+                why = answer.reason if answer is not None else self._trouble
+                self.say(f"{self.upper.upper} at {self.upper.url} does not answer ({why}); it is tried again until it does.")
                 troubled = True
             self.num_resumed += 1
             # Devices that lost one server do not come back all at once.
@@ -122,20 +136,31 @@ class Line:
         """The signed answer to a request; None where none came."""
         import httpx
 
-        request = Request(node=self.upper.node, counter=self._next_counter(), method=method, target=target)
-        seal = base64.b64encode(self._key.sign(request.message(body))).decode()
-        sealed = {NODE: request.node, COUNTER: str(request.counter), SEAL: seal, **(headers or {})}
+        digest = hashlib.sha256(body).hexdigest()
+        request = Request(node=self.upper.node, counter=self._next_counter(), method=method, target=target, body_sha256=digest)
+        seal = base64.b64encode(self._key.sign(request.message())).decode()
+        # Nothing packed: a few bytes of somebody on the way could fill the memory.
+        sealed = {NODE: request.node, COUNTER: str(request.counter), SEAL: seal, BODY: digest, "Accept-Encoding": "identity"}
         try:
             client = self._client = self._client or self._connect()
-            response = client.request(method, self.upper.url.rstrip("/") + target, content=body, headers=sealed)
-        except (httpx.TransportError, httpx.DecodingError, ssl.SSLError, OSError):
+            url = self.upper.url.rstrip("/") + target
+            with client.stream(method, url, content=body, headers={**sealed, **(headers or {})}) as response:
+                status, found, content = response.status_code, dict(response.headers), b""
+                for piece in response.iter_raw():
+                    content += piece
+                    if len(content) > MAX_ANSWER_BYTES:
+                        break
+        except (httpx.TransportError, httpx.DecodingError, ssl.SSLError, OSError) as error:
+            self._trouble = f"{type(error).__name__}: {error}"[:200]
             self.close()
             return None
-        signature = _decoded(response.headers.get(REPLY, ""))
-        if not is_signed_by(self._upper_key, signature, request.reply_message(response.status_code, response.content)):
+        message = request.reply_message(seal, status, found.get(OFFSET.lower(), ""), content)
+        if not is_signed_by(self._upper_key, _decoded(found.get(REPLY, "")), message):
             # A proxy's own page, or the answer of somebody else.
+            self._trouble = f"an answer {status} that is not signed by it"
+            self.close()
             return None
-        return Answer(status=response.status_code, body=response.content, headers=dict(response.headers))
+        return Answer(status=status, body=content, headers=found)
 
     def _connect(self) -> httpx.Client:
         import httpx
@@ -158,7 +183,7 @@ class Line:
         """Register this node's key by the word of its invitation; BadInput where it is refused."""
         raw = self._key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
         body = {"token": self.upper.token, "key": base64.b64encode(raw).decode(), "software": __version__}
-        _accepted(self.ask("POST", "/join", json.dumps(body).encode()))
+        _accepted(self.ask("POST", JOIN, json.dumps(body).encode()))
 
     def poll(self, body: Mapping[str, Any]) -> dict[str, Any]:
         """What the node above answers to what this one does; raises as `ask`."""
@@ -173,17 +198,26 @@ class Line:
             if target.is_file() and target.stat().st_size == file.bytes and _sha256(target) == file.sha256:
                 continue
             part = target.with_name(f".{target.name}.{file.sha256[:16]}.part")
+            for other in target.parent.glob(f".{target.name}.*.part"):
+                if other != part:
+                    other.unlink()  # of a task that was replaced
             self._fetch_file(f"/tasks/{digest}/{number}", part, file)
             part.replace(target)
 
     def _fetch_file(self, target: str, part: Path, file: SentFile) -> None:
         for _ in range(2):
             while (have := part.stat().st_size if part.is_file() else 0) < file.bytes:
-                answer = self.ask("GET", target, headers={"Range": f"bytes={have}-"})
+                wanted = f"bytes={have}-{min(have + self.part_bytes, file.bytes) - 1}"
+                answer = self.ask_once("GET", f"{target}?{wanted}", headers={"Range": wanted})
+                self._learn(answer)
+                if answer is None or answer.status in PASSING:
+                    answer = self.ask("GET", f"{target}?{wanted}", headers={"Range": wanted})
+                if answer.status == GONE:
+                    raise Withdrawn
                 if answer.status != 206 or not answer.body:
                     raise BadInput(f"a file of the task cannot be fetched: {answer.reason}")
                 with part.open("ab") as out:
-                    out.write(answer.body)
+                    out.write(answer.body[: file.bytes - have])
             part.touch()
             if _sha256(part) == file.sha256:
                 return
@@ -219,21 +253,44 @@ class Line:
         raise BadInput("a result arrived with other bytes than were signed, twice: look at the disk of this machine.")
 
     def _send_file(self, target: str, path: Path, offset: int, num_bytes: int) -> None:
+        in_vain = 0
         with path.open("rb") as file:
             while offset < num_bytes and not self.ended.is_set():
                 file.seek(offset)
-                data = file.read(PART_BYTES)
-                headers = {"Tus-Resumable": "1.0.0", "Upload-Offset": str(offset), "Content-Type": "application/offset+octet-stream"}
+                data = file.read(self.part_bytes)
+                headers = {"Tus-Resumable": "1.0.0", OFFSET: str(offset), "Content-Type": "application/offset+octet-stream"}
                 answer = self.ask_once("PATCH", f"{target}?offset={offset}", data, headers)
+                self._learn(answer)
                 if answer is None or answer.status in PASSING:
                     # Which bytes arrived is known there alone.
                     self.num_resumed += 1
                     answer = self.ask("HEAD", target)
                 if answer.status == GONE:
                     raise Withdrawn
-                if answer.status not in (200, 409) or "upload-offset" not in answer.headers:
-                    raise BadInput(f"a part of a result is refused: {answer.reason}")
-                offset = int(answer.headers["upload-offset"])
+                before, offset = offset, _offset_in(answer)
+                in_vain = 0 if offset != before else in_vain + 1
+                if in_vain:
+                    self.ended.wait(FIRST_WAIT_S)
+                if in_vain > MAX_IN_VAIN and answer.status == 409:
+                    raise BadInput("parts of a result arrive and are not taken: look at the disk of the machine above.")
+
+    def _learn(self, answer: Answer | None) -> None:
+        """Choose the length of the next part by what became of the last."""
+        if answer is None:
+            self.part_bytes, self._in_a_row = max(MIN_PART_BYTES, self.part_bytes // 2), 0
+            self._grows_after = min(MAX_GROWS_AFTER, 2 * self._grows_after)
+            return
+        self._in_a_row += 1
+        if self._in_a_row >= self._grows_after:
+            self.part_bytes, self._in_a_row = min(PART_BYTES, self.part_bytes * 2), 0
+
+
+def _offset_in(answer: Answer) -> int:
+    """Where a file goes on, as a signed answer says; BadInput where it says no such thing."""
+    found = answer.headers.get(OFFSET.lower(), "")
+    if answer.status not in (200, 409) or not found.isdecimal():
+        raise BadInput(f"a part of a result is refused: {answer.reason}")
+    return int(found)
 
 
 def _accepted(answer: Answer) -> dict[str, Any]:

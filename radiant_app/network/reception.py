@@ -6,17 +6,19 @@
     POST /results/DIGEST             the signed list of what answers its task
     HEAD, PATCH /results/DIGEST/NUMBER?offset=   a part of one of those files, as tus 1.0 has it
 
-Before anything else a request has to be a known node's, sealed by its key, whole, and newer than
-all before. Every step may come again and changes nothing then. Refusals are one sentence.
+`admit` comes before the body: a request has to be a known node's, sealed by its key, newer than all
+before, and not too long, or nothing more of it is read. `answer` then holds the body against the
+hash that was sealed. Every step may come again and changes nothing then. Refusals are one sentence.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import re
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -34,11 +36,16 @@ from radiant_core.io.strict import Strict
 from radiant_core.io.transport.envelope import MAX_COUNTER, MAX_ENVELOPE_BYTES, Envelope, Request, open_envelope
 from radiant_core.io.transport.signing import is_signed_by
 
-MAX_BODY_BYTES = PART_BYTES
+MAX_BODY_BYTES, MAX_JOIN_BYTES = PART_BYTES, 4096
 MAX_EVENTS, MAX_EVENT_CHARS = 500, 4000
 MAX_RESULT_BYTES = 2 * 10**10
 """Most bytes of one node's result."""
-NODE, COUNTER, SEAL, REPLY = "x-radiant-node", "x-radiant-counter", "x-radiant-seal", "x-radiant-reply"
+NODE, COUNTER, SEAL, BODY, REPLY = "x-radiant-node", "x-radiant-counter", "x-radiant-seal", "x-radiant-body", "x-radiant-reply"
+"""Headers: who asks, by which number, sealed how; the hash of the body; the seal of the answer."""
+OFFSET = "Upload-Offset"
+JOIN, GONE = "/join", 410
+DONE = ("received", "accepted")
+"""States of a task whose result is there: what is asked again about it is answered the same."""
 _FILE = re.compile(r"/(tasks|results)/([0-9a-f]{64})(?:/(\d{1,4}))?")
 _NODE_ID = re.compile(r"(devices|edges)/[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -69,7 +76,7 @@ class PollBody(Strict):
     tries: int = Field(ge=0)
     doing: str = Field(max_length=80)
     ended: Ended | None
-    batch: int = Field(ge=0)
+    batch: int = Field(ge=0, le=MAX_COUNTER)
     events: list[str] = Field(max_length=MAX_EVENTS)
 
 
@@ -97,7 +104,9 @@ class Asked:
     method: str
     target: str
     headers: Mapping[str, str]
-    body: bytes
+    """By names in lower case."""
+    body: bytes = b""
+    """Empty before it was read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,57 +132,89 @@ class Reception:
     """Called with what a node says, in any thread."""
     poll_s: float = 2.0
     """How long nodes wait between two polls."""
-    _writing: threading.Lock = field(default_factory=threading.Lock)
+    heard_of: dict[str, int] = field(default_factory=dict)
+    """Node → how many of its requests were admitted by this process."""
+    _writing: dict[str, threading.Lock] = field(default_factory=dict)
+    """Of each task that is written to: one result is checked while others go on to arrive."""
+
+    def admit(self, asked: Asked) -> Reply | None:
+        """The signed refusal of a request whose body was not read; None where it may come."""
+        return self._guarded(asked, self._admit)
 
     def answer(self, asked: Asked) -> Reply:
-        """The signed answer to a request."""
-        request = Request(node="", counter=0, method="", target="")
+        """The signed answer to an admitted request with its body."""
+        reply = self._guarded(asked, self._answer_admitted)
+        assert reply is not None
+        return reply
+
+    def _guarded(self, asked: Asked, act: Callable[[Request, Asked], Reply | None]) -> Reply | None:
+        request = Request(node="", counter=0, method="", target="", body_sha256="")
         try:
             request = _request_of(asked)
-            self._require_seal(request, asked)
-            reply = self._answer_node(request, asked)
+            reply = act(request, asked)
         except Refused as refused:
             reply = _json(refused.status, {"reason": refused.reason})
         except BadInput as error:
             reply = _json(400, {"reason": str(error)})
         except DiskFull:
             reply = _json(507, {"reason": "the disk there is full: it is tried again, free space meanwhile."})
+        if reply is None:
+            return None
         if asked.method == "HEAD":
             reply = replace(reply, body=b"")
-        signature = base64.b64encode(self.key.sign(request.reply_message(reply.status, reply.body))).decode()
-        return Reply(status=reply.status, body=reply.body, headers={**reply.headers, REPLY: signature})
+        message = request.reply_message(asked.headers.get(SEAL, ""), reply.status, reply.headers.get(OFFSET, ""), reply.body)
+        return replace(reply, headers={**reply.headers, REPLY: _text(self.key.sign(message))})
 
-    def _require_seal(self, request: Request, asked: Asked) -> None:
-        """Refuse what is not a member's, not sealed by its key, or not new."""
-        if len(asked.body) > MAX_BODY_BYTES:
-            raise Refused(413, f"a request has {len(asked.body)} bytes, expected at most {MAX_BODY_BYTES}.")
+    def _admit(self, request: Request, asked: Asked) -> None:
+        """Refuse what is not a member's, not sealed by its key, not new, or too long."""
+        length, most = asked.headers.get("content-length", "0"), MAX_JOIN_BYTES if asked.target == JOIN else MAX_BODY_BYTES
+        if "transfer-encoding" in asked.headers or not re.fullmatch(r"\d{1,12}", length) or int(length) > most:
+            raise Refused(413, f"a request's body is of length {length[:20]}, expected one that is said and at most {most}.")
+        key = self._key_of(request)
+        if asked.target == JOIN:
+            return  # the key that seals it stands in its body
+        _require_seal(request, asked, key)
+        if not self.store.count(request.node, request.counter):
+            refused = _not_new(request.node)
+            self.store.note(request.node, f"refused: {refused.reason}")
+            raise refused
+        self.heard_of[request.node] = self.heard_of.get(request.node, 0) + 1
+
+    def _key_of(self, request: Request) -> Ed25519PublicKey | None:
         member = self.store.member(request.node)
         if member is None or member.revoked:
             raise Refused(403, f"{request.node} is not known here, or no longer: ask for another join file.")
-        key = _joining_key(asked) if asked.target == "/join" else member.key
-        if key is None:
-            raise Refused(403, f"{request.node} has not joined: radiant node join FILE.")
-        if not is_signed_by(key, _decoded(asked.headers.get(SEAL, "")), request.message(asked.body)):
-            raise Refused(403, f"a request of {request.node} is not sealed by its key: if it was made anew, ask for another join file.")
-        if asked.target != "/join" and not self.store.count(request.node, request.counter):
-            raise Refused(
-                409,
-                f"a request of {request.node} is not new: another process uses its key, or its folder was restored from a copy; end the "
-                "one, or ask for another join file.",
-            )
+        return member.key
+
+    def _answer_admitted(self, request: Request, asked: Asked) -> Reply:
+        if hashlib.sha256(asked.body).hexdigest() != request.body_sha256:
+            # As of a bad gateway, after which it is asked again.
+            raise Refused(502, f"a request of {request.node} arrived with another body than was sealed.")
+        # It may have been revoked, or have asked anew, while the body came.
+        key = self._key_of(request)
+        if asked.target == JOIN:
+            _require_seal(request, asked, _joining_key(asked))
+        elif key is None or self.store.last_counter(request.node) != request.counter:
+            raise _not_new(request.node)
+        try:
+            return self._answer_node(request, asked)
+        except Refused as refused:
+            if key is not None and refused.status != GONE:
+                self.store.note(request.node, f"refused: {refused.reason}")
+            raise
 
     def _answer_node(self, request: Request, asked: Asked) -> Reply:
         place = (asked.method, urlsplit(asked.target).path)
-        if place == ("POST", "/join"):
+        if place == ("POST", JOIN):
             return self._join(request, asked)
         if place == ("POST", "/poll"):
             return self._poll(request.node, asked.body)
         found = _FILE.fullmatch(place[1])
         if found is not None:
             what, digest, number = found.groups()
-            task = self._own_task(request.node, digest)
+            task = self._own_task(request.node, digest, DONE if what == "results" else ())
             if (asked.method, what) == ("GET", "tasks") and number is not None:
-                return _part_of_file(task, int(number), asked.headers.get("range", ""))
+                return _part_of_file(task, int(number), asked)
             if (asked.method, what) == ("POST", "results") and number is None:
                 return self._announce(task, asked.body)
             if asked.method in ("HEAD", "PATCH") and what == "results" and number is not None:
@@ -190,7 +231,7 @@ class Reception:
         body = _parsed(PollBody, data)
         if any(len(line) > MAX_EVENT_CHARS for line in body.events):
             raise Refused(400, f"an event of {node} is longer than {MAX_EVENT_CHARS} characters.")
-        self.store.note(node, body.doing, body.software)
+        self.store.note(node, plain_text(body.doing), plain_text(body.software))
         said = self.store.task(body.task)
         answer: dict[str, Any] = {"verdict": None, "task": None, "wait_s": self.poll_s}
         if said is not None and said.node == node:
@@ -202,7 +243,6 @@ class Reception:
         task = self.store.open_task(node)
         if task is not None and body.software != __version__:
             reason = f"this node has Radiant {body.software} and {self.node} has {__version__}: install the same version."
-            self.store.note(node, reason)
             raise Refused(409, reason)
         if task is not None:
             answer["task"] = {"text": _text(task.text), "signature": _text(task.signature), "tries": task.tries}
@@ -213,14 +253,15 @@ class Reception:
         if task.state not in OPEN:
             return
         ended = body.ended if body.ended is not None and self.store.move_task(task.digest, "failed", ("taken",)) else None
+        ended = ended and ended.model_copy(update={"message": plain_text(ended.message)})
         self.heard(Said(digest=task.digest, events=tuple(body.events), taken=taken, ended=ended))
 
-    def _own_task(self, node: str, digest: str) -> KnownTask:
+    def _own_task(self, node: str, digest: str, also: Collection[str] = ()) -> KnownTask:
         task = self.store.task(digest)
         if task is None or task.node != node:
             raise Refused(404, f"{node} has no such task.")
-        if task.state not in OPEN:
-            raise Refused(410, f"the task is {task.state}{f': {task.reason}' if task.reason else ', nobody waits for it any more.'}")
+        if task.state not in {*OPEN, *also}:
+            raise Refused(GONE, f"the task is {task.state}{f': {task.reason}' if task.reason else ', nobody waits for it any more.'}")
         return task
 
     def _announce(self, task: KnownTask, data: bytes) -> Reply:
@@ -233,11 +274,11 @@ class Reception:
         asked = _asked_by(task)
         if problem := _result_problem(envelope, asked, task):
             raise Refused(409, problem)
-        with self._writing:
-            before = self.store.result(task.digest)
-            if task.state != "received":
+        with self._lock_of(task):
+            before, state = self.store.result(task.digest), self._own_task(task.node, task.digest, DONE).state
+            if state not in DONE:
                 anew = before is not None and before[0] != text
-                offsets = self.arrivals.begin(task.digest, envelope, anew=anew)
+                offsets = self.arrivals.begin(task.digest, envelope, anew=anew, promised=self._promised(task.digest))
                 self.store.put_result(task.digest, text, signature)
             elif before is not None and before[0] == text:
                 offsets = [file.bytes for _, file in sorted(envelope.files.items())]
@@ -255,17 +296,27 @@ class Reception:
         if number >= len(envelope.files):
             raise Refused(404, f"the announcement lists {len(envelope.files)} files, there is no number {number}.")
         _, file = sorted(envelope.files.items())[number]
-        with self._writing:
-            status = 200
-            if asked.method == "PATCH" and task.state != "received":
+        with self._lock_of(task):
+            status, state = 200, self._own_task(task.node, task.digest, DONE).state
+            if asked.method == "PATCH" and state not in DONE:
                 offset = _offset_of(asked)
                 if self.arrivals.append(task.digest, number, offset, asked.body, file) is None:
                     status = 409
                 self._finish(task, envelope)
-            offset = file.bytes if self._state(task) == "received" else self.arrivals.offsets(task.digest, envelope)[number]
-        headers = {"Tus-Resumable": "1.0.0", "Upload-Offset": str(offset), "Upload-Length": str(file.bytes), "Cache-Control": "no-store"}
+            offset = file.bytes if self._state(task) in DONE else self.arrivals.offsets(task.digest, envelope)[number]
+        headers = {"Tus-Resumable": "1.0.0", OFFSET: str(offset), "Upload-Length": str(file.bytes), "Cache-Control": "no-store"}
         body = b"" if asked.method == "HEAD" else json.dumps({"offset": offset}).encode()
         return Reply(status=status, body=body, headers=headers)
+
+    def _lock_of(self, task: KnownTask) -> threading.Lock:
+        return self._writing.setdefault(task.digest, threading.Lock())
+
+    def _promised(self, digest: str) -> int:
+        """Bytes of other results that were announced and are not there yet."""
+        lists = [(other, parse_json(text)["files"]) for other, text in self.store.open_results() if other != digest]
+        return sum(file["bytes"] for _, files in lists for file in files.values()) - sum(
+            self.arrivals.num_bytes(other) for other, _ in lists
+        )
 
     def _state(self, task: KnownTask) -> str:
         found = self.store.task(task.digest)
@@ -282,7 +333,29 @@ def _request_of(asked: Asked) -> Request:
     node, counter = asked.headers.get(NODE, ""), asked.headers.get(COUNTER, "")
     if not _NODE_ID.fullmatch(node) or not re.fullmatch(r"[1-9]\d{0,18}", counter) or int(counter) > MAX_COUNTER:
         raise Refused(400, "a request names no node and no counter: this is the door of a Radiant node, see docs/network.md.")
-    return Request(node=node, counter=int(counter), method=asked.method, target=asked.target)
+    if not re.fullmatch("[0-9a-f]{64}", asked.headers.get(BODY, "")):
+        raise Refused(400, f"a request of {node} does not say the hash of its body: use the same version on both sides.")
+    return Request(node=node, counter=int(counter), method=asked.method, target=asked.target, body_sha256=asked.headers[BODY])
+
+
+def _require_seal(request: Request, asked: Asked, key: Ed25519PublicKey | None) -> None:
+    if key is None:
+        raise Refused(403, f"{request.node} has not joined: radiant node join FILE.")
+    if not is_signed_by(key, _decoded(asked.headers.get(SEAL, "")), request.message()):
+        raise Refused(403, f"a request of {request.node} is not sealed by its key: if it was made anew, ask for another join file.")
+
+
+def _not_new(node: str) -> Refused:
+    return Refused(
+        409,
+        f"a request of {node} is not new: another process uses its key, or its folder was restored from a copy; end the "
+        "one, or ask for another join file.",
+    )
+
+
+def plain_text(text: str) -> str:
+    """A stranger's text without what moves a terminal's cursor or colours it."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def _joining_key(asked: Asked) -> Ed25519PublicKey:
@@ -312,15 +385,16 @@ def _result_problem(envelope: Envelope, asked: Envelope, task: KnownTask) -> str
     return result_problem(envelope.kind, envelope.files)
 
 
-def _part_of_file(task: KnownTask, number: int, wanted: str) -> Reply:
-    """At most `PART_BYTES` of a task's file from the offset of a Range."""
+def _part_of_file(task: KnownTask, number: int, asked: Asked) -> Reply:
+    """At most `PART_BYTES` of a task's file: the bytes that the sealed target names, and Range
+    again."""
     files = sorted(parse_json(task.text)["files"].items())
-    found = re.fullmatch(r"bytes=(\d{1,15})-(\d{1,15})?", wanted or "bytes=0-")
-    if number >= len(files) or found is None:
-        raise Refused(404, f"the task has {len(files)} files; a Range is bytes=FIRST-LAST.")
+    found = re.fullmatch(r"bytes=(\d{1,15})-(\d{1,15})", asked.headers.get("range", ""))
+    if number >= len(files) or found is None or urlsplit(asked.target).query != f"bytes={found[1]}-{found[2]}":
+        raise Refused(404, f"the task has {len(files)} files; bytes=FIRST-LAST stands in the target and as Range.")
     name, about = files[number]
-    first = int(found[1])
-    last = min(int(found[2] or about["bytes"] - 1), first + PART_BYTES - 1, about["bytes"] - 1)
+    first, last = int(found[1]), int(found[2])
+    last = min(last, first + PART_BYTES - 1, about["bytes"] - 1)
     with (task.folder / name).open("rb") as file:
         file.seek(first)
         data = file.read(max(0, last - first + 1))
@@ -330,7 +404,7 @@ def _part_of_file(task: KnownTask, number: int, wanted: str) -> Reply:
 def _offset_of(asked: Asked) -> int:
     """Where a part begins, as the sealed target says and tus's header repeats."""
     values = parse_qs(urlsplit(asked.target).query).get("offset", [])
-    header = asked.headers.get("upload-offset", "")
+    header = asked.headers.get(OFFSET.lower(), "")
     if len(values) != 1 or not re.fullmatch(r"\d{1,15}", values[0]) or header != values[0]:
         raise Refused(400, "a part says no offset, once in its target and once as Upload-Offset.")
     if asked.headers.get("content-type") != "application/offset+octet-stream":

@@ -1,41 +1,54 @@
 """The socket of a node that others join: starlette on uvicorn in a thread. Once per process.
 
-Here is nothing but carrying: a request is read up to its limit and answered by `reception.py`.
+Here is nothing but carrying: `reception.py` admits a request before its body is read, and answers
+it. Who dawdles is cut off: connections are few.
 """
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import socket
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from importlib.util import find_spec
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from radiant_app.network.certificate import server_context
 from radiant_app.network.home import Listening
-from radiant_app.network.reception import MAX_BODY_BYTES, Asked, Reply
-from radiant_core.errors import BadInput
+from radiant_app.network.reception import Asked, Reception, Reply
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.extras import require_extra
 
 if TYPE_CHECKING:
     from starlette.requests import Request
 
 START_S = 10.0
 IDLE_S = 30
+"""How long a connection may stay without a request, or be at the head of one."""
+BODY_S = 120.0
+"""How long one body may take: the smallest part at 0.5 kB/s."""
 MAX_CONNECTIONS = 512
+SPARED_BYTES = 1 << 16
+"""A refused body of no more is read and thrown away, so that the refusal is not lost with it."""
 
 
 def require_network() -> None:
     """Raise BadInput where the extra `network` is not installed."""
-    if any(find_spec(name) is None for name in ("uvicorn", "starlette", "httpx")):
-        raise BadInput("the network's libraries are not installed: pip install 'radiant-splats[network]'.")
+    require_extra("network", "nothing can be sent or received", "use machines of one owner: --executor local or ray")
 
 
 @contextmanager
-def serve(listening: Listening, identity: Path, answer: Callable[[Asked], Reply]) -> Iterator[int]:
-    """Answer requests until the end of the block; the port. BadInput where it cannot be bound."""
+def serve(listening: Listening, identity: Path, reception: Reception) -> Iterator[int]:
+    """Answer requests until the end of the block; the port.
+
+    Raises:
+        BadInput: the port cannot be bound, or the key cannot be used.
+        StageFailed: the server did not start.
+    """
     import uvicorn
 
     try:
@@ -43,27 +56,29 @@ def serve(listening: Listening, identity: Path, answer: Callable[[Asked], Reply]
     except OSError as error:
         where = f"{listening.host}:{listening.port}"
         raise BadInput(f"{where} cannot be listened at ({error.strerror}): end what listens there, or choose another --port.") from error
+    context = None if listening.plain else server_context(identity)
     config = uvicorn.Config(
-        _app(answer),
+        _app(reception),
         log_config=None,
         access_log=False,
         server_header=False,
         date_header=False,
         lifespan="off",
         ws="none",
-        http="h11",
+        http=_impatient_protocol(),
         loop="asyncio",
         timeout_keep_alive=IDLE_S,
         limit_concurrency=MAX_CONNECTIONS,
         timeout_graceful_shutdown=2,
-        ssl_context_factory=None if listening.plain else lambda *_: server_context(identity),
+        ssl_context_factory=None if context is None else lambda *_: context,
     )
-    # Its log would name what is asked for; what matters is in the store.
-    logging.getLogger("uvicorn").setLevel(logging.CRITICAL)
+    # Its log names what is asked for, and what matters is in the store; its errors are our lines.
+    logging.getLogger("uvicorn").setLevel(logging.ERROR)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, daemon=True)
     thread.start()
     try:
+        _require_started(server, thread)
         yield int(bound.getsockname()[1])
     finally:
         server.should_exit = True
@@ -71,34 +86,68 @@ def serve(listening: Listening, identity: Path, answer: Callable[[Asked], Reply]
         bound.close()
 
 
-def _app(answer: Callable[[Asked], Reply]) -> Any:
+def _require_started(server: Any, thread: threading.Thread) -> None:
+    until_s = time.monotonic() + START_S
+    while not server.started:
+        if not thread.is_alive() or time.monotonic() > until_s:
+            raise StageFailed("the server of this node did not start; its terminal says why.")
+        time.sleep(0.01)
+
+
+def _impatient_protocol() -> Any:
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class Impatient(H11Protocol):
+        """Cuts a connection off on which no request came for `IDLE_S`, however slowly one drips."""
+
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            self.loop.call_later(IDLE_S, self._check, None)
+
+        def _check(self, before: Any) -> None:
+            if self.transport.is_closing():
+                return
+            if self.cycle is before and (self.cycle is None or self.cycle.response_complete):
+                self.transport.abort()
+            else:
+                self.loop.call_later(IDLE_S, self._check, self.cycle)
+
+    return Impatient
+
+
+def _app(reception: Reception) -> Any:
     from starlette.applications import Starlette
     from starlette.concurrency import run_in_threadpool
+    from starlette.requests import ClientDisconnect
     from starlette.responses import Response
     from starlette.routing import Route
 
     async def handle(request: Request) -> Response:
-        body = await _bounded_body(request)
-        if body is None:
-            return Response("a request is too long, or does not say its length.", 413, {"Connection": "close"})
-        query = request.url.query
+        query = request.scope["query_string"].decode("latin-1")
         target = request.scope["raw_path"].decode("latin-1") + (f"?{query}" if query else "")
-        asked = Asked(method=request.method, target=target, headers=dict(request.headers), body=body)
-        reply = await run_in_threadpool(answer, asked)
+        asked = Asked(method=request.method, target=target, headers=dict(request.headers))
+        reply: Reply | None = await run_in_threadpool(reception.admit, asked)
+        if reply is not None:
+            await _throw_away(request)
+            return Response(reply.body, reply.status, {**reply.headers, "Connection": "close"})
+        try:
+            async with asyncio.timeout(BODY_S):
+                body = await request.body()
+        except (TimeoutError, ClientDisconnect):
+            return Response("the body of a request took too long, or was cut.", 408, {"Connection": "close"})
+        reply = await run_in_threadpool(reception.answer, replace(asked, body=body))
         return Response(reply.body, reply.status, dict(reply.headers))
 
     return Starlette(routes=[Route("/{path:path}", handle, methods=["GET", "HEAD", "POST", "PATCH"])])
 
 
-async def _bounded_body(request: Request) -> bytes | None:
-    """The body of a request, or None where it is longer than any may be."""
+async def _throw_away(request: Request) -> None:
+    """Read a small refused body: closed before, the connection is reset and the answer lost."""
+    from starlette.requests import ClientDisconnect
+
     length = request.headers.get("content-length", "0")
-    if "transfer-encoding" in request.headers or not length.isdecimal() or len(length) > 12 or int(length) > MAX_BODY_BYTES:
-        return None
-    parts, total = [], 0
-    async for part in request.stream():
-        total += len(part)
-        if total > MAX_BODY_BYTES:
-            return None
-        parts.append(part)
-    return b"".join(parts)
+    if length.isdecimal() and len(length) < 6 and int(length) <= SPARED_BYTES:
+        with suppress(TimeoutError, ClientDisconnect):
+            async with asyncio.timeout(START_S):
+                async for _ in request.stream():
+                    pass

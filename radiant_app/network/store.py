@@ -79,9 +79,15 @@ class HubStore:
     """The database of a node's hub."""
 
     folder: Path
+    read_only: bool = False
+    """For a look at a database that another process writes."""
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
+        if self.read_only:
+            place = f"{(self.folder / STORE_NAME).resolve().as_uri()}?mode=ro"
+            self._database = sqlite3.connect(place, uri=True, check_same_thread=False, isolation_level=None, timeout=5.0)
+            return
         self._database = sqlite3.connect(self.folder / STORE_NAME, check_same_thread=False, isolation_level=None, timeout=30.0)
         self._database.executescript(f"pragma journal_mode=wal; pragma synchronous=full; {_TABLES}")
 
@@ -91,8 +97,10 @@ class HubStore:
             self._database.close()
 
     @contextmanager
-    def _changing(self) -> Iterator[sqlite3.Connection]:
+    def _changing(self, *, forced: bool = True) -> Iterator[sqlite3.Connection]:
+        """`forced`: to the disk before it returns, so that a power cut does not undo it."""
         with self._lock:
+            self._database.execute(f"pragma synchronous={'full' if forced else 'normal'}")
             self._database.execute("begin immediate")
             try:
                 yield self._database
@@ -108,10 +116,12 @@ class HubStore:
     # Nodes
 
     def invite(self, node: str, token: str) -> None:
-        """Let `node` join once by this word; one that has joined keeps its key until then."""
+        """Let `node` join once by this word; one that has joined keeps its key until then, one that
+        was revoked has lost it."""
         with self._changing() as database:
             database.execute(
-                "insert into nodes(id, token) values(?, ?) on conflict(id) do update set token = excluded.token, revoked = 0",
+                "insert into nodes(id, token) values(?, ?) on conflict(id) do update set token = excluded.token, "
+                "key = case when revoked then null else key end, revoked = 0",
                 (node, _hash(token)),
             )
 
@@ -137,11 +147,14 @@ class HubStore:
 
     def member(self, node: str) -> Member | None:
         """The node with this id, if it was invited."""
-        return next((each for each in self.members() if each.id == node), None)
+        return next(iter(self._members("where id = ?", node)), None)
 
     def members(self) -> list[Member]:
         """All nodes that were invited, by id."""
-        rows = self._rows("select id, key, revoked, counter, seen_s, software, note from nodes order by id")
+        return self._members("order by id")
+
+    def _members(self, where: str, *values: Any) -> list[Member]:
+        rows = self._rows(f"select id, key, revoked, counter, seen_s, software, note from nodes {where}", *values)
         return [
             Member(
                 id=row[0],
@@ -157,19 +170,23 @@ class HubStore:
 
     def count(self, node: str, counter: int) -> bool:
         """Take a request's counter; False for one that is not larger than all before."""
-        with self._changing() as database:
+        with self._changing(forced=False) as database:
             query = "update nodes set counter = ?, seen_s = ? where id = ? and counter < ? and revoked = 0"
             return database.execute(query, (counter, time.time(), node, counter)).rowcount > 0
 
+    def last_counter(self, node: str) -> int:
+        """The largest counter that was taken of a node."""
+        return next((row[0] for row in self._rows("select counter from nodes where id = ?", node)), 0)
+
     def take_batch(self, node: str, batch: int) -> bool:
         """Take a numbered batch of events; False for one that was taken before."""
-        with self._changing() as database:
+        with self._changing(forced=False) as database:
             query = "update nodes set batch = ? where id = ? and batch < ?"
             return database.execute(query, (batch, node, batch)).rowcount > 0
 
     def note(self, node: str, note: str, software: str = "") -> None:
         """Remember what a node does."""
-        with self._changing() as database:
+        with self._changing(forced=False) as database:
             database.execute("update nodes set note = ?, software = ifnull(nullif(?, ''), software) where id = ?", (note, software, node))
 
     # Tasks
@@ -200,8 +217,20 @@ class HubStore:
         return next(iter(self._tasks("where digest = ?", digest)), None)
 
     def open_task(self, node: str) -> KnownTask | None:
-        """The oldest task that a node has to do or whose result is not accepted yet."""
-        return next(iter(self._tasks(f"where node = ? and state in {OPEN} order by changed_s limit 1", node)), None)
+        """The oldest task that a node has to do, else one whose result is not accepted yet: that
+        waits for who conducts, and may do so while the next is offered."""
+        order = "order by state = 'received', changed_s limit 1"
+        return next(iter(self._tasks(f"where node = ? and state in {OPEN} {order}", node)), None)
+
+    def open_digests(self) -> set[str]:
+        """Digests of the tasks whose results are still waited for."""
+        return {row[0] for row in self._rows(f"select digest from tasks where state in {OPEN}")}
+
+    def settle_stage(self, run: str, stage: str) -> None:
+        """Count what was received for a stage as accepted: the stage is sealed."""
+        with self._changing() as database:
+            query = "update tasks set state = 'accepted', changed_s = ? where run = ? and stage = ? and state = 'received'"
+            database.execute(query, (time.time(), run, stage))
 
     def newest_attempt(self, run: str, node: str, stage: str) -> KnownTask | None:
         """The newest task of a stage, whatever became of it."""
@@ -236,6 +265,10 @@ class HubStore:
         """Keep the announcement of a task's result in place of an earlier one."""
         with self._changing() as database:
             database.execute("insert or replace into results values(?, ?, ?)", (task, text, signature))
+
+    def open_results(self) -> list[tuple[str, bytes]]:
+        """Digest of the task and announcement of each result that is still arriving."""
+        return self._rows("select task, results.text from results join tasks on task = digest where state in ('offered', 'taken')")
 
     def result(self, task: str) -> tuple[bytes, bytes] | None:
         """The announcement of a task's result and its signature."""

@@ -15,6 +15,7 @@ import pytest
 
 from radiant_app.commands import node as commands
 from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.inspect_feeds import feeds_of
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import Event, StageDone, StageProgress
 from radiant_app.executors import local, network
@@ -99,6 +100,9 @@ def test_progress_is_told_for_every_device(runs: Runs) -> None:
     states = {row["node"]: row for row in commands.status(runs.nodes.home("cloud"))["nodes"]}
     assert {name: row["state"] for name, row in states.items()} == {"edges/north": "joined", "edges/south": "joined"}
     assert states["edges/north"]["task"]["state"] == "accepted"
+    shown = feeds_of(runs.far.folder).progress().machines
+    assert [line.split(",")[0] for line in shown] == ["edges/north: joined", "edges/south: joined"]
+    assert feeds_of(runs.here.folder).progress().machines == ()
     lines = commands.status_lines(commands.status(runs.nodes.home("north-1")))
     assert any("finished scene" in line for line in lines)
 

@@ -106,7 +106,7 @@ class FailingDisk:
     @contextmanager
     def installed(self) -> Iterator[None]:
         """Opening for writing, every write, fsync and rename of the store go through here."""
-        fsync, moved, opened = run_store._fsync, Path.replace, Path.open
+        fsync, moved, opened = run_store.force_to_disk, Path.replace, Path.open
 
         def failing_fsync(path: Path) -> None:
             self._call()
@@ -142,7 +142,7 @@ class FailingDisk:
 
         disk = self
         with (
-            patch.object(run_store, "_fsync", failing_fsync),
+            patch.object(run_store, "force_to_disk", failing_fsync),
             patch.object(Path, "replace", failing_replace),
             patch.object(Path, "open", failing_open),
         ):

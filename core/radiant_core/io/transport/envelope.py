@@ -3,8 +3,9 @@
     envelope   schema, version, run, sender, receiver, kind, stage, attempt, answers, software;
                files: name → bytes, sha256
     signature  Ed25519 of "radiant.envelope 1\\0" and the bytes of the envelope
-    seal       Ed25519 of "radiant.request 1\\0" and node, counter, method, target, hash of the body
-    reply      Ed25519 of "radiant.reply 1\\0" and node, counter, status, hash of the body
+    seal       Ed25519 of "radiant.request 2\\0" and node, counter, method, target, hash of the body
+    reply      Ed25519 of "radiant.reply 2\\0" and hash of the request, its seal, status, offset,
+               hash of the body
 
 An envelope announces files before a byte of them is stored: a task that goes down, or the result
 that answers it. What is inside is signed once more by who made it (`delivery.py`). A node counts
@@ -18,7 +19,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -33,7 +34,7 @@ MAX_ENVELOPE_BYTES = 1 << 20
 MAX_FILES = 4096
 MAX_COUNTER = 2**62
 SOFTWARE_TEXT = 64
-_ENVELOPE, _REQUEST, _REPLY = f"{SCHEMA} {VERSION}\0".encode(), b"radiant.request 1\0", b"radiant.reply 1\0"
+_ENVELOPE, _REQUEST, _REPLY = f"{SCHEMA} {VERSION}\0".encode(), b"radiant.request 2\0", b"radiant.reply 2\0"
 _RUN, _HASH = re.compile("[0-9a-f]{32}"), re.compile("[0-9a-f]{64}")
 _KIND = re.compile("[a-z][a-z_]{0,31}")
 _PART = r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}"
@@ -95,6 +96,10 @@ class Envelope:
         """SHA-256 of all that it says: equal for equal envelopes."""
         return hashlib.sha256(envelope_bytes(self)).hexdigest()
 
+    def result(self, files: Mapping[str, SentFile], software: str) -> Envelope:
+        """The envelope of the result that answers this task, which its receiver seals."""
+        return replace(self, sender=self.receiver, receiver=self.sender, answers=self.digest, software=software, files=files)
+
 
 def is_inner_name(name: str) -> bool:
     """Whether a name leads to a file inside a folder: plain words, at most four levels."""
@@ -150,7 +155,7 @@ def _parse(record: Any) -> Envelope:
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What a sealed request says of itself, beside its body."""
+    """What a sealed request says of itself, known before its body is read."""
 
     node: str
     counter: int
@@ -158,13 +163,16 @@ class Request:
     method: str
     target: str
     """Path and query."""
+    body_sha256: str
 
-    def message(self, body: bytes) -> bytes:
+    def message(self) -> bytes:
         """What is signed."""
-        said = [self.node, str(self.counter), self.method, self.target, hashlib.sha256(body).hexdigest()]
+        said = [self.node, str(self.counter), self.method, self.target, self.body_sha256]
         return _REQUEST + "\n".join(said).encode(errors="surrogateescape")
 
-    def reply_message(self, status: int, body: bytes) -> bytes:
-        """What the server signs that answers this request with `status`."""
-        said = [self.node, str(self.counter), str(status), hashlib.sha256(body).hexdigest()]
+    def reply_message(self, seal: str, status: int, offset: str, body: bytes) -> bytes:
+        """What the server signs that answers this request as it came, with `seal`: who altered one
+        on its way cannot pass on the refusal as that of the genuine one. `offset` is where a part
+        goes on, else empty."""
+        said = [hashlib.sha256(self.message()).hexdigest(), seal, str(status), offset, hashlib.sha256(body).hexdigest()]
         return _REPLY + "\n".join(said).encode(errors="surrogateescape")

@@ -1,0 +1,178 @@
+"""A run over a network whose machines are processes, so that they can be killed and started again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from radiant_app.commands import node as commands
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions, TrainOptions
+from radiant_app.events import encode
+from radiant_app.executors import local, network
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.network import hub
+from radiant_app.network import line as lines
+from radiant_app.run import over_network
+from radiant_app.run.pipeline import run
+from tests.app.network_nodes import Nodes, split_photographs
+
+ROOT = Path(__file__).parents[2]
+TINY = TrainOptions(long_side_px=64, num_steps=60, max_num_splats=600)
+STARTS, CHECKPOINTS, WIRE = "RADIANT_TEST_STARTS", "checkpoints", "wire"
+# Structure from motion with several threads differs in the last digits from run to run.
+WORKER = """import os, sys
+from pathlib import Path
+os.cpu_count = lambda: 1
+saved = len(list((Path(sys.argv[2]) / "checkpoints").glob("*.json")))
+with open(os.environ["RADIANT_TEST_STARTS"], "a") as file:
+    file.write(f"{sys.argv[1]} {sys.argv[3]} {saved}\\n")
+from radiant_app.workers.worker import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def command(task: NodeTask) -> list[str]:
+    return [sys.executable, "-c", WORKER, task.kind, str(task.folder), task.stage, task.key]
+
+
+@dataclass
+class Fleet:
+    """A cloud, an edge with devices; made once, started and killed by name."""
+
+    folder: Path
+    devices: tuple[str, ...] = ("d",)
+    frames: Literal["gps", "known"] = "known"
+    running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+
+    def make(self) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        split_photographs(sample_scenes_folder() / "hamlet" / "images", self.folder / "photos", self.devices)
+        rows = "".join(f'[[edge.device]]\nid = "{device}"\n' for device in self.devices)
+        (self.folder / "system.toml").write_text(f'[[edge]]\nid = "e"\n{rows}')
+        (self.folder / "frames").write_text(self.frames)
+        (self.folder / WIRE).mkdir()
+        Nodes(folder=self.folder).make({"e": list(self.devices)})
+
+    def start(self, name: str) -> None:
+        environment = {**os.environ, STARTS: str(self.folder / "starts.txt"), "OMP_NUM_THREADS": "1"}
+        with (self.folder / f"{name}.log").open("ab") as log:
+            arguments = [sys.executable, "-m", "tests.app.network_processes", name, str(self.folder)]
+            self.running[name] = subprocess.Popen(arguments, cwd=ROOT, env=environment, stdout=log, stderr=log, start_new_session=True)
+
+    def kill(self, name: str) -> bool:
+        """SIGKILL; whether it was running."""
+        process = self.running.pop(name)
+        alive = process.poll() is None
+        if alive:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        return alive
+
+    def close(self) -> None:
+        for name in [*self.running]:
+            self.kill(name)
+
+    def run_with(self, kills: list[tuple[str, Callable[[], bool]]], timeout_s: float = 240.0) -> int:
+        """Run everything; kill the named process at each moment in turn and start it again. How
+        many kills hit. Fails where the cloud does not end by itself."""
+        until_s, hits = time.monotonic() + timeout_s, 0
+        for name in ("cloud", "e", *self.devices):
+            self.start(name)
+        waiting = list(kills)
+        while (code := self.running["cloud"].poll()) is None:
+            assert time.monotonic() < until_s, self.logs()
+            for name in ("e", *self.devices):
+                assert self.running[name].poll() is None, self.logs()
+            if waiting and waiting[0][1]():
+                name, _ = waiting.pop(0)
+                hits += self.kill(name)
+                self.start(name)
+            time.sleep(0.005)
+        assert code == 0, self.logs()
+        return hits
+
+    def logs(self) -> str:
+        return "".join(f"== {path.name}\n{path.read_text()[-3000:]}" for path in sorted(self.folder.glob("*.log")))
+
+    def starts(self, kind: str) -> list[int]:
+        """How many checkpoints were there at each start of a worker of this kind."""
+        rows = [line.split() for line in (self.folder / "starts.txt").read_text().splitlines()]
+        return [int(row[2]) for row in rows if row[0] == kind]
+
+    def device_folder(self, device: str) -> Path:
+        found = list((self.folder / device / "runs").glob(f"*/devices/{device}"))
+        return found[0] if found else self.folder / "nothing"
+
+
+def config_of(folder: Path, executor: bool) -> RunConfig:
+    """The run over the network, or that on one machine."""
+    frames = "gps" if (folder / "frames").read_text() == "gps" else "known"
+    return RunConfig(
+        source=folder / ("cloud" if executor else "photos"),
+        frames=frames,
+        sfm=SfmOptions() if executor or frames == "gps" else SfmOptions(poses=sample_scenes_folder() / "hamlet" / "known"),
+        system=folder / "system.toml",
+        out=folder / ("far" if executor else "here"),
+        train=TINY,
+        execution=ExecutionOptions(executor="network" if executor else "local", checkpoint_every_s=0.05),
+    )
+
+
+def run_here(folder: Path) -> bytes:
+    """The scene of the run on one machine, in a process with one core."""
+    environment = {**os.environ, STARTS: str(folder / "here.txt"), "OMP_NUM_THREADS": "1"}
+    subprocess.run([sys.executable, "-m", "tests.app.network_processes", "here", str(folder)], cwd=ROOT, env=environment, check=True)
+    return (folder / "here" / "scene.ply").read_bytes()
+
+
+def _main(name: str, folder: Path) -> None:
+    os.cpu_count = lambda: 1
+    hub.POLL_S = 0.1
+    for module in (local, network, over_network):
+        vars(module)["worker_command"] = command
+    if name in ("cloud", "here"):
+        config = config_of(folder, name == "cloud")
+        if name == "here":
+            vars(sys.modules["radiant_app.run.stages"])["LocalExecutor"] = _one_core
+        with (folder / f"{name}.events").open("a", buffering=1) as events:
+            run(config, lambda event: print(encode(event), file=events), resume=(config.out / "manifest.json").is_file())
+        return
+    lines.Line.ask_once = _dumped(folder / WIRE / f"{name}.{os.getpid()}")  # type: ignore[method-assign]
+    running = commands.Running(say=lambda text: print(text, flush=True), command=command, poll_s=0.1)
+    if name == "e":
+        running.serve(folder / "e")
+    else:
+        poses = sample_scenes_folder() / "hamlet" / "known" if (folder / "frames").read_text() == "known" else None
+        running.work(folder / name, folder / "photos" / name, poses, lambda text: True)
+
+
+def _dumped(file: Path) -> Callable[..., lines.Answer | None]:
+    """`Line.ask_once` that keeps what passes in both directions, as it is before it is encrypted."""
+    ask = lines.Line.ask_once
+
+    def ask_and_keep(
+        line: lines.Line, method: str, target: str, body: bytes = b"", headers: Mapping[str, str] | None = None
+    ) -> lines.Answer | None:
+        answer = ask(line, method, target, body, headers)
+        with file.open("ab") as out:
+            out.write(f"{method} {target} {headers}\n".encode() + body)
+            out.write(b"" if answer is None else f"{answer.status} {answer.headers}\n".encode() + answer.body)
+        return answer
+
+    return ask_and_keep
+
+
+def _one_core(**options: object) -> local.LocalExecutor:
+    return local.LocalExecutor(**{**options, "command": command})  # pyright: ignore[reportArgumentType]
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1], Path(sys.argv[2]))
