@@ -35,15 +35,13 @@ def until(condition, what, seconds):
 def drive():
     try:
         window = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, InspectorWindow))
-        dock = window.docks.splats
-        window.raise_dock(dock)
-        until(lambda: dock.decision is not None, "no renderer was chosen", 120)
+        model = window.model
         for width, height in sizes:
             window.resize(width, height)
             QTest.qWait(6000)
-            before, picture = len(asked), dock.picture.size()
+            before, picture = len(asked), window.view.size_wh
             QTest.qWait(4000)
-            found.append([[width, height], dock.shown_is_full, len(asked) - before, dock.picture.size() == picture])
+            found.append([[width, height], model.shown_is_full, len(asked) - before, window.view.size_wh == picture])
             window.save_window_picture(out / f"splats_{width}x{height}.png")
     except BaseException as error:
         failures.append(repr(error))

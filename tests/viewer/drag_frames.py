@@ -44,8 +44,8 @@ def drag(window: InspectorWindow) -> None:
     assert planning is not None and planning.session is not None
     session = planning.session
     # The model's own process would share the cores.
-    assert window.docks.splats is not None
-    window.docks.splats.hide()
+    assert window.model is not None
+    window.model.set_shown(False)
     planning.set_active(True)
     QTest.qWait(1000)
     border = max(shared_borders(session.editor.state.cloud), key=lambda one: one.length_m)

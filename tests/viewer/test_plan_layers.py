@@ -102,7 +102,7 @@ def test_cameras_are_sorted_and_filtered_by_any_figure() -> None:
     distances = figures.column("distance")
     assert distances[0] == pytest.approx(np.hypot(-90 + 60, -45 + 10))
     for text, words in (("psnr < high", "is none"), ("psnr ~ 2", "is a number"), ("region < 3", "is a name"), ("psnr <", "condition"),
-                        ("height > 3", "use one of name, region")):  # fmt: skip
+                        ("altitude > 3", "use one of name, region")):  # fmt: skip
         with pytest.raises(BadInput, match=words):
             filter_rows(figures, text)
 

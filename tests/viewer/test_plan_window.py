@@ -103,7 +103,7 @@ def steps(window):
     until(lambda: len(editor.edits) == 2 and not session.is_busy, "the pins never came")
     held = [editor.state.cloud.edge_of_camera[editor.subject.names.index(name)] for name in planning.actions.selected]
     assert (np.array(editor.state.cloud.edge_ids)[held] == "quarry").all()
-    planning.actions.select_filtered("region = quarry and up > 1")
+    planning.actions.select_filtered("region = quarry and height > 1")
     assert len(planning.actions.selected) >= 9
     planning.actions.set_slack(1.2)
     until(lambda: not session.is_busy, "slack hangs")

@@ -216,6 +216,6 @@ def test_what_cannot_be_served_is_one_sentence(run_folder: Path, monkeypatch: py
     with pytest.raises(BadInput, match="is no run"):
         open_page(tmp_path, print, port=0)
     assert "not encrypted" in address_text("0.0.0.0", 80, "s")
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"trame.*pip install -e '\.\[web\]'.*--screenshot"):
+    monkeypatch.setattr("radiant_core.extras.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"trame.*install.*'radiant-splats\[web\]'.*--screenshot"):
         require_web()

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -86,6 +87,7 @@ def steps_of_run(window):
     seams(window)
     tools(window)
     themes(window)
+    navigation(window)
     film_and_splats(window)
     live(window)
 
@@ -138,7 +140,7 @@ def cameras(window):
     dock.save_csv(out / "cameras.csv")
     lines = (out / "cameras.csv").read_text().splitlines()
     assert len(lines) == 4 and lines[1].startswith("DJI_0016.JPG,"), lines
-    center = window.run.scene.cameras.centers[16]
+    center = window.run.scene.cameras.centers[16] - [0, 0, window.subject.ground]
     assert np.allclose([float(cell) for cell in lines[1].split(",")[-3:]], center, atol=1e-12), "the table lost digits"
     window.select_camera("DJI_0009.JPG")
     assert dock.filter.text() == "" and window.selected == index, "a filter hid what was selected"
@@ -254,31 +256,58 @@ def themes(window):
     window.set_theme("light")
     assert np.array_equal(window.screenshot(), light), "light again gave another picture"
 
+def navigation(window):
+    view, start = window.view, window.view.pose
+    plotter, left, right = view.plotter, Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton
+    until(lambda: window.model.shown_is_full)
+    middle = plotter.rect().center()
+    def level():
+        return abs(view.pose.rotation[0][2]) < 1e-9
+    QTest.mousePress(plotter, left, pos=middle)
+    QTest.mouseMove(plotter, middle + QPoint(60, -20))
+    QTest.mouseRelease(plotter, left, pos=middle + QPoint(60, -20))
+    orbited = view.pose
+    assert np.linalg.norm(orbited.position - start.position) > 5 and level(), "nothing was orbited"
+    QTest.mouseDClick(plotter, left, pos=middle)
+    # A double click of QTest ends with the button down.
+    QTest.mouseRelease(plotter, left, pos=middle)
+    assert abs(view.pose.distance / orbited.distance - 0.5) < 0.3 and level(), "nothing came into focus"
+    before, chosen = view.pose, window.docks.photo.at
+    QTest.mousePress(plotter, right, pos=middle)
+    QTest.keyPress(plotter, Qt.Key.Key_W)
+    QTest.qWait(200)
+    QTest.keyRelease(plotter, Qt.Key.Key_W)
+    QTest.mouseRelease(plotter, right, pos=middle)
+    flown = view.pose.position - before.position
+    assert flown @ before.rotation[2] > 0.99 * np.linalg.norm(flown) > 0.1, "W did not fly forward"
+    assert window.docks.photo.at == chosen, "the window took the key of a flight"
+    window._see_from("top")
+    assert view.pose.rotation[2][2] < -0.999
+    view.set_pose(start)
+    window.render_views()
+
 def film_and_splats(window):
-    fly, splats = window.docks.fly, window.docks.splats
+    fly, model = window.docks.fly, window.model
     window.attempt(fly.poses)
     window.findChildren(QMessageBox)[-1].close()
     fly.add_view()
     window.docks.seams.go(0)
     fly.add_view()
     fly.seconds.setValue(0.2)
-    fly.write(out / "layers.gif", source="Layers as visible", size_wh=(96, 64))
+    fly.write(out / "layers.gif", source="Layers alone", size_wh=(96, 64))
     until(lambda: fly.job is None)
     assert fly.note.text().startswith("Saved 6 frames"), fly.note.text()
     fly.write(out / "given_up.gif", size_wh=(96, 64))
     fly.stop()
     assert fly.job is None and not list(out.glob("*given_up*"))
-    window.raise_dock(splats)
-    until(lambda: splats.shown_is_full)
-    splats.choice.setCurrentIndex(1)
-    assert splats.kind == "own"
+    until(lambda: model.shown_is_full)
     window.view.plotter.camera.azimuth += 20
-    QTest.qWait(150)
-    until(lambda: splats.shown_is_full, 5)
+    QTest.qWait(20)
+    until(lambda: model.shown_is_full, 5)
     # Drawn again where torch is loaded already.
-    height, width = splats.last_image.shape[:2]
-    camera = window.view.pose.camera((width, height))
-    np.savez(out / "ours.npz", image=splats.last_image, K=camera.Ks, cam_from_world=camera.cam_from_world)
+    image = np.rint(255 * window.view.backdrop.picture[..., :3]).astype(np.uint8)
+    camera = window.view.pose.camera(image.shape[1::-1])
+    np.savez(out / "ours.npz", image=image, K=camera.Ks, cam_from_world=camera.cam_from_world)
 
 def steps_of_splat_film(window):
     fly = window.docks.fly
@@ -286,12 +315,12 @@ def steps_of_splat_film(window):
         window.docks.seams.go(stop)
         fly.add_view()
     fly.seconds.setValue(0.2)
-    fly.write(out / "splats.gif", source="Splats", size_wh=(96, 64))
+    fly.write(out / "splats.gif", source="As the 3D view", size_wh=(96, 64))
     until(lambda: fly.job is None)
     assert fly.note.text().startswith("Saved 6 frames"), fly.note.text()
 
 def steps_of_splats_of_model(window):
-    until(lambda: window.docks.splats.shown_is_full)
+    until(lambda: window.model.shown_is_full)
 
 def live(window):
     global progress
@@ -302,8 +331,12 @@ def live(window):
     assert dock.table.rowCount() == 1 and dock.table.cellWidget(0, 2).value() == 25
     assert dock.summary.text().endswith("about 1 s left")
     done = StageState(stage="devices/a", state="done", seconds=9.0)
-    progress = RunProgress(stages=(done, StageState(stage="edges/e", state="done", seconds=2.0)), status="done")
+    assert not dock.machines.isVisibleTo(dock)
+    row = "edges/e: offline since 14:05, edges/e taken, 212 of 310 MB"
+    machines = (row, "edges/f: joined")
+    progress = RunProgress(stages=(done, StageState(stage="edges/e", state="done", seconds=2.0)), status="done", machines=machines)
     dock.read()
+    assert dock.machines.isVisibleTo(dock) and dock.machines.text().splitlines() == list(machines)
     assert dock.table.rowCount() == 2 and "run ended (done)" in window.statusBar().currentMessage()
     window.save_screenshot(out / "shot.png")
     window.save_window_picture(out / "window.png")
@@ -344,7 +377,7 @@ def steps_of_begun_run(nothing):
     window, = windows()
     QTest.qWait(100)
     assert not [other for other in QApplication.topLevelWidgets() if isinstance(other, WaitingWindow)]
-    assert window.docks.splats is None and window.docks.seams is None
+    assert window.model is None and window.docks.seams is None
     assert "no model yet" in window.statusBar().currentMessage()
     window.docks.photo.show_worst()
     assert "No photograph has figures yet" in window.statusBar().currentMessage()
@@ -366,18 +399,18 @@ def steps_of_begun_run(nothing):
     until(lambda: windows() and windows() != [window])
     fresh, = windows()
     QTest.qWait(100)
-    assert fresh.docks.splats is not None and fresh.docks.seams is not None and fresh.theme.name == "dark"
+    assert fresh.model is not None and fresh.docks.seams is not None and fresh.theme.name == "dark"
     assert fresh.selected == 9 and not fresh.layer_dock.is_visible("Borders") and fresh.layer_dock.is_visible("Regions")
     assert np.allclose(fresh.view.pose.position, pose.position) and len(fresh.docks.fly.keyframes) == len(keyframes)
     assert not fresh.docks.fly.visibleRegion().isEmpty(), "another dock came to the front"
     floats(fresh)
 
 def floats(window):
-    dock = window.docks.photo
-    bar = next(bar for bar in window.findChildren(QTabBar) if bar.tabText(0) == "Photograph")
+    dock = window.docks.cameras
+    bar = next(bar for bar in window.findChildren(QTabBar) if bar.tabText(0) == "Cameras")
     QTest.mouseDClick(bar, Qt.MouseButton.LeftButton, pos=bar.tabRect(0).center())
     assert dock.isFloating() and dock.titleBarWidget() is None, "a floating dock cannot be taken hold of"
-    action = next(action for action in window.panels.button.menu().actions() if action.text() == "Float Photograph")
+    action = next(action for action in window.panels.button.menu().actions() if action.text() == "Float Cameras")
     assert action.isChecked()
     action.trigger()
     assert not dock.isFloating() and dock.titleBarWidget() is not None and window.tabifiedDockWidgets(dock)
@@ -417,9 +450,11 @@ def display() -> Iterator[str]:
 def run_python(code: str | list[str], *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run code, or a module named by `["-m", …]`, in a process with every warning as an error."""
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
-    env = {name: value for name, value in os.environ.items() if name not in hidden} | environment
     command = [sys.executable, "-W", "error", *(["-c", code] if isinstance(code, str) else code), *arguments]
-    return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    # A home of its own: windows remember their size there.
+    with tempfile.TemporaryDirectory() as home:
+        env = {name: value for name, value in os.environ.items() if name not in hidden} | {"XDG_CONFIG_HOME": home} | environment
+        return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
 
 
 def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_path: Path, display: str) -> None:
@@ -460,6 +495,6 @@ def test_without_a_display_there_is_one_sentence_and_no_crash(tmp_path: Path) ->
 
 
 def test_without_the_extra_the_missing_package_and_the_way_out_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"PySide6.*pip install -e '\.\[desktop\]'.*--screenshot"):
+    monkeypatch.setattr("radiant_core.extras.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"PySide6.*install.*'radiant-splats\[desktop\]'.*--screenshot"):
         require_desktop()

@@ -2,8 +2,8 @@
 
     xvfb-run -a -s "-screen 0 1280x800x24" python -m tests.viewer.window_pictures RUN docs/pictures
 
-The run itself stays as it is: a copy of it is worked on. Take them on a free machine: the splat
-panel notes how long it drew.
+The run itself stays as it is: a copy of it is worked on. Take them on a free machine: the 3D
+view notes how long it drew.
 """
 
 from __future__ import annotations
@@ -20,9 +20,12 @@ from PySide6.QtTest import QTest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.pictures.images import load_image
-from radiant_viewer.window.window import SIZE_WH, InspectorWindow
+from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.timed_tasks import MOVED, compare_plans, export_regions, find_worst_seam
 from tests.viewer.window_user import User, until, use_window
+
+SIZE_WH = (1280, 800)
+"""Size of the windows in the pictures."""
 
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 62, cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
 """Some 140 kB a picture, texts still sharp."""
@@ -113,10 +116,9 @@ def main(run: Path, folder: Path, names: list[str]) -> None:
                     )
                 picture(User(window), out)
                 said = window.statusBar().currentMessage()
-                splats = window.docks.splats
+                model = window.model
                 QTest.qWait(REST_MS)
-                if splats is not None and not splats.picture.visibleRegion().isEmpty():
-                    until(lambda: splats.shown_is_full, "the splats were never drawn in full")
+                until(lambda: model is None or model.shown_is_full, "the model was never drawn in full")
                 window.show_status(said)
                 window.save_window_picture(png)
 

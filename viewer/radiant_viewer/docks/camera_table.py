@@ -8,15 +8,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelIndex, Qt
 
 from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.run_store import write_atomic
+from radiant_viewer.runs.places import camera_heights, natural_key
 from radiant_viewer.runs.run_figures import FIGURES, ImageFigures
 from radiant_viewer.runs.run_view import RunView
+from radiant_viewer.runs.words import tip
 
 SORT_ROLE = Qt.ItemDataRole.UserRole
 """Role that gives the value to sort by instead of its text."""
+TIPS = {"Region": tip("region", "edge"), "Device": tip("device"), "Use": tip("held out"), "PSNR (dB)": tip("PSNR")}
+"""Heading → hover."""
 Index = QModelIndex | QPersistentModelIndex
 
 
@@ -27,7 +32,8 @@ class CameraTable(QAbstractTableModel):
 
     def __init__(self, run: RunView, figures: ImageFigures | None = None) -> None:
         super().__init__()
-        axes = (f"{axis} ({run.unit})" for axis in ("East", "North", "Up"))
+        heading, _ = camera_heights(run.scene)
+        axes = (f"East ({run.unit})", f"North ({run.unit})", heading)
         more = [figure for figure in FIGURES[1:] if any(figure.key in row for row in (figures or {}).values())]
         names = ("Photograph", "Region", "Device", "Use", "PSNR (dB)", *(figure.heading for figure in more))
         self.headings = (*names, *axes, *(["File"] if run.files else []))
@@ -49,6 +55,8 @@ class CameraTable(QAbstractTableModel):
 
     def headerData(self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         """Headings with their units; plain numbers down the side."""
+        if role == Qt.ItemDataRole.ToolTipRole and orientation == Qt.Orientation.Horizontal:
+            return TIPS.get(self.headings[section])
         if role != Qt.ItemDataRole.DisplayRole:
             return None
         return self.headings[section] if orientation == Qt.Orientation.Horizontal else section + 1
@@ -58,7 +66,7 @@ class CameraTable(QAbstractTableModel):
         value = self.rows[index.row()][index.column()]
         if role == SORT_ROLE:
             # A camera without a figure stands below every figure.
-            return float("-inf") if value is None else value
+            return float("-inf") if value is None else natural_key(value) if isinstance(value, str) else value
         if role == Qt.ItemDataRole.TextAlignmentRole and not isinstance(value, str):
             return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         if role != Qt.ItemDataRole.DisplayRole:
@@ -82,7 +90,8 @@ def _csv_cell(cell: str | float | None) -> str | float:
 
 def _rows(run: RunView, more: Sequence[str], figures: ImageFigures) -> list[tuple[str | float | None, ...]]:
     psnr_db, rows = run.psnr_db or {}, []
-    centers: list[tuple[float | None, ...]] = [tuple(map(float, center)) for center in run.scene.cameras.centers]
+    places = np.column_stack([run.scene.cameras.centers[:, :2], camera_heights(run.scene)[1]])
+    centers: list[tuple[float | None, ...]] = [tuple(map(float, place)) for place in places]
     for index, (name, center) in enumerate(zip(run.photographs, centers + [(None,) * 3] * len(run.unplaced), strict=True)):
         measured = (psnr_db.get(name), *(figures.get(name, {}).get(key) for key in more))
         file = [run.files.get(name, "")] if run.files else []

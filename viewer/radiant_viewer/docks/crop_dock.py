@@ -18,7 +18,7 @@ from radiant_core.splats import Splats
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.layer import CLOUD_SIZE, framing_positions
-from radiant_viewer.splats.splat_worker import inside_box
+from radiant_viewer.layers.splat_layer import inside_box
 
 SIDES = (("West", "East"), ("South", "North"), ("Low", "High"))
 SHARE = 0.5

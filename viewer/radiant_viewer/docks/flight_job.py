@@ -1,11 +1,10 @@
-"""Writes a film frame by frame through Qt's event loop, and the two sources of its frames. Needs
+"""Writes a film frame by frame through Qt's event loop, and composes its frames. Needs
 the `desktop` extra."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import pyvista as pv
@@ -13,87 +12,81 @@ from PySide6.QtCore import QObject, QTimer, Signal
 
 from radiant_core.errors import RadiantError
 from radiant_core.numerics import FloatArray
+from radiant_viewer.layers.backdrop import Backdrop
 from radiant_viewer.layers.drawing import add_layer
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.themes import Theme, apply_theme
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
-from radiant_viewer.splats.splat_process import SplatProcess
+from radiant_viewer.splats.splat_process import Frame, Part, SplatProcess
 
 Drawn = Callable[[Image], None]
 Failed = Callable[[str], None]
 
 
-class FrameSource(Protocol):
-    """Draws frames one at a time."""
+class SceneFrames:
+    """Frames of layers in 3D, drawn offscreen; with a model among them by depth, from our renderer
+    in a process of its own."""
+
+    def __init__(self, layers: Sequence[Layer], size_wh: tuple[int, int], origin: FloatArray, theme: Theme) -> None:
+        self._origin, self._size_wh, self._theme = origin, size_wh, theme
+        # Not by EGL: between frames Qt makes its own context the current one, unknown to VTK.
+        self._plotter = pv.Plotter(off_screen=True, window_size=list(size_wh))
+        self._plotter.background_color = pv.Color(theme.view)
+        self._backdrop = Backdrop(self._plotter)
+        for layer in layers:
+            add_layer(self._plotter, apply_theme(layer, theme), origin)
+        self._process: SplatProcess | None = None
+        self._part = Part()
+        self._drawn: Drawn = lambda image: None
+
+    def add_model(self, parent: QObject, ply_path: Path, box: FloatArray | None) -> None:
+        """Show the model of a file, inside a box (2,3) if there is one."""
+        self._part = Part(box=box)
+        self._process = SplatProcess(parent, ply_path)
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
         """Call `ready` once `ask` may be called, `drawn` per frame, `failed` with a sentence."""
-        ...
-
-    def ask(self, pose: ViewPose) -> None:
-        """Draw one frame."""
-        ...
-
-    def end(self) -> None:
-        """Free its resources."""
-        ...
-
-
-class SplatFrames:
-    """Frames of the model from our own renderer, in a separate process."""
-
-    def __init__(self, parent: QObject, ply_path: Path, size_wh: tuple[int, int], theme: Theme, box: FloatArray | None) -> None:
-        self._parent, self._ply_path, self._size_wh, self._theme, self._box = parent, ply_path, size_wh, theme, box
-        self._process: SplatProcess | None = None
-
-    def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        self._process = SplatProcess(self._parent, "own", self._ply_path)
+        self._drawn = drawn
+        if self._process is None:
+            QTimer.singleShot(0, ready)
+            return
         self._process.ready.connect(ready)
-        self._process.drawn.connect(lambda frame: drawn(frame.image))
+        self._process.drawn.connect(self._on_model)
         self._process.failed.connect(failed)
 
     def ask(self, pose: ViewPose) -> None:
-        assert self._process is not None
-        self._process.ask(0, pose.camera(self._size_wh), self._theme.view, self._box)
-
-    def end(self) -> None:
-        if self._process is not None:
-            self._process.end()
-
-
-class LayerFrames:
-    """Frames of layers in 3D, drawn offscreen."""
-
-    def __init__(self, layers: Sequence[Layer], size_wh: tuple[int, int], origin: FloatArray, theme: Theme) -> None:
-        self._origin = origin
-        self._plotter = pv.Plotter(off_screen=True, window_size=list(size_wh))
-        self._plotter.background_color = pv.Color(theme.view)
-        for layer in layers:
-            add_layer(self._plotter, apply_theme(layer, theme), origin)
-        self._drawn: Drawn = lambda image: None
-
-    def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        self._drawn = drawn
-        QTimer.singleShot(0, ready)
-
-    def ask(self, pose: ViewPose) -> None:
+        """Draw one frame."""
         camera = self._plotter.camera
         camera.position, camera.focal_point = tuple(pose.position - self._origin), tuple(pose.focal_point - self._origin)
         camera.up, camera.view_angle = tuple(pose.up), pose.angle_deg
         self._plotter.renderer.reset_camera_clipping_range()
+        if self._process is not None:
+            self._process.ask(0, pose.camera(self._size_wh), self._theme.view, self._part)
+            return
+        # Through the event loop, so that a long flight does not nest one call in another.
+        QTimer.singleShot(0, self._draw)
+
+    def end(self) -> None:
+        """Free its resources."""
+        self._drawn = lambda image: None
+        if self._process is not None:
+            self._process.end()
+        self._plotter.close()
+
+    def _on_model(self, frame: Frame) -> None:
+        self._backdrop.show(frame.picture)
+        self._draw()
+
+    def _draw(self) -> None:
+        if self._plotter.render_window is None:
+            return
         # Without it, every screenshot would show the first frame.
         self._plotter.render()
         pixels = self._plotter.screenshot(return_img=True)
         assert pixels is not None
-        image = np.asarray(pixels, np.uint8)
-        # Through the event loop, so that a long flight does not nest one call in another.
-        QTimer.singleShot(0, lambda: self._drawn(image))
-
-    def end(self) -> None:
-        self._drawn = lambda image: None
-        self._plotter.close()
+        self._drawn(np.asarray(pixels, np.uint8))
 
 
 class FlightJob(QObject):
@@ -102,7 +95,7 @@ class FlightJob(QObject):
     progressed = Signal(int)
     ended = Signal(str)
 
-    def __init__(self, parent: QObject, poses: Sequence[ViewPose], writer: MovieWriter, frames: FrameSource) -> None:
+    def __init__(self, parent: QObject, poses: Sequence[ViewPose], writer: MovieWriter, frames: SceneFrames) -> None:
         super().__init__(parent)
         self._poses, self._writer, self._frames = poses, writer, frames
         self._next = 0

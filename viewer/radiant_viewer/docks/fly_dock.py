@@ -1,8 +1,8 @@
 """Keyframed flights, collected and played in the 3D view and written as films. Needs the `desktop`
 extra.
 
-Frames come from our own renderer in a separate process or from the visible layers, one at a time
-through the event loop: the window stays usable, and closing it leaves no partial film.
+Frames are composed as in the 3D view, one at a time through the event loop: the window stays
+usable, and closing it leaves no partial film.
 """
 
 from __future__ import annotations
@@ -24,24 +24,23 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from radiant_viewer.docks.flight_job import FlightJob, FrameSource, LayerFrames, SplatFrames
-from radiant_viewer.docks.splat_dock import SplatDock
+from radiant_viewer.docks.flight_job import FlightJob, SceneFrames
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.fly_through import flight_poses
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
 
 SIZES = {"640 × 360": (640, 360), "1280 × 720": (1280, 720), "1920 × 1080": (1920, 1080)}
-SPLATS, LAYERS = "Splats", "Layers as visible"
+SCENE, MODEL, LAYERS = "As the 3D view", "Model alone", "Layers alone"
 
 
 class FlyDock(QDockWidget):
     """`keyframes` in the order of the flight; `job` is the film being written, or None."""
 
-    def __init__(self, host: Host, splat_dock: SplatDock | None) -> None:
+    def __init__(self, host: Host, ply_path: Path | None) -> None:
         super().__init__("Fly-through")
         self.setObjectName("fly-through")
-        self._host, self._splat_dock = host, splat_dock
+        self._host, self._ply_path = host, ply_path
         self.keyframes: list[ViewPose] = []
         self.job: FlightJob | None = None
         self.list = QListWidget()
@@ -50,8 +49,8 @@ class FlyDock(QDockWidget):
         self.seconds, self.rate = _spin(3.0, 0.1, 60, " s per leg"), _spin(24.0, 1, 60, " frames/s")
         self.frame_size, self.source = QComboBox(), QComboBox()
         self.frame_size.addItems(list(SIZES))
-        self.source.addItems([SPLATS, LAYERS] if splat_dock is not None else [LAYERS])
-        self.source.setToolTip("What the film shows: the model by our own renderer, or the layers that are visible now")
+        self.source.addItems([SCENE, MODEL, LAYERS] if ply_path is not None else [LAYERS])
+        self.source.setToolTip("What the film shows: the 3D view as it is, the model alone, or the visible layers alone")
         self.add, self.remove, self.play = QPushButton("Add view"), QPushButton("Remove"), QPushButton("Play")
         self.add.setToolTip("Add the 3D view as the next keyframe (K)")
         self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
@@ -98,10 +97,11 @@ class FlyDock(QDockWidget):
         size = size_wh or SIZES[self.frame_size.currentText()]
         poses = self.poses()
         writer = MovieWriter(path, size, self.rate.value())
-        if (source or self.source.currentText()) == SPLATS and self._splat_dock is not None:
-            frames: FrameSource = SplatFrames(self, self._splat_dock.ply_path, size, self._host.theme, self._host.crop_box)
-        else:
-            frames = LayerFrames(self._host.visible_layers(), size, self._host.origin, self._host.theme)
+        shown = source or self.source.currentText()
+        layers = [] if shown == MODEL else [layer for layer in self._host.visible_layers() if layer.name != "Gaussians" or shown == LAYERS]
+        frames = SceneFrames(layers, size, self._host.origin, self._host.theme)
+        if shown != LAYERS and self._ply_path is not None:
+            frames.add_model(self, self._ply_path, self._host.crop_box)
         self.job = FlightJob(self, poses, writer, frames)
         self.job.progressed.connect(self.bar.setValue)
         self.job.ended.connect(self._on_ended)

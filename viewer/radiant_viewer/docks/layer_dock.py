@@ -8,13 +8,14 @@ from textwrap import fill
 
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
-from PySide6.QtGui import QColor, QIcon, QImage, QPainter, QPen, QPixmap
+from PySide6.QtGui import QBrush, QColor, QIcon, QImage, QPainter, QPen, QPixmap
 from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidgetItem
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.detail import moving_note
 from radiant_viewer.layers.layer import Layer, LegendEntry
-from radiant_viewer.layers.palette import GREY, INK, heat_table
+from radiant_viewer.layers.palette import GREY, INK, PALE, heat_table
+from radiant_viewer.runs.words import LAYER_TERMS, tip
 
 NAME, SOLO = 0, 1
 MAX_OPEN_ROWS = 8
@@ -87,7 +88,7 @@ class LayerDock(QDockWidget):
         item.setFlags(item.flags() | Qt.ItemFlag.ItemIsUserCheckable)
         item.setCheckState(NAME, _check_state(visible))
         item.setCheckState(SOLO, Qt.CheckState.Unchecked)
-        item.setToolTip(NAME, f"Show or hide {layer.name}")
+        item.setToolTip(NAME, "\n".join([f"Show or hide {layer.name}", *filter(None, [tip(*LAYER_TERMS.get(layer.name, ()))])]))
         item.setToolTip(SOLO, f"Show {layer.name} alone")
         self._items[layer.name] = item
         # Rows span both columns only once they are in the tree.
@@ -109,8 +110,20 @@ class LayerDock(QDockWidget):
                 if other is not item:
                     other.setCheckState(SOLO, Qt.CheckState.Unchecked)
             self.tree.blockSignals(False)
-            self.tree.viewport().update()
+        if column == NAME and item.checkState(NAME) == Qt.CheckState.Checked:
+            item.setExpanded(item.childCount() <= MAX_OPEN_ROWS)
+        self._grey_out_hidden()
         self._changed()
+
+    def _grey_out_hidden(self) -> None:
+        """Write names of layers that are hidden by another one's *Solo* in grey: their ticks stay,
+        for they count again afterwards."""
+        solo = self.solo
+        self.tree.blockSignals(True)
+        for name, item in self._items.items():
+            item.setForeground(NAME, QBrush() if solo in (None, name) else QColor(*GREY))
+        self.tree.blockSignals(False)
+        self.tree.viewport().update()
 
 
 def _add_legend(item: QTreeWidgetItem, layer: Layer) -> None:
@@ -143,6 +156,9 @@ def marker_icon(entry: LegendEntry) -> QIcon:
     painter.setPen(QPen(QColor(*(INK if entry.marker in ("ring", "square") else GREY)), 1.5))
     painter.setBrush(color)
     if entry.marker == "line":
+        if min(entry.color) > PALE:
+            painter.setPen(QPen(QColor(*GREY), 5))
+            painter.drawLine(QPointF(0, ICON_PX / 2), QPointF(ICON_PX, ICON_PX / 2))
         painter.setPen(QPen(color, 3))
         painter.drawLine(QPointF(1, ICON_PX / 2), QPointF(ICON_PX - 1, ICON_PX / 2))
     elif entry.marker in ("dot", "ring"):

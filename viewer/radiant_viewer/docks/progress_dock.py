@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import QTimer, Signal
+from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QDockWidget,
     QHBoxLayout,
@@ -55,6 +55,11 @@ class ProgressDock(QDockWidget):
         layout = QVBoxLayout(body)
         layout.setContentsMargins(4, 2, 4, 4)
         layout.addLayout(row)
+        self.machines = QLabel("")
+        self.machines.setTextFormat(Qt.TextFormat.PlainText)
+        self.machines.setWordWrap(True)
+        self.machines.hide()
+        layout.addWidget(self.machines)
         layout.addWidget(self.table)
         self.setWidget(body)
         self._timer = QTimer(self)
@@ -80,6 +85,8 @@ class ProgressDock(QDockWidget):
             self._fill(now.stages)
         self.summary.setText(_summary(now))
         self.summary.setToolTip("\n".join(now.warnings))
+        self.machines.setText("\n".join(now.machines))
+        self.machines.setVisible(bool(now.machines))
         if was_running and not now.is_running:
             self._host.show_status(f"The run ended ({now.status}).")
         if now.is_running and had_ended:

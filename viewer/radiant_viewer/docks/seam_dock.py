@@ -60,6 +60,8 @@ class SeamDock(QDockWidget):
             f"Colour steps where borders were observed, beyond the scene's own texture, in levels of 255. {excess_text(run.folder)}"
         )
         self.text.setProperty("soft", "true")
+        # A long sentence must not widen the window.
+        self.text.setWordWrap(True)
         self.table = self._table()
         row = QHBoxLayout()
         for button in (self.worst, self.previous, self.next):

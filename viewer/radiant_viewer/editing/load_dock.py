@@ -11,8 +11,11 @@ from PySide6.QtWidgets import QDockWidget, QHeaderView, QStyledItemDelegate, QSt
 from radiant_viewer.editing.plan_report import LoadRow
 from radiant_viewer.layers.palette import category_colors, tint
 from radiant_viewer.layers.region_layer import duration_text
+from radiant_viewer.runs.words import tip
 
 NAME, CAMERAS, TIME, LOAD, NOTE = range(5)
+TERMS = {NAME: ("edge", "device"), TIME: ("makespan",), LOAD: ("load", "makespan"), NOTE: ("locked", "pinned", "holds")}
+"""Column → the words that its hover explains."""
 SHARE_ROLE, COLOR_ROLE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
 
 
@@ -25,6 +28,8 @@ class LoadDock(QDockWidget):
         self._chosen = chosen
         self.tree = QTreeWidget()
         self.tree.setHeaderLabels(["Edge, device", "Cameras", "Time", "Load (share of the makespan)", "Note"])
+        for column, terms in TERMS.items():
+            self.tree.headerItem().setToolTip(column, tip(*terms))
         self.tree.setAlternatingRowColors(True)
         self.tree.setIndentation(16)
         self.tree.setItemDelegateForColumn(LOAD, _LoadBar(self.tree))

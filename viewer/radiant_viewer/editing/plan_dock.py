@@ -30,6 +30,7 @@ from radiant_viewer.editing.edited_plan import EditedPlan
 from radiant_viewer.editing.plan_actions import PlanActions
 from radiant_viewer.editing.plan_edits import FreeRegion, LockRegion, ReleaseAll, RemoveEdge
 from radiant_viewer.editing.plan_report import ComparedRow, certificate_text, headline
+from radiant_viewer.runs.words import tip as meanings
 
 FILTER_TIP = """Conditions joined by "and": psnr < 22 and region = north
 Figures: {figures}
@@ -71,7 +72,10 @@ class PlanDock(QDockWidget):
         self.slack.setRange(1.0, 3.0)
         self.slack.setSingleStep(0.05)
         self.slack.setDecimals(2)
-        self.slack.setToolTip("How many times the shortest makespan the plan may take where that brings cameras nearer to their edges")
+        self.slack.setToolTip(meanings("slack", "makespan", "bound"))
+        self.headline.setToolTip(meanings("makespan", "bound"))
+        self.certificate.setToolTip(meanings("certificate", "region"))
+        self.changes.setToolTip(meanings("change hands", "makespan", "bound"))
         self.buttons: dict[str, QPushButton] = {}
         body, tools = QWidget(), QWidget()
         layout, inner = QVBoxLayout(body), QVBoxLayout(tools)

@@ -12,14 +12,16 @@ from typing import cast
 import numpy as np
 import pyvista as pv
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
-from PySide6.QtGui import QMouseEvent
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PySide6.QtGui import QMouseEvent, QResizeEvent
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
 from vtkmodules.vtkCommonCore import vtkCommand
 from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray, check_array
+from radiant_viewer.host.navigator import Navigator
 from radiant_viewer.host.scale_bar import ScaleBar
+from radiant_viewer.layers.backdrop import Backdrop, Rgbd
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer, has_same_structure, update_layer
 from radiant_viewer.layers.layer import CLOUD_SIZE, Layer
 from radiant_viewer.layers.map_labels import add_map_labels
@@ -46,6 +48,7 @@ class Canvas:
         self.actors: dict[str, list[vtkProp]] = {}
         self._drawn: dict[str, tuple[Theme, int, Layer]] = {}
         self.click_takers: list[ClickTaker] = []
+        self.fill_opacity = 1.0
         self.frame = QWidget(parent)
         layout = QVBoxLayout(self.frame)
         layout.setContentsMargins(4, 2, 4, 4)
@@ -53,7 +56,13 @@ class Canvas:
         heading = QLabel(title)
         heading.setStyleSheet("font-weight: 600")
         top = QHBoxLayout()
-        top.addWidget(heading, stretch=1)
+        top.addWidget(heading)
+        self.note = QLabel()
+        """What the view says of itself, beside its title."""
+        self.note.setProperty("soft", "true")
+        # A long note must not widen the view.
+        self.note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        top.addWidget(self.note, stretch=1)
         layout.addLayout(top)
         self.plotter = _View(self.frame, auto_update=False, multi_samples=4)
         # Else the first look at the camera, and the first layer, would each draw a frame.
@@ -68,10 +77,15 @@ class Canvas:
             later=lambda seconds, call: QTimer.singleShot(int(1000 * seconds), self.frame, call),
             redraw=self.plotter.update,
         )
+        self.backdrop = Backdrop(self.plotter)
+        self.before_screenshot: Callable[[], None] = lambda: None
+        self._kept_camera = pv.Camera()
         layout.addWidget(self.plotter, stretch=1)
         # By Qt: some of VTK's styles keep the release of a button to themselves.
         self._clicks = _ClickFilter(self.plotter, self._on_click)
-        if is_map:
+        if not is_map:
+            self.navigator = Navigator(self)
+        else:
             self.scale_bar = ScaleBar(self.frame, unit)
             top.addWidget(self.scale_bar)
             self.plotter.renderer.AddObserver(vtkCommand.StartEvent, self._show_scale)
@@ -100,6 +114,8 @@ class Canvas:
             return
         self.remove(layer.name)
         actors = add_layer(self.plotter, shown, self.origin, flat_height=flat_height, detail=self.detail)
+        if layer.polygons and self.is_map:
+            actors[0].prop.opacity = self.fill_opacity
         self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in actors[-1:]:
@@ -108,6 +124,13 @@ class Canvas:
         if layer.labels and self.is_map:
             self.actors[layer.name].append(add_map_labels(self.plotter, layer.labels, self.origin, height, self.theme, LABEL_SIZE))
         self.show(layer.name, visible)
+
+    def set_fill_opacity(self, opacity: float) -> None:
+        """Let polygons of a map show (less than 1) or hide what lies below them."""
+        self.fill_opacity = opacity
+        for name, (_, _, layer) in self._drawn.items():
+            if layer.polygons and self.is_map:
+                cast("list[pv.Actor]", self.actors[name])[0].prop.opacity = opacity
 
     def remove(self, name: str) -> None:
         """Remove a layer, if it is drawn."""
@@ -125,8 +148,41 @@ class Canvas:
         self.plotter.renderer.reset_camera_clipping_range()
         self.plotter.update()
 
+    def depth_at(self, pixel: tuple[float, float]) -> float | None:
+        """How far along the view the model under a pixel (x, y from the upper left) is."""
+        picture, (width, height) = self.backdrop.picture, self.size_wh
+        if picture is None or not (0 <= pixel[0] < width and 0 <= pixel[1] < height):
+            return None
+        row, column = (int(share * side) for share, side in zip((pixel[1] / height, pixel[0] / width), picture.shape[:2], strict=True))
+        return float(picture[row, column, 3]) or None
+
+    def watch_camera(self, moved: Callable[[], None]) -> None:
+        """Call `moved` whenever the camera or the size of the view changes."""
+        self.plotter.camera.AddObserver(vtkCommand.ModifiedEvent, lambda *_: moved())
+        self.plotter.on_resize = moved
+
+    def keep_camera(self) -> None:
+        """Remember the camera for which a picture of the model is requested."""
+        self._kept_camera.DeepCopy(self.plotter.camera)
+
+    def show_model(self, picture: Rgbd, *, is_coarse: bool) -> None:
+        """Show a picture (H,W,4) of the model for the kept camera, and the layers as it sees
+        them."""
+        self.backdrop.show(picture, is_coarse=is_coarse)
+        shown = self.plotter.shown_camera or pv.Camera()
+        shown.DeepCopy(self._kept_camera)
+        self.plotter.shown_camera = shown
+        self.plotter.update()
+
+    def show_layers_alone(self) -> None:
+        """Show no model."""
+        self.backdrop.hide()
+        self.plotter.shown_camera = None
+        self.plotter.update()
+
     def screenshot(self) -> Image:
         """Return what the view shows at rest, (H,W,3)."""
+        self.before_screenshot()
         self.detail.refine()
         # Now, whatever frame waits for Qt.
         self.plotter.renderer.reset_camera_clipping_range()
@@ -140,6 +196,15 @@ class Canvas:
         """Size of the picture, px."""
         width, height = self.plotter.window_size
         return int(width), int(height)
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """West, south, east and north side of the map."""
+        camera, (width, height) = self.plotter.camera, self.size_wh
+        x, y = (float(camera.focal_point[axis] + self.origin[axis]) for axis in range(2))
+        half = float(camera.parallel_scale)
+        across = half * width / max(height, 1)
+        return x - across, y - half, x + across, y + half
 
     @property
     def pose(self) -> ViewPose:
@@ -225,6 +290,17 @@ class _View(QtInteractor):
     """A view that draws only when Qt paints it: pyvistaqt 0.13 draws for VTK and again for Qt."""
 
     _is_painting = False
+    shown_camera: pv.Camera | None = None
+    """The camera of the model's picture, for which the view is drawn; None for the view's own."""
+
+    waits: Callable[[], bool] = staticmethod(lambda: False)
+    """Whether a frame would be drawn in vain, since a picture of the model is on its way."""
+    on_resize: Callable[[], None] = staticmethod(lambda: None)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Called by Qt."""
+        super().resizeEvent(event)
+        self.on_resize()
 
     def draw_once(self) -> None:
         """From the next paint on, let a frame that VTK's mouse styles request be painted by Qt."""
@@ -232,14 +308,22 @@ class _View(QtInteractor):
 
     def paintGL(self) -> None:
         """Called by Qt where pyvistaqt's widget is an OpenGL one; others draw as before."""
-        interactor = self.iren.interactor
+        interactor, own = self.iren.interactor, self.camera
         self._is_painting = True
+        if self.waits():
+            # The last frame once more: pyvistaqt copies it and draws nothing while it is painting.
+            self._in_paint = True
+        elif self.shown_camera is not None:
+            self.renderer.SetActiveCamera(self.shown_camera)
+            self.renderer.ResetCameraClippingRange()
         interactor.EnableRenderOn()
         try:
             super().paintGL()
         finally:
             interactor.EnableRenderOff()
-            self._is_painting = False
+            self._is_painting = self._in_paint = False
+            if self.camera is not own:
+                self.renderer.SetActiveCamera(own)
 
 
 class _ClickFilter(QObject):

@@ -15,6 +15,8 @@ BLUE, ORANGE, GREEN = (0, 114, 178), (230, 159, 0), (0, 158, 115)
 VERMILLION, PURPLE, SKY, YELLOW = (213, 94, 0), (204, 121, 167), (86, 180, 233), (240, 228, 66)
 BLACK, GREY, WHITE, INK = (0, 0, 0), (150, 150, 150), (255, 255, 255), (40, 44, 52)
 
+PALE = 200
+"""A colour whose channels all exceed this is not seen on white: it gets a darker rim."""
 CATEGORIES = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, YELLOW)
 """Colours of edges, in order."""
 

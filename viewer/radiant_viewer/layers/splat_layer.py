@@ -54,7 +54,7 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
         point_size_px=point_size_px(len(points)),
         legend=(
             LegendEntry(text=_count_text("Gaussians", len(points), len(splats)), color=GREY, marker="dot"),
-            LegendEntry(text=f"shown where opacity ≥ {min_opacity:g}", color=GREY, marker="dot"),
+            LegendEntry(text=f"as points: those of opacity ≥ {min_opacity:g}", color=GREY, marker="dot"),
         ),
     )
 
@@ -68,6 +68,12 @@ def base_colors(sh0: NDArray[np.float32]) -> NDArray[np.uint8]:
         np.rint(255 * np.clip(0.5 + SH_C0 * sh0[part, 0], 0, 1), out=colors[part], casting="unsafe")
     colors.flags.writeable = False
     return colors
+
+
+def inside_box(means: NDArray[np.float32], box: list[list[float]]) -> NDArray[np.bool_]:
+    """Return whether each position (N,3) lies in the box of lower and upper corner (2,3)."""
+    low, high = np.asarray(box, np.float64)
+    return ((means >= low) & (means <= high)).all(axis=1)
 
 
 def _count_text(what: str, shown: int, total: int) -> str:

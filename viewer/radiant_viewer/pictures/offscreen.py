@@ -48,7 +48,7 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
     extent = _fit_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
     origin = np.array([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2, 0.0])
     top = float(SLOTS_PER_LAYER * (len(layers) + 1))
-    with _plotter(size_wh) as plotter:
+    with offscreen_plotter(size_wh) as plotter:
         detail = PointDetail(plotter)
         for index, layer in enumerate(layers):
             add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, flat_height=float(SLOTS_PER_LAYER * index), detail=detail)
@@ -57,8 +57,8 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
         camera.parallel_projection = True
         camera.parallel_scale = (extent[3] - extent[2]) / 2
         camera.clipping_range = (0.5, top + 1)
-        image = _screenshot(plotter)
-    label_px, mark_px = (_map_px(places, extent, size_wh) for places in (_label_places(layers), _marks(layers)))
+        image = averaged_screenshot(plotter)
+    label_px, mark_px = (_map_px(places, extent, size_wh) for places in (label_places(layers), marked_places(layers)))
     return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=extent)
 
 
@@ -67,13 +67,13 @@ def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: 
     _require_size(size_wh)
     drawn = framing_positions(layers)
     origin = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
-    with _plotter(size_wh) as plotter:
+    with offscreen_plotter(size_wh) as plotter:
         detail = PointDetail(plotter)
         for layer in layers:
             add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, detail=detail)
         aim_camera(plotter, drawn - origin, direction_deg)
-        image = _screenshot(plotter)
-        label_px, mark_px = (_project(plotter, places - origin) * size_wh for places in (_label_places(layers), _marks(layers)))
+        image = averaged_screenshot(plotter)
+        label_px, mark_px = (_project(plotter, places - origin) * size_wh for places in (label_places(layers), marked_places(layers)))
     return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=None)
 
 
@@ -114,7 +114,8 @@ def _require_size(size_wh: tuple[int, int]) -> None:
 
 
 @contextmanager
-def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
+def offscreen_plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
+    """A white plotter without a window, `OVERSAMPLING` times as large as the picture."""
     width, height = size_wh
     with egl_rendering():
         plotter = pv.Plotter(off_screen=True, window_size=[OVERSAMPLING * width, OVERSAMPLING * height])
@@ -138,7 +139,8 @@ def egl_rendering() -> Iterator[None]:
             del os.environ[name]
 
 
-def _screenshot(plotter: pv.Plotter) -> Image:
+def averaged_screenshot(plotter: pv.Plotter) -> Image:
+    """The picture of an `offscreen_plotter`, averaged to its size."""
     pixels = plotter.screenshot(return_img=True)
     assert pixels is not None
     height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
@@ -155,7 +157,7 @@ def _fit_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> 
     return (float(center[0] - half[0]), float(center[0] + half[0]), float(center[1] - half[1]), float(center[1] + half[1]))
 
 
-def _marks(layers: Sequence[Layer]) -> FloatArray:
+def marked_places(layers: Sequence[Layer]) -> FloatArray:
     """Return the points (M,3) that labels should not cover."""
     return np.concatenate([np.zeros((0, 3)), *(layer.points for layer in layers if layer.point_rim)])
 
@@ -165,7 +167,8 @@ def _map_px(places: FloatArray, extent: tuple[float, float, float, float], size_
     return np.column_stack([(places[:, 0] - x_min) / (x_max - x_min), (y_max - places[:, 1]) / (y_max - y_min)]) * size_wh
 
 
-def _label_places(layers: Sequence[Layer]) -> FloatArray:
+def label_places(layers: Sequence[Layer]) -> FloatArray:
+    """Return the places (L,3) of all labels."""
     return np.array([label.position for layer in layers for label in layer.labels], np.float64).reshape(-1, 3)
 
 

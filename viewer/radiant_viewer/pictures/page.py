@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
-from radiant_viewer.layers.palette import INK, heat_table, unit_rgb
+from radiant_viewer.layers.palette import INK, PALE, heat_table, unit_rgb
 from radiant_viewer.pictures.images import Drawing, Image
 from radiant_viewer.pictures.measure import scale_bar_length
 
@@ -244,6 +244,8 @@ def _add_entry(axes: Axes, entry: LegendEntry, y: float) -> None:
     if entry.marker == "area":
         axes.add_patch(Rectangle((10, y - 7), 20, 13, facecolor=color, edgecolor=edge, linewidth=0.8))
     elif entry.marker == "line":
+        if min(entry.color) > PALE:
+            axes.plot([9, 31], [y, y], color=INK_COLOR, linewidth=4.5)
         axes.plot([10, 30], [y, y], color=color, linewidth=3)
     else:
         rim = 0.0 if entry.marker == "dot" else 1.4

@@ -8,18 +8,34 @@ the middle of the picture in float64 first. One render per picture.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
+from radiant_viewer.layers.backdrop import Backdrop
+from radiant_viewer.layers.drawing import add_layer
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.pictures.images import Drawing, Image
-from radiant_viewer.pictures.offscreen import draw_map, fit_distance
+from radiant_viewer.pictures.offscreen import (
+    OVERSAMPLING,
+    averaged_screenshot,
+    draw_map,
+    fit_distance,
+    label_places,
+    marked_places,
+    offscreen_plotter,
+)
+
+if TYPE_CHECKING:
+    from radiant_core.render.rendered_view import RenderedView
 
 ALTITUDE = 100.0
 CEILING = 40.0
@@ -29,8 +45,8 @@ DIRECTION_DEG = (205, 42)
 KEPT_WHITE_PX = 7.5
 """White within this distance of a marker belongs to the marker."""
 NEAR_SHARE = 1e-3
-_FINE = 4
-"""OpenCV draws lines at 1/16 pixels: coordinates are given in 2⁻⁴."""
+OPAQUE = 0.5
+"""Least share of a pixel that the model must fill to hide what lies behind it."""
 
 
 def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int, int]) -> Drawing:
@@ -47,18 +63,54 @@ def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int,
 
 
 def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) -> Drawing:
-    """Draw the model for one camera, with the segments and labels of `layers` in front; BadInput
-    for another number of cameras."""
+    """Draw the model for one camera with `layers` before and behind it, by depth; BadInput for
+    another number of cameras."""
     if len(camera) != 1:
         raise BadInput(f"{len(camera)} cameras came, expected one: choose it with Cameras.named.")
     width, height = (int(side) for side in camera.sizes_wh[0])
-    image = _render_over_white(splats, camera)
-    for layer in layers:
-        _draw_segments(image, layer, camera)
-    places = np.array([label.position for layer in layers for label in layer.labels], np.float64).reshape(-1, 3)
+    picture = render_rgbd(splats, camera)
+    origin = np.round(camera.centers[0])
+    places, marks = label_places(layers), marked_places(layers)
+    drawn = [np.zeros((0, 3))]
+    drawn += [part for layer in layers for part in (layer.points, layer.segments.reshape(-1, 3), *layer.polygons)]
+    depths = _to_camera_frame(np.concatenate(drawn), camera)[:, 2]
+    far = 1.1 * max(float(depths.max(initial=0.0)), float(picture[..., 3].max(initial=0.0)), 1e-3)
+    with offscreen_plotter((width, height)) as plotter:
+        Backdrop(plotter).show(picture)
+        for layer in layers:
+            add_layer(plotter, layer, origin, line_scale=OVERSAMPLING)
+        _aim_as(plotter, camera, origin, NEAR_SHARE * far, far)
+        image = averaged_screenshot(plotter)
+    return Drawing(image=image, label_px=_pixels(places, camera), mark_px=_pixels(marks, camera), extent=None)
+
+
+def render_rgbd(splats: Splats, camera: Cameras) -> NDArray[np.float32]:
+    """Render colour over white and depth (H,W,4), as a `Backdrop` takes it."""
+    view = _render_near(splats, camera)
+    over = np.clip(view.image + 1 - view.alpha[..., None], 0, 1)
+    return np.dstack([over, np.where(view.alpha >= OPAQUE, view.depth, 0)]).astype(np.float32)
+
+
+def _aim_as(plotter: pv.Plotter, camera: Cameras, origin: FloatArray, near: float, far: float) -> None:
+    """Let a plotter of coordinates relative to `origin` see what a pinhole camera sees."""
+    rotation, (width, height), K = camera.cam_from_world[0, :3, :3], camera.sizes_wh[0], camera.Ks[0]
+    position = camera.centers[0] - origin
+    vtk = plotter.camera
+    vtk.position, vtk.focal_point, vtk.up = tuple(position), tuple(position + rotation[2]), tuple(-rotation[1])
+    vtk.clipping_range = (near, far)
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[0, 2] = 2 * K[0, 0] / width, (width - 2 * K[0, 2]) / width
+    matrix[1, 1], matrix[1, 2] = 2 * K[1, 1] / height, (2 * K[1, 2] - height) / height
+    matrix[2, 2:] = -(far + near) / (far - near), -2 * far * near / (far - near)
+    matrix[3, 2] = -1
+    vtk.SetExplicitProjectionTransformMatrix(pv.vtkmatrix_from_array(matrix))
+    vtk.UseExplicitProjectionTransformMatrixOn()
+
+
+def _pixels(places: FloatArray, camera: Cameras) -> FloatArray:
+    """Project places (K,3) to pixels (K,2), NaN behind the camera."""
     in_camera = _to_camera_frame(places, camera)
-    pixels = (in_camera @ camera.Ks[0].T)[:, :2] / np.where(in_camera[:, 2:] > 0, in_camera[:, 2:], np.nan)
-    return Drawing(image=image.reshape(height, width, 3), label_px=pixels, mark_px=np.zeros((0, 2)), extent=None)
+    return (in_camera @ camera.Ks[0].T)[:, :2] / np.where(in_camera[:, 2:] > 0, in_camera[:, 2:], np.nan)
 
 
 def fit_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
@@ -79,26 +131,56 @@ def fit_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
     return Cameras(names=("view",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64))
 
 
-def _render_from_above(splats: Splats, extent: tuple[float, float, float, float], size_wh: tuple[int, int]) -> Image:
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """Of a model seen from above: the height of its ground, and what is higher is sky or haze."""
+
+    height: float
+    ceiling: float
+
+    @staticmethod
+    def of(splats: Splats, inside: NDArray[np.bool_] | None = None) -> Ground:
+        """Of the Gaussians inside a map, else of those around the model's middle."""
+        heights = splats.means[:, 2]
+        if inside is None:
+            flat = splats.means[:, :2]
+            low, high = np.quantile(flat, [0.1, 0.9], axis=0)
+            inside = np.asarray(((flat >= low) & (flat <= high)).all(axis=1))
+        ceiling = (float(np.median(heights[inside])) if inside.any() else 0.0) + CEILING
+        below = heights[heights < ceiling]
+        return Ground(height=float(np.median(below)) if len(below) else 0.0, ceiling=ceiling)
+
+
+def camera_above(extent: tuple[float, float, float, float], size_wh: tuple[int, int], ground: float) -> Cameras:
+    """Return the camera far above the middle of (x_min, x_max, y_min, y_max), north up, whose
+    picture is that extent at the height `ground`."""
     x_min, x_max, y_min, y_max = extent
-    middle = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0])
-    half = np.array([x_max - x_min, y_max - y_min]) / 2
-    inside = np.asarray((np.abs(splats.means[:, :2] - middle[:2]) <= half).all(axis=1))
-    # Sky and haze above the scene would hide the ground.
-    middle_m = float(np.median(splats.means[inside, 2])) if inside.any() else 0.0
-    low = splats.select(np.flatnonzero(splats.means[:, 2] < middle_m + CEILING))
-    ground = float(np.median(low.means[:, 2])) if len(low) else 0.0
-    altitude = ALTITUDE * 2 * float(half.max())
+    altitude = ALTITUDE * max(x_max - x_min, y_max - y_min)
     pose = np.eye(4)
     pose[:3, :3] = np.diag([1.0, -1.0, -1.0])
-    pose[:3, 3] = pose[:3, :3] @ -np.array([*middle[:2], ground + altitude])
+    pose[:3, 3] = pose[:3, :3] @ -np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, ground + altitude])
     focal_px = altitude * size_wh[0] / (x_max - x_min)
     K = np.array([[[focal_px, 0, size_wh[0] / 2], [0, focal_px, size_wh[1] / 2], [0, 0, 1]]])
-    return _render_over_white(low, Cameras(names=("above",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64)))
+    return Cameras(names=("above",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64))
 
 
-def _render_over_white(splats: Splats, camera: Cameras) -> Image:
-    """Render (H,W,3) over white, in coordinates near the camera."""
+def _render_from_above(splats: Splats, extent: tuple[float, float, float, float], size_wh: tuple[int, int]) -> Image:
+    x_min, x_max, y_min, y_max = extent
+    flat = splats.means[:, :2]
+    ground = Ground.of(splats, np.asarray(((flat >= (x_min, y_min)) & (flat <= (x_max, y_max))).all(axis=1)))
+    # Sky and haze above the scene would hide the ground.
+    low = splats.select(np.flatnonzero(splats.means[:, 2] < ground.ceiling))
+    return render_over_white(low, camera_above(extent, size_wh, ground.height))
+
+
+def render_over_white(splats: Splats, camera: Cameras) -> Image:
+    """Render (H,W,3) over white."""
+    view = _render_near(splats, camera)
+    return np.rint(255 * np.clip(view.image + 1 - view.alpha[..., None], 0, 1)).astype(np.uint8)
+
+
+def _render_near(splats: Splats, camera: Cameras) -> RenderedView:
+    """Render in coordinates near the camera."""
     center = np.round(camera.centers[0])
     pose = camera.cam_from_world.copy()
     pose[:, :3, 3] += pose[:, :3, :3] @ center
@@ -106,26 +188,7 @@ def _render_over_white(splats: Splats, camera: Cameras) -> Image:
     # It imports torch, two seconds that a window need not wait.
     from radiant_core.render.rendered_view import render_views
 
-    (view,) = render_views(moved, replace(camera, cam_from_world=pose))
-    return np.rint(255 * np.clip(view.image + 1 - view.alpha[..., None], 0, 1)).astype(np.uint8)
-
-
-def _draw_segments(image: Image, layer: Layer, camera: Cameras) -> None:
-    """Draw the lines of one layer, clipped where they pass behind the camera."""
-    ends = _to_camera_frame(layer.segments.reshape(-1, 3), camera).reshape(-1, 2, 3)
-    near = NEAR_SHARE * max(float(np.abs(ends[..., 2]).max(initial=0.0)), 1e-9)
-    limit = 8 * max(image.shape)
-    for pair, color in zip(ends, layer.segment_colors, strict=True):
-        behind = pair[:, 2] < near
-        if behind.all():
-            continue
-        if behind.any():
-            pair[behind] = pair[0] + (near - pair[0, 2]) / (pair[1, 2] - pair[0, 2]) * (pair[1] - pair[0])
-        pixels = pair @ camera.Ks[0].T
-        pixels = np.clip(pixels[:, :2] / pixels[:, 2:] - 0.5, -limit, limit)
-        fixed = np.rint(pixels * 2**_FINE).astype(np.int64).tolist()
-        shade = tuple(int(channel) for channel in color)
-        cv2.line(image, fixed[0], fixed[1], shade, max(1, round(layer.line_width_px)), cv2.LINE_AA, _FINE)
+    return next(render_views(moved, replace(camera, cam_from_world=pose)))
 
 
 def _to_camera_frame(positions: FloatArray, camera: Cameras) -> FloatArray:

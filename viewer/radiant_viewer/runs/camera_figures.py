@@ -19,6 +19,7 @@ from radiant_core.plan.borders.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
 from radiant_viewer.layers.camera_roles import CameraRoles
+from radiant_viewer.runs.places import camera_heights, natural_key
 
 _CONDITION = re.compile(r"\s*([a-z_]+)\s*(<=|>=|!=|<|>|=|~)\s*(.+?)\s*")
 
@@ -52,6 +53,7 @@ def camera_figures(
     count = len(cameras)
     centers = cameras.centers
     own = roles.edge_of_camera
+    heading, heights = camera_heights(scene)
     distance = np.full(count, np.nan)
     planned = own >= 0
     distance[planned] = np.linalg.norm(cloud_plan.places_of(centers[planned, :2]) - cloud_plan.sites[own[planned]], axis=1)
@@ -64,7 +66,7 @@ def camera_figures(
         "points": np.bincount(scene.observations[:, 1], minlength=count).astype(np.float64),
         "east": centers[:, 0],
         "north": centers[:, 1],
-        "up": centers[:, 2],
+        "height": heights,
         "distance": distance,
     }
     headings = {
@@ -76,7 +78,7 @@ def camera_figures(
         "points": "Points seen",
         "east": f"East ({unit})",
         "north": f"North ({unit})",
-        "up": f"Up ({unit})",
+        "height": heading,
         "distance": f"To its edge ({unit})",
     }
     if footprints is not None:
@@ -110,7 +112,7 @@ def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) ->
         unknown = np.isnan(values)
         keys = np.where(unknown, 0.0, -values if descending else values)
         return np.lexsort((keys, unknown))
-    _, ranks = np.unique(values, return_inverse=True)
+    _, ranks = np.unique([natural_key(value) for value in values.tolist()], return_inverse=True)
     return np.lexsort((-ranks if descending else ranks, values == ""))
 
 

@@ -46,6 +46,9 @@ class RunProgress:
     """Whether the run is running; False once it ended, however it ended."""
     status: str = ""
     """Status in the run's own record: running, done, interrupted or failed."""
+    machines: tuple[str, ...] = ()
+    """A line per machine of a run over a network: joined, offline since, what arrived, why
+    refused."""
 
 
 def no_rows() -> Sequence[GanttRow]:

@@ -52,9 +52,9 @@ def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
 def hidden_at_first(layers: Sequence[Layer]) -> frozenset[str]:
     """Return the names of the layers that are hidden at first, since they cover others."""
     names = {layer.name for layer in layers}
-    # Without sparse points below them, the Gaussians are the ground.
-    shown = {"Gaussians"} - ({"Gaussians"} if "Sparse points" in names else set())
-    return COVERING - shown - (set() if "Cameras by region" in names else {"Cameras by split"})
+    # The model is what one sees; without one, its points are.
+    hidden = COVERING - {"Gaussians"} | ({"Sparse points"} if "Gaussians" in names else set())
+    return hidden - (set() if "Cameras by region" in names else {"Cameras by split"})
 
 
 def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], roles: CameraRoles) -> list[Layer]:

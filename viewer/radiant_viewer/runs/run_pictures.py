@@ -34,7 +34,7 @@ from radiant_viewer.charts.charts import comparison_picture
 from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.layers.forecast_layer import buffer_layer, forecast_layers
-from radiant_viewer.layers.layer import Label, Layer
+from radiant_viewer.layers.layer import Label, Layer, framing_positions
 from radiant_viewer.layers.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.layers.splat_layer import sparse_point_layer
 from radiant_viewer.layers.waypoint_layer import waypoint_layer
@@ -74,7 +74,7 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
     if view == "regions":
         return plan_picture(run.scene, run.cloud_plan, run.edge_plans, run.held_out, size_wh)
     if view == "cameras":
-        return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh)
+        return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh, run.splats)
     if view == "seams":
         return seams_picture(run.scene, run.cloud_plan, require_splats(run), size_wh, proven_excess_db(run.folder))
     if view == "splats":
@@ -145,9 +145,14 @@ def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
 
 
 def cameras_picture(
-    scene: SfmScene, roles: CameraRoles, psnr_db: Mapping[str, float] | None = None, size_wh: tuple[int, int] = SIZE_WH
+    scene: SfmScene,
+    roles: CameraRoles,
+    psnr_db: Mapping[str, float] | None = None,
+    size_wh: tuple[int, int] = SIZE_WH,
+    splats: Splats | None = None,
 ) -> Image:
-    """Return cameras over the sparse points in 3D, coloured by PSNR if known, else by split."""
+    """Return cameras in 3D among the model, or without one over the sparse points, coloured by PSNR
+    if known, else by split."""
     unplaced = len(set(psnr_db or ()) - set(scene.cameras.names))
     placed = psnr_db and len(psnr_db) > unplaced
     cameras = camera_layer(scene.cameras, roles, "psnr" if placed else "split", psnr_db)
@@ -159,7 +164,11 @@ def cameras_picture(
         mean = float(np.mean(list(psnr_db.values())))
         subtitle += f"   ·   held-out PSNR {mean:.2f} dB on average, lowest {psnr_db[worst]:.2f} dB ({worst})"
     points = [sparse_point_layer(scene)] if len(scene.points) else []
-    return render_view([*points, cameras], size_wh, PageText(title="Cameras", subtitle=subtitle, unit=scene.frame.unit))
+    text = PageText(title="Cameras", subtitle=subtitle, unit=scene.frame.unit)
+    if splats is None:
+        return render_view([*points, cameras], size_wh, text)
+    view = fit_camera(framing_positions([*points, cameras]), drawing_size_wh(size_wh, is_map=False))
+    return compose_page(draw_splat_view([cameras], splats, view), [cameras], size_wh, text)
 
 
 def seams_picture(

@@ -4,28 +4,48 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QObject, QProcess, Signal
 
 from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
+from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.pictures.images import Image
 
-Kind = Literal["own", "open3d"]
 END_MS = 2000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """A picture (H,W,3), the number of its request, and its drawing time."""
+    """A picture (H,W,4) of colour and depth, the number of its request, and its drawing time. It
+    is overwritten by the next frame but one."""
 
     request: int
-    image: Image
+    picture: Rgbd
     seconds: float
+
+    @property
+    def image(self) -> Image:
+        """A copy of the colours (H,W,3) in 8 bits."""
+        return np.rint(255 * self.picture[..., :3]).astype(np.uint8)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """What of a model is drawn: inside a box (2,3), and at most so many Gaussians."""
+
+    box: FloatArray | None = None
+    max_gaussians: int | None = None
+
+    @property
+    def key(self) -> bytes:
+        """Equal for equal parts."""
+        return (b"" if self.box is None else self.box.tobytes()) + str(self.max_gaussians).encode()
 
 
 class SplatProcess(QObject):
@@ -36,32 +56,41 @@ class SplatProcess(QObject):
     drawn = Signal(object)
     failed = Signal(str)
 
-    def __init__(self, parent: QObject, kind: Kind, ply_path: Path) -> None:
+    def __init__(self, parent: QObject, ply_path: Path) -> None:
         super().__init__(parent)
-        self.kind: Kind = kind
         self.is_ready = self.is_busy = self._is_ending = False
-        self._header: dict[str, Any] | None = None
+        self._slot = 0
         self._last_words = ""
+        self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
+        self._frames = f"{self._folder.name}/frame"
         self._process = QProcess(self)
         self._process.readyReadStandardOutput.connect(self._on_output)
         self._process.readyReadStandardError.connect(self._on_error_text)
         self._process.finished.connect(self._on_finished)
         self._process.errorOccurred.connect(self._on_finished)
-        self._process.start(sys.executable, ["-m", "radiant_viewer.splats.splat_worker", kind, str(ply_path.resolve())])
+        self._process.start(sys.executable, ["-m", "radiant_viewer.splats.splat_worker", str(ply_path.resolve()), self._frames])
 
-    def ask(self, request: int, camera: Cameras, background: tuple[int, int, int], box: FloatArray | None) -> None:
+    def ask(self, request: int, camera: Cameras, background: tuple[int, int, int], part: Part) -> None:
         """Request a picture of the one camera; `drawn` carries the `Frame`."""
         assert self.is_ready and not self.is_busy
         self.is_busy = True
+        # By turns, so that the last picture stays as it is while the next one is drawn.
+        self._slot = 1 - self._slot
         message = {
             "id": request,
             "K": camera.Ks[0].tolist(),
             "cam_from_world": camera.cam_from_world[0].tolist(),
             "size_wh": camera.sizes_wh[0].tolist(),
             "background": list(background),
-            "box": None if box is None else box.tolist(),
+            "box": None if part.box is None else part.box.tolist(),
+            "max_gaussians": part.max_gaussians,
+            "slot": self._slot,
         }
         self._process.write(json.dumps(message).encode() + b"\n")
+
+    def wait(self, seconds: float) -> None:
+        """Wait for the process to get ready or to answer, without Qt's event loop."""
+        self._process.waitForReadyRead(round(1000 * seconds))
 
     def end(self) -> None:
         """Stop the process; no signal follows."""
@@ -71,25 +100,19 @@ class SplatProcess(QObject):
             # It has nothing to save.
             self._process.kill()
             self._process.waitForFinished(END_MS)
+        self._folder.cleanup()
 
     def _on_output(self) -> None:
-        while True:
-            if self._header is None:
-                if not self._process.canReadLine():
-                    return
-                self._header = json.loads(bytes(self._process.readLine().data()))
-            assert self._header is not None, "every line is an object"
-            if "ready" in self._header:
-                self._header, self.is_ready = None, True
+        while self._process.canReadLine():
+            header: dict[str, Any] = json.loads(bytes(self._process.readLine().data()))
+            if "ready" in header:
+                self.is_ready = True
                 self.ready.emit()
                 continue
-            width, height = self._header["size_wh"]
-            if self._process.bytesAvailable() < width * height * 3:
-                return
-            pixels = np.frombuffer(self._process.read(width * height * 3).data(), np.uint8).reshape(height, width, 3)
-            frame = Frame(request=int(self._header["id"]), image=pixels, seconds=float(self._header["seconds"]))
-            self._header, self.is_busy = None, False
-            self.drawn.emit(frame)
+            width, height = (int(side) for side in header["size_wh"])
+            picture = np.memmap(f"{self._frames}{self._slot}", np.float32, "r+", shape=(height, width, 4))
+            self.is_busy = False
+            self.drawn.emit(Frame(request=int(header["id"]), picture=np.asarray(picture), seconds=float(header["seconds"])))
 
     def _on_error_text(self) -> None:
         self._last_words = (self._last_words + bytes(self._process.readAllStandardError().data()).decode(errors="replace"))[-2000:]
@@ -99,6 +122,5 @@ class SplatProcess(QObject):
             return
         self._is_ending = True
         self.is_ready = self.is_busy = False
-        name = "our renderer" if self.kind == "own" else "Open3D's renderer"
         reason = (self._last_words.strip() or "no message").splitlines()[-1]
-        self.failed.emit(f"{name} ended (exit code {self._process.exitCode()}): {reason}")
+        self.failed.emit(f"the renderer ended (exit code {self._process.exitCode()}): {reason}")

@@ -7,7 +7,6 @@ from this machine. Needs the `web` extra. Up in 3 s, then some 50 ms per frame.
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import logging
 import os
 import secrets
@@ -16,8 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from radiant_core.errors import BadInput
+from radiant_core.extras import require_extra
 from radiant_viewer.runs.run_view import load_run_view
-from radiant_viewer.window.desktop import install_text
 
 PORT = 8765
 LOCAL_HOST = "127.0.0.1"
@@ -25,12 +24,7 @@ LOCAL_HOST = "127.0.0.1"
 
 def require_web() -> None:
     """Raise BadInput with an alternative where the `web` extra is missing."""
-    missing = [name for name in ("trame", "trame_vtk", "trame_vuetify") if importlib.util.find_spec(name) is None]
-    if missing:
-        raise BadInput(
-            f"no page can be served because {missing[0]} is not installed: {install_text('web')}, "
-            "or make pictures without a browser: radiant inspect RUN --screenshot out.png."
-        )
+    require_extra("web", "no page can be served", "make pictures without a browser: radiant inspect RUN --screenshot out.png")
 
 
 def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOCAL_HOST, port: int = PORT) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QTabWidget, QWidget
 
-from radiant_core.splats import Splats
 from radiant_viewer.docks.camera_dock import CameraDock
 from radiant_viewer.docks.crop_dock import CropDock
 from radiant_viewer.docks.fly_dock import FlyDock
@@ -15,23 +15,21 @@ from radiant_viewer.docks.gantt_dock import GanttDock
 from radiant_viewer.docks.photo_dock import PhotoDock
 from radiant_viewer.docks.progress_dock import ProgressDock
 from radiant_viewer.docks.seam_dock import SeamDock, make_seam_dock
-from radiant_viewer.docks.splat_dock import SplatDock
 from radiant_viewer.editing.planning import Planning
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_figures import image_figures
-from radiant_viewer.runs.run_view import RunView
+from radiant_viewer.window.subject import Subject
 
 LEFT_PX, RIGHT_PX, BOTTOM_PX = 235, 345, 215
 
 
 @dataclass(frozen=True, kw_only=True)
 class Docks:
-    """A dock is None where it would be empty: a model alone has no cameras, a plan no splats."""
+    """A dock is None where it would be empty: a model alone has no cameras, a plan no seams."""
 
     fly: FlyDock
     crop: CropDock
-    splats: SplatDock | None = None
     photo: PhotoDock | None = None
     cameras: CameraDock | None = None
     seams: SeamDock | None = None
@@ -40,21 +38,20 @@ class Docks:
 
     def all(self) -> list[QDockWidget]:
         """Return the docks that exist, in the order of their tabs."""
-        docks = (self.photo, self.splats, self.cameras, self.seams, self.gantt, self.progress, self.fly, self.crop)
+        docks = (self.photo, self.cameras, self.seams, self.gantt, self.progress, self.fly, self.crop)
         return [dock for dock in docks if dock is not None]
 
 
-def make_docks(host: Host, run: RunView | None, splats: Splats | None, feeds: RunFeeds, unit: str) -> Docks:
-    """Make the docks for what a window shows; `place_docks` places them."""
-    splat_dock = None if splats is None else SplatDock(host, splats)
-    fly, crop = FlyDock(host, splat_dock), CropDock(host, splats, unit)
+def make_docks(host: Host, subject: Subject, feeds: RunFeeds, ply_path: Path | None) -> Docks:
+    """Make the docks for what a window shows, its model as a file; `place_docks` places them."""
+    run = subject.run
+    fly, crop = FlyDock(host, ply_path), CropDock(host, subject.splats, subject.unit)
     if run is None:
-        return Docks(fly=fly, crop=crop, splats=splat_dock)
+        return Docks(fly=fly, crop=crop)
     figures = image_figures(run.folder)
     return Docks(
         fly=fly,
         crop=crop,
-        splats=splat_dock,
         photo=PhotoDock(host, run, figures),
         cameras=CameraDock(host, run, figures),
         seams=make_seam_dock(host, run),
@@ -66,7 +63,7 @@ def make_docks(host: Host, run: RunView | None, splats: Splats | None, feeds: Ru
 def place_docks(window: QMainWindow, docks: Docks) -> None:
     """Put pictures at the right and everything else below, each side as tabs."""
     right, bottom = Qt.DockWidgetArea.RightDockWidgetArea, Qt.DockWidgetArea.BottomDockWidgetArea
-    rights: list[QDockWidget] = [dock for dock in (docks.photo, docks.splats) if dock is not None]
+    rights: list[QDockWidget] = [] if docks.photo is None else [docks.photo]
     bottoms = [dock for dock in docks.all() if dock not in rights]
     for dock in rights:
         window.addDockWidget(right, dock)
@@ -105,7 +102,6 @@ def place_plan_docks(window: QMainWindow, planning: Planning, layer_dock: QDockW
 
 def resize_docks(window: QMainWindow, docks: Docks, layer_dock: QDockWidget) -> None:
     """Give each side its share of the window, once it is shown: Qt forgets earlier sizes."""
-    right = docks.photo or docks.splats
-    sides = [(layer_dock, LEFT_PX), *([] if right is None else [(right, RIGHT_PX)])]
+    sides = [(layer_dock, LEFT_PX), *([] if docks.photo is None else [(docks.photo, RIGHT_PX)])]
     window.resizeDocks([dock for dock, _ in sides], [width for _, width in sides], Qt.Orientation.Horizontal)
     window.resizeDocks([docks.cameras or docks.fly], [BOTTOM_PX], Qt.Orientation.Vertical)

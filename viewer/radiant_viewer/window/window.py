@@ -8,6 +8,7 @@ document the shared methods.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,19 +27,32 @@ from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, apply_theme, style_sheet
 from radiant_viewer.pictures.images import Image, save_png
+from radiant_viewer.pictures.view_motion import Side, side_view
 from radiant_viewer.pictures.view_pose import camera_pose
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_layers import hidden_at_first
 from radiant_viewer.runs.run_view import RunView, file_stamps
+from radiant_viewer.splats.model_view import ModelView
 from radiant_viewer.window.docks import make_docks, place_docks, place_plan_docks, resize_docks
 from radiant_viewer.window.measure_tool import MeasureTool
 from radiant_viewer.window.panels import Panels
+from radiant_viewer.window.place_label import PlaceLabel
 from radiant_viewer.window.subject import Subject
+from radiant_viewer.window.window_size import fit_to_screen, remember_size
 
-SELECTED = "Selected camera"
-SIZE_WH = (1280, 800)
+SELECTED, MODEL_LAYER = "Selected camera", "Gaussians"
+MAP_SHARE, EDITED_SHARE = 0.35, 0.6
+"""Share of the map of both views' width; larger while a plan is edited on it."""
 PICK_PX = 14
 """Largest distance of a click from the camera that it selects."""
+MOUSE = {
+    "Drag": "Map: move it. 3D: orbit about what is under the pointer",
+    "Shift or middle, drag": "3D: move it. Map, while editing: select cameras",
+    "Wheel, right drag": "Nearer and farther. Right drag in 3D: look around, with W A S D Q E: fly",
+    "Click": "Select the camera there; with Measure: a corner",
+    "Double click": "3D: come nearer to it. A row: fly to its camera. A panel's tab: float it",
+}
+"""What the mouse does, for F1."""
 _Result = TypeVar("_Result")
 
 
@@ -73,15 +87,19 @@ class InspectorWindow(QMainWindow):
         splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin, unit=subject.unit)
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
-        splitter.setSizes([320, 320])
+        splitter.setStretchFactor(1, 1)
+        self.splitter = splitter
         self.setCentralWidget(splitter)
         self.layer_dock = LayerDock(self.layers, hidden_at_first(self.layers), self._on_visibility)
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
-        self.docks = make_docks(self, subject.run, subject.splats, feeds or RunFeeds(), subject.unit)
+        self.model = None if subject.splats is None else ModelView(self, subject.splats)
+        self.docks = make_docks(self, subject, feeds or RunFeeds(), None if self.model is None else self.model.ply_path)
         place_docks(self, self.docks)
+        if self.model is not None:
+            self.model.failed.connect(self._on_model_failed)
         if self.docks.cameras is not None:
             self.docks.cameras.chosen.connect(self.mark_camera)
         if self.docks.progress is not None:
@@ -91,6 +109,7 @@ class InspectorWindow(QMainWindow):
             place_plan_docks(self, self.planning, self.layer_dock, self.docks.cameras)
         self.panels = Panels(self, self.all_docks())
         self._add_actions()
+        self.place = PlaceLabel(self.statusBar(), self.map, None if subject.run is None else subject.run.scene.frame)
         self.set_theme(theme)
         self.show_status(subject.summary)
         if setting is not None and setting.reason:
@@ -184,8 +203,6 @@ class InspectorWindow(QMainWindow):
         self.view.set_pose(pose)
         self._show_on_map(center)
         self.render_views()
-        if self.docks.splats is not None:
-            self.raise_dock(self.docks.splats)
 
     def _show_on_map(self, place: FloatArray) -> None:
         """Centre the map on a place (3,) that lies outside of it."""
@@ -201,7 +218,8 @@ class InspectorWindow(QMainWindow):
 
     @property
     def crop_box(self) -> FloatArray | None:
-        return self.docks.crop.active_box
+        # Asked for while the docks are made.
+        return self.docks.crop.active_box if hasattr(self, "docks") else None
 
     def set_theme(self, name: ThemeName) -> None:
         """Use the light or the dark theme, also in the views."""
@@ -229,6 +247,8 @@ class InspectorWindow(QMainWindow):
 
     def render_views(self, *, map_only: bool = False) -> None:
         if self.isVisible():
+            if self.model is not None and not map_only:
+                self.model.look()
             for canvas in (self.map,) if map_only else (self.map, self.view):
                 canvas.render()
 
@@ -266,15 +286,16 @@ class InspectorWindow(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:
         """Stop background work and close the views before Qt destroys their windows under VTK."""
         self.end()
+        remember_size(self)
         for canvas in (self.map, self.view):
             canvas.plotter.close()
         super().closeEvent(event)
 
     def end(self) -> None:
         """Stop renderers, polling, films, planning; edits being solved stay in their file."""
-        for dock in (self.docks.splats, self.docks.progress):
-            if dock is not None:
-                dock.end()
+        for part in (self.model, self.docks.progress):
+            if part is not None:
+                part.end()
         self.docks.fly.stop()
         if self.planning is not None:
             self.planning.end()
@@ -284,9 +305,13 @@ class InspectorWindow(QMainWindow):
             self._was_shown = True
             if self._restore is None:
                 # Before the docks are laid out Qt takes a window for wider than it needs to be.
-                screen = self.screen().availableSize()
-                self.resize(min(SIZE_WH[0], screen.width()), min(SIZE_WH[1], screen.height()))
+                fit_to_screen(self)
             resize_docks(self, self.docks, self.layer_dock)
+            # Qt lays out later; the views must have their sizes before anything is fitted to them.
+            layout = self.layout()
+            assert layout is not None
+            layout.activate()
+            self._share_views(MAP_SHARE)
             self.reset_views()
             if self._restore is not None:
                 self._restore(self)
@@ -316,6 +341,8 @@ class InspectorWindow(QMainWindow):
         # Text, tip, key and action; an entry without a text has its button in a dock.
         entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
             ("Fit", "Fit all layers into both views", "F", self.reset_views),
+            ("", "See the scene from above, north up", "Ctrl+1", partial(self._see_from, "top")),
+            ("", "See the scene from the south", "Ctrl+2", partial(self._see_from, "front")),
             ("Fly to", "See the scene from the selected camera", "Return", self.fly_to_selected if self.run else None),
             ("Worst photograph", "The held-out photograph with the lowest PSNR", "W", photo.show_worst if photo else None),
             ("", "The next worse held-out photograph", "Alt+Left", (lambda: photo.step(-1)) if photo else None),
@@ -332,7 +359,7 @@ class InspectorWindow(QMainWindow):
             ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
             ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
             ("", "Read the run anew", "F5", self.reload),
-            ("", "Show all shortcuts", "F1", self._show_shortcuts),
+            ("", "Show all keys and what the mouse does", "F1", self._show_shortcuts),
         ]
         self.shortcuts: dict[str, str] = {}
         for text, tip, key, action in entries:
@@ -346,7 +373,7 @@ class InspectorWindow(QMainWindow):
             else:
                 QShortcut(QKeySequence(key), self).activated.connect(action)
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
-            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", planning.set_active)] if planning else []),
+            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", self._set_editing)] if planning else []),
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
             ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
             ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: self.set_theme("dark" if dark else "light")),
@@ -369,14 +396,25 @@ class InspectorWindow(QMainWindow):
     def _begin_tour(self) -> None:
         if self.docks.seams is not None:
             self.raise_dock(self.docks.seams)
-            # The tour shows the model at the seams.
-            self.raise_dock(self.docks.splats)
             self.docks.seams.go(0)
+
+    def _see_from(self, side: Side) -> None:
+        self.view.set_pose(side_view(self.view.pose, side))
+        self.render_views()
+
+    def _set_editing(self, active: bool) -> None:
+        assert self.planning is not None
+        self._share_views(EDITED_SHARE if active else MAP_SHARE)
+        self.planning.set_active(active)
 
     def _set_cropping(self, active: bool) -> None:
         self.docks.crop.active.setChecked(active)
         if active:
             self.raise_dock(self.docks.crop)
+
+    def _share_views(self, map_share: float) -> None:
+        width = self.splitter.width()
+        self.splitter.setSizes([round(map_share * width), round((1 - map_share) * width)])
 
     def _draw_all(self) -> None:
         for layer in self.layers:
@@ -388,13 +426,24 @@ class InspectorWindow(QMainWindow):
     def _draw(self, layer: Layer) -> None:
         slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
         for canvas in (self.map, self.view):
-            canvas.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
+            canvas.draw(layer, slot, visible=self._draws(layer))
             self.docks.crop.apply_to(canvas)
+
+    def _draws(self, layer: Layer) -> bool:
+        """Whether a layer is drawn as it is: Gaussians are drawn as the model while that can be."""
+        is_model = layer.name == MODEL_LAYER and self.model is not None and not self.model.has_failed
+        return self.layer_dock.is_visible(layer.name) and not is_model
+
+    def _on_model_failed(self, reason: str) -> None:
+        self._on_visibility()
+        self.show_status(reason)
 
     def _on_visibility(self) -> None:
         for layer in self.layers:
             for canvas in (self.map, self.view):
-                canvas.show(layer.name, self.layer_dock.is_visible(layer.name))
+                canvas.show(layer.name, self._draws(layer))
+        if self.model is not None:
+            self.model.set_shown(self.layer_dock.is_visible(MODEL_LAYER))
         self.render_views()
 
     def _pick(self, canvas: Canvas, pixel: tuple[int, int]) -> bool:
@@ -420,8 +469,9 @@ class InspectorWindow(QMainWindow):
             QTimer.singleShot(300, lambda: self.attempt(lambda: self.save_window_picture(Path(path))))
 
     def _show_shortcuts(self) -> None:
-        rows = "".join(f"<tr><td><b>{key}</b>&nbsp;&nbsp;</td><td>{tip}</td></tr>" for key, tip in self.shortcuts.items())
-        box = QMessageBox(QMessageBox.Icon.NoIcon, "Shortcuts", f"<table>{rows}</table>", QMessageBox.StandardButton.Close, self)
+        pairs = [*MOUSE.items(), *self.shortcuts.items()]
+        rows = "".join(f"<tr><td><b>{key}</b>&nbsp;&nbsp;</td><td>{tip}</td></tr>" for key, tip in pairs)
+        box = QMessageBox(QMessageBox.Icon.NoIcon, "Keys and mouse", f"<table>{rows}</table>", QMessageBox.StandardButton.Close, self)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         box.open()
 

@@ -1,0 +1,61 @@
+"""A model seen from all around, for pages that nobody has to install anything for. Once per report.
+
+The cameras stand on a circle about the framed box, so that turning does not zoom, at `NEAR` of
+the least distance from which all of its corners are in every picture:
+
+    |x| ≤ (D − t) k  for a corner x across (or up) the picture and t towards the camera, slope k
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from radiant_core.numerics import FloatArray
+from radiant_core.render.trajectories import Lens, box_corners, orbit
+from radiant_core.splats import Splats
+from radiant_viewer.pictures.images import Image
+from radiant_viewer.pictures.splat_picture import render_over_white
+
+ELEVATION_DEG = 40.0
+FIELD_OF_VIEW_DEG = 30.0
+NEAR = 0.84
+"""Nearer by so much, corners leave the picture from some sides and the middle is seen better."""
+MARGIN = 0.02
+"""Of the longest side of the box: what lies farther out is left out, mostly haze."""
+LARGEST, LARGEST_MEDIANS = 0.02, 4.0
+"""A Gaussian is haze too if its standard deviation is a larger share of that side and, in models of
+few large ones, more times the median."""
+
+
+def crop_to(splats: Splats, box: FloatArray) -> Splats:
+    """Return the Gaussians whose middles lie in a box (2,3) widened by `MARGIN`, without haze."""
+    side = float((box[1] - box[0]).max())
+    inside = ((splats.means >= box[0] - MARGIN * side) & (splats.means <= box[1] + MARGIN * side)).all(axis=1)
+    sizes = np.exp(splats.log_scales.max(axis=1))
+    largest = max(LARGEST * side, LARGEST_MEDIANS * float(np.median(sizes[inside]))) if inside.any() else 0.0
+    return splats.select(np.flatnonzero(inside & (sizes <= largest)))
+
+
+def turntable(splats: Splats, box: FloatArray, num_frames: int, size_wh: tuple[int, int]) -> Iterator[Image]:
+    """Render the model in a box (2,3), cropped to it, from `num_frames` sides over white.
+
+    Args:
+        splats: the model.
+        box: lower and upper corner of what is to be seen, in the model's frame.
+        num_frames: evenly over a full turn, the first from the south.
+        size_wh: of each picture, px.
+    """
+    lens = Lens(size_wh=size_wh, field_of_view_deg=FIELD_OF_VIEW_DEG)
+    middle = box.mean(axis=0)
+    toward_camera = orbit(middle, 1.0, ELEVATION_DEG, num_frames, lens)
+    rotations = toward_camera.cam_from_world[:, :3, :3]
+    across, down, ahead = np.moveaxis(np.einsum("fij,cj->fci", rotations, box_corners(box) - middle), -1, 0)
+    slopes = np.asarray(size_wh) / 2 / lens.K[0, 0]
+    nearest = np.maximum(np.abs(across) / slopes[0], np.abs(down) / slopes[1]) - ahead
+    distance = NEAR * float(nearest.max())
+    cameras = orbit(middle, distance, ELEVATION_DEG, num_frames, lens)
+    cropped = crop_to(splats, box)
+    for index in np.roll(np.arange(num_frames), num_frames // 2):
+        yield render_over_white(cropped, cameras.select(np.array([index])))

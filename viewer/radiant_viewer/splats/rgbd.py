@@ -1,0 +1,35 @@
+"""`ModelRenderer`: a model drawn again and again, colour and depth in one picture.
+
+Once per frame of a view. The model is checked and copied once, not per picture: that costs as much
+as drawing 100,000 Gaussians.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from radiant_core.cameras import Cameras
+from radiant_core.render.contract import SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.splats import Splats
+from radiant_viewer.pictures.splat_picture import OPAQUE
+
+
+class ModelRenderer:
+    """Renders one model by our rasterizer (gsplat where it can be used)."""
+
+    def __init__(self, splats: Splats) -> None:
+        backend = resolve_backend("auto")
+        self._sh_degree = splats.sh_degree
+        self._tensors = SplatTensors.from_splats(splats, device=device_of(backend))
+
+    def draw(self, camera: Cameras, background: tuple[int, int, int], into: torch.Tensor) -> None:
+        """Write the picture of one camera over a background (0 to 255): (H,W,4) float32, colours 0
+        to 1 and depth in metres, 0 where the model fills less than `OPAQUE`."""
+        width, height = (int(side) for side in camera.sizes_wh[0])
+        behind = torch.tensor(background, dtype=torch.float32) / 255
+        viewmats, Ks = torch.tensor(camera.cam_from_world), torch.tensor(camera.Ks)
+        with torch.no_grad():
+            output = rasterize(self._tensors, viewmats, Ks, width, height, sh_degree=self._sh_degree, background=behind)
+            into[..., :3] = output.images[0].clamp_(0, 1)
+            into[..., 3] = torch.where(output.alphas[0] >= OPAQUE, output.depths[0], 0.0)
