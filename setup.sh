@@ -18,8 +18,8 @@ system_packages=(
   libxcb-shape0 libxkbcommon-x11-0
 )
 
-# The window and the page of `radiant inspect` come with every set-up: 0.27 GB beside some 3, and their system packages stand above.
-everyday=desktop,web
+# Structure from motion, and the window and the page of `radiant inspect`, come with every set-up: their system packages stand above.
+everyday=desktop,flip,sfm,web
 
 fail() {
   echo "setup.sh: $1" >&2

@@ -48,6 +48,8 @@ class StageProgress:
     step: int = 0
     """Number of the step, from 1; 0 without steps."""
     num_steps: int = 0
+    left_s: float | None = None
+    """Seconds left of the whole stage, where the stage itself can tell."""
 
     @property
     def doing(self) -> str:

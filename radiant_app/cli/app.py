@@ -62,8 +62,10 @@ def aggregate(
     as_json: AsJson = False,
 ) -> None:
     """Join the device models of a run once more, in another way."""
-    from radiant_app.commands.aggregate import aggregate as join
-    from radiant_app.report.progress import terminal_display
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.commands.aggregate import aggregate as join
 
     finish(join(run_folder, out, aggregate_preset, epochs, terminal_display()), as_json)
 
@@ -83,9 +85,11 @@ def extend(
     as_json: AsJson = False,
 ) -> None:
     """Join a new region to a finished scene, which keeps its bits beyond a margin."""
-    from radiant_app.commands.extend import ExtendRequest
-    from radiant_app.commands.extend import extend as join
-    from radiant_app.report.progress import terminal_display
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.commands.extend import ExtendRequest
+        from radiant_app.commands.extend import extend as join
 
     request = ExtendRequest(old=old, new=new, out=out, region=region, margin_m=margin_m, num_epochs=epochs)
     finish(join(request, terminal_display()), as_json)
@@ -108,9 +112,11 @@ def evaluate(
     as_json: AsJson = False,
 ) -> None:
     """PSNR, SSIM (both also after colour correction), FLIP and LPIPS on held-out photographs."""
-    from radiant_app.commands.evaluate import EvaluateRequest
-    from radiant_app.commands.evaluate import evaluate as score
-    from radiant_app.report.progress import terminal_display
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.commands.evaluate import EvaluateRequest
+        from radiant_app.commands.evaluate import evaluate as score
 
     request = EvaluateRequest(
         model=model, scene=scene, long_side_px=long_side_px, lpips_weights=lpips_weights, lpips_network=lpips_net, out=out
@@ -158,11 +164,18 @@ app.command()(bench)
 
 
 @app.command()
-def doctor(as_json: AsJson = False) -> None:
-    """What this machine has and what is missing, with what to do about it."""
-    from radiant_app.commands.doctor import examine, table
+def doctor(
+    photographs: Annotated[int, typer.Option(min=1, help="Say what a run of so many will take here.")] = 100,
+    profile: Annotated[Path | None, typer.Option(help="Curve file of this machine, by `radiant profile`; else a guess.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """What this machine has, what is missing and how to get it, and what a run will take here."""
+    from radiant_app.report.progress import show_starting
 
-    findings = examine()
+    with show_starting():
+        from radiant_app.commands.doctor import examine, table
+
+        findings = examine(photographs, profile)
     typer.echo(json.dumps([vars(finding) for finding in findings], indent=2) if as_json else table(findings))
     if any(not finding.ok and finding.needed for finding in findings):
         raise typer.Exit(1)

@@ -28,10 +28,12 @@ def render(
     as_json: AsJson = False,
 ) -> None:
     """Pictures or a film of a model: from cameras, around it, along a border, or by keyframes."""
-    from radiant_app.commands.render import RenderRequest
-    from radiant_app.commands.render import render as render_pictures
     from radiant_app.quantities import size_wh_of
-    from radiant_app.report.progress import terminal_display
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.commands.render import RenderRequest
+        from radiant_app.commands.render import render as render_pictures
 
     request = RenderRequest(
         model=model,
@@ -65,9 +67,11 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """A model, its plan, cameras or surface in the files of other programs; says what is lost."""
-    from radiant_app.commands.export import ExportRequest
-    from radiant_app.commands.export import export as write_export
-    from radiant_app.report.progress import terminal_display
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.commands.export import ExportRequest
+        from radiant_app.commands.export import export as write_export
 
     request = ExportRequest(model=model, out=out, format=format, resolution=resolution, long_side_px=long_side_px, clean=clean)
     finish(write_export(request, terminal_display()), as_json)

@@ -15,7 +15,7 @@ import typer
 from radiant_app.cli.config_options import given_values, typed_options, with_config_options
 from radiant_app.cli.option_types import AsJson, Verbose
 from radiant_app.config.fields import config_of, with_settings
-from radiant_app.report.tables import print_summary
+from radiant_app.report.tables import print_model, print_summary
 from radiant_core.errors import BadInput
 
 if TYPE_CHECKING:
@@ -63,16 +63,18 @@ def demo(
 
 
 def run_and_print(config: RunConfig, resume: bool, as_json: bool, *, verbose: bool) -> None:
-    """Do the run before the terminal's progress display and print its figures."""
-    from radiant_app.report.progress import terminal_display
-    from radiant_app.run.pipeline import run as run_pipeline
+    """Do the run before the progress display; print where its result is and how good."""
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.run.pipeline import run as run_pipeline
 
     with terminal_display(with_decisions=verbose) as listen:
         result = run_pipeline(config, listen, resume=resume)
     if as_json:
         typer.echo(json.dumps(result.metrics))
         return
-    typer.echo(f"held-out {result.metrics['psnr_db']:.2f} dB, {result.metrics['num_gaussians']:,} Gaussians")
+    print_model(config.out / "scene.ply", result.metrics)
     if unscored := result.metrics.get("num_unscored", 0):
         from radiant_app.report.html import describe_unscored
 

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
 
 from radiant_app.cli.config_options import option
-from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, LongSide, MaskFolder, Seed, TrainPresetOption, UpOption
+from radiant_app.cli.option_types import (
+    AsJson,
+    DistanceOption,
+    HeightOption,
+    LongSide,
+    MaskFolder,
+    Seed,
+    TrainPresetOption,
+    UpOption,
+    Verbose,
+)
 from radiant_app.config.fields import train_options, with_settings
 from radiant_app.quantities import bytes_of, seconds_of
-from radiant_app.report.tables import finish
+from radiant_app.report.tables import finish, print_model
 
 
 def train(
@@ -46,12 +57,15 @@ def train(
     seed: Seed = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out from its last checkpoint.")] = False,
     checkpoint_every: Annotated[str, option("execution.checkpoint_every_s", help="Time between two checkpoints.")] = "10s",
+    verbose: Verbose = False,
     as_json: AsJson = False,
 ) -> None:
     """One model from all photographs of a scene but every 8th, which score it; without regions."""
-    from radiant_app.commands.train import TrainRequest
-    from radiant_app.commands.train import train as run_training
-    from radiant_app.report.progress import terminal_display
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.commands.train import TrainRequest
+        from radiant_app.commands.train import train as run_training
 
     typed = {"train.long_side_px": long_side_px, "train.num_steps": steps, "train.max_num_splats": gaussians}
     given = {path: value for path, value in typed.items() if value is not None}
@@ -71,10 +85,12 @@ def train(
         seed=seed,
         checkpoint_every_s=seconds_of(checkpoint_every),
     )
-    with terminal_display() as listen:
+    with terminal_display(with_decisions=verbose) as listen:
         result = run_training(request, listen, resume=resume)
     if as_json or "psnr_db" not in result:
         finish(result, as_json)
         return
-    typer.echo(f"held-out {result['psnr_db']:.2f} dB, {result['num_gaussians']:,} Gaussians")
-    typer.echo(f"model: {out / 'scene.ply'}")
+    print_model(out / "scene.ply", result)
+    if listen.num_decisions and not verbose:
+        typer.echo(f"decisions: {listen.num_decisions}, in {out / 'manifest.json'}; -v prints them here")
+    typer.echo(f"next: radiant inspect {quote(str(out))}")

@@ -31,6 +31,7 @@ from radiant_app.events import (
     decode,
     encode,
 )
+from radiant_app.report.pace import clock_text
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import LOCK_NAME
 
@@ -134,7 +135,8 @@ def _next_state(event: Event, stages: dict[str, StageState]) -> StageState | Non
     if isinstance(event, StageStarted):
         return StageState(stage=event.stage, state="running")
     if isinstance(event, StageProgress):
-        note = ", ".join(text for text in (event.doing, event.note) if text)
+        left = "" if event.left_s is None else f"about {clock_text(max(1.0, event.left_s))} left"
+        note = ", ".join(text for text in (event.doing, event.note, left) if text)
         return StageState(stage=event.stage, state="running", done=event.done, total=event.total, note=note)
     if isinstance(event, StageDone):
         return StageState(stage=event.stage, state="done", seconds=event.seconds)

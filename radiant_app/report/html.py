@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import jinja2
+import markupsafe
 import numpy as np
 
 from radiant_app.events import UPLINK
 from radiant_app.files.run_folder import Manifest, software_versions
 from radiant_app.files.system_file import load_system
+from radiant_app.report.gaps import gaps_of
+from radiant_app.report.hero import NUM_SIDES, SIZE_WH, framed_box
+from radiant_app.report.pace import clock_text
+from radiant_app.report.survey import Survey, survey_of
+from radiant_app.report.verdict import verdict_of
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_core.aggregate.tree import refined_at
-from radiant_core.io.records import load_plan
+from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_atomic
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
@@ -27,6 +33,11 @@ if TYPE_CHECKING:
 MAX_COMPARISONS = 12
 """Photographs shown beside their renders: the worst, the best and some between."""
 
+JPEG_QUALITY = 84
+OF_THE_MODEL = ("seams",)
+"""Pictures that are too large as PNG."""
+NAMELESS = frozenset({"images", "image", "photos", "photographs", "pictures", "input", "dcim"})
+"""Names of folders that say nothing of what is in them."""
 TIERS = ("device", "edge", "cloud", "owner")
 GIVEN = {
     True: {
@@ -57,15 +68,22 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
     """Make the pictures and the page; returns the page's path."""
     cloud_plan, edge_plans = load_plan(run / "plan.json")
     pictures = _save_pictures(run, manifest, has_borders=sum(len(border) > 0 for border in cloud_plan.borders) > 1)
-    template = jinja2.Environment(
+    sides = _save_sides(run)
+    survey = _survey(run, manifest)
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("radiant_app"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("report.html.j2")
-    page = template.render(
-        title=Path(manifest.config["source"]).parent.name or "run",
+    )
+    environment.filters["words"] = with_code
+    page = environment.get_template("report.html.j2").render(
+        title=title_of(manifest.config["source"]),
+        survey=survey,
+        verdict=verdict_of(metrics),
+        gaps=gaps_of(metrics, manifest.warnings, survey.frame),
+        sides=sides,
+        duration=clock_text(manifest.ended_s) + (" min" if manifest.ended_s < 3600 else " h"),
         manifest=manifest,
         metrics=metrics,
         unscored=describe_unscored(metrics),
-        frame=_frame_facts(run),
         pooled=metrics.get("pooled", True),
         planned_by_raster=(run / STAGE / "task.json").is_file(),
         access_tiers=access_by_tier(manifest.access_log, shared="leakage" not in metrics),
@@ -73,6 +91,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         comparisons=[_comparison(run, row) for row in select_images(metrics["images"]) if _has_pictures(run, row)],
         nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
         plan=cloud_plan,
+        settings=dict(_flat(manifest.config)),
         versions=software_versions(),
     )
     write_atomic(run / "report.html", page.encode())
@@ -126,7 +145,7 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
     images["timeline"] = timeline_picture(_timeline_rows(manifest.stages), title="Measured on this machine")
     if manifest.emulated:
         images["timeline_emulated"] = timeline_picture(timeline_of_emulation(manifest), title="Emulated speeds and links")
-    for view in ("regions", "cameras", "splats", *(["seams"] if has_borders else [])):
+    for view in ("regions", "cameras", *(["seams"] if has_borders else [])):
         images[view] = screenshot(run, view)
     folder.mkdir(exist_ok=True)
     for name, image in images.items():
@@ -177,11 +196,8 @@ def _comparison(run: Path, row: dict[str, Any]) -> dict[str, Any]:
     from radiant_viewer.pictures.images import load_image
 
     name = f"{row['name']}.png"
-    folder = run / "pictures"
-    strip = np.hstack([load_image(folder / kind / name) for kind in ("photographs", "renders", "differences")])
-    encoded, data = cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
-    assert encoded
-    return {**row, "picture": _data_uri("image/jpeg", data.tobytes())}
+    kinds = {"Photograph": "photographs", "Render": "renders", "Difference": "differences"}
+    return {**row, "pictures": {kind: _jpeg(load_image(run / "pictures" / folder / name)) for kind, folder in kinds.items()}}
 
 
 def _node_rows(run: Path, manifest: Manifest, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> list[dict[str, Any]]:
@@ -215,24 +231,70 @@ def _seconds(stages: Mapping[str, Mapping[str, float]], stage: str) -> float | N
     return stages[stage]["ended_s"] - stages[stage]["started_s"] if stage in stages else None
 
 
-def _frame_facts(run: Path) -> dict[str, Any]:
-    from radiant_core.io.records import load_scene
+def _survey(run: Path, manifest: Manifest) -> Survey:
+    """The survey of a run; of photographs that lie on devices nothing but their poses is known."""
+    if (run / "delivered").is_dir():
+        return survey_of(load_scene(run / "delivered" / "scene.safetensors"), 0, None)
+    scene = load_scene(run / "sfm" / "scene.safetensors")
+    left_out = read_json(run / "sfm" / "result.json", ("unregistered",))["unregistered"]
+    return survey_of(scene, len(left_out), _photographs_in(Path(manifest.config["source"]), scene.cameras.names))
 
-    in_the_field = (run / "delivered").is_dir()
-    scene = load_scene(run / ("delivered" if in_the_field else "sfm") / "scene.safetensors")
-    unregistered = [] if in_the_field else read_json(run / "sfm" / "result.json", ("unregistered",))["unregistered"]
-    return {
-        "kind": scene.frame.kind,
-        "unit": scene.frame.unit,
-        "residual_m": scene.frame.residual_m,
-        "num_cameras": len(scene.cameras),
-        "num_points": None if in_the_field else len(scene.points),
-        "unregistered": unregistered,
-    }
+
+def _photographs_in(source: Path, names: Sequence[str]) -> Path | None:
+    """Where under a source the photographs lie, whose undistorted copies have no EXIF."""
+    folders = (source, source / "images", source.parent / "images")
+    return next((folder for folder in folders if names and (folder / names[0]).is_file()), None)
+
+
+def title_of(source: str) -> str:
+    """The name of what was surveyed: of the folder of photographs, or of the one around it where
+    that says no more than that photographs are in it."""
+    path = Path(source)
+    return (path.parent.name if path.name.lower() in NAMELESS else path.name) or "run"
+
+
+def with_code(text: str) -> markupsafe.Markup:
+    """Text for HTML, in which what stands between backticks is code."""
+    parts = str(markupsafe.escape(text)).split("`")
+    if len(parts) % 2 == 0:
+        # One backtick is alone: they are all taken as they are.
+        return markupsafe.Markup("`").join(map(markupsafe.Markup, parts))
+    codes = (f"<code>{part}</code>" if index % 2 else part for index, part in enumerate(parts))
+    return markupsafe.Markup("").join(map(markupsafe.Markup, codes))
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The settings that have a value, by dotted path."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        elif value is not None:
+            yield f"{prefix}{name}", value
+
+
+def _save_sides(run: Path) -> list[str]:
+    """The model from all around as images for the page; the first one is kept as a file too."""
+    from radiant_viewer.pictures.images import save_png
+    from radiant_viewer.pictures.turntable import turntable
+    from radiant_viewer.runs.run_view import load_run_view, require_splats
+
+    view = load_run_view(run)
+    images = list(turntable(require_splats(view), framed_box(view), NUM_SIDES, SIZE_WH))
+    save_png(run / "pictures" / "model.png", images[0])
+    return [_jpeg(image) for image in images]
+
+
+def _jpeg(image: Image) -> str:
+    encoded, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    assert encoded
+    return _data_uri("image/jpeg", data.tobytes())
 
 
 def _embed(path: Path) -> str:
-    return _data_uri("image/png", path.read_bytes())
+    """A picture for the page: charts as they are, what shows the model as JPEG."""
+    from radiant_viewer.pictures.images import load_image
+
+    return _jpeg(load_image(path)) if path.stem in OF_THE_MODEL else _data_uri("image/png", path.read_bytes())
 
 
 def _data_uri(kind: str, data: bytes) -> str:

@@ -2,8 +2,9 @@
 
     left_s = (total − done) · (now − begun) / (done − done at the beginning)
 
-A stage of several steps (structure from motion) is timed step by step, since an earlier step
-predicts nothing about a later one. Without events the estimate grows and never reaches 0 s; before
+A stage that tells itself what is left of it (structure from motion) is believed; else one of
+several steps is timed step by step, since an earlier step predicts nothing about a later one.
+Without events the estimate grows and never reaches 0 s; before
 the first measurement there is none.
 """
 
@@ -29,6 +30,7 @@ class Pace:
     _first: StageProgress | None = None
     _last: StageProgress | None = None
     _step_s: float = 0.0
+    _last_s: float = 0.0
     _begun_s: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -39,7 +41,7 @@ class Pace:
         last = self._last
         if last is None or event.phase != last.phase or event.done < last.done:
             self._first, self._step_s = event, self.clock()
-        self._last = event
+        self._last, self._last_s = event, self.clock()
 
     @property
     def elapsed_s(self) -> float:
@@ -51,6 +53,9 @@ class Pace:
         """Remaining seconds of the stage or of its current step; None without an estimate."""
         if self._first is None or self._last is None:
             return None
+        if self._last.left_s is not None:
+            # Between two events it falls with the clock; a late one makes it wait, never end.
+            return max(0.5 * self._last.left_s, self._last.left_s - (self.clock() - self._last_s))
         done, left = self._last.done - self._first.done, self._last.total - self._last.done
         ran_s = self.clock() - self._step_s
         if not (done > 0 and left > 0 and ran_s >= LEAST_S):
@@ -65,7 +70,7 @@ class Pace:
         left_s = self.left_s
         if left_s is None:
             return f"elapsed {clock_text(self.elapsed_s)}"
-        of_step = " in step" * (self._last is not None and self._last.num_steps > 1)
+        of_step = " in step" * (self._last is not None and self._last.num_steps > 1 and self._last.left_s is None)
         return f"elapsed {clock_text(self.elapsed_s)}, left{of_step} about {clock_text(max(1.0, left_s))}"
 
 

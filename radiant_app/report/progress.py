@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TaskID, TextColumn, track
@@ -19,18 +20,26 @@ from rich.table import Column
 from rich.text import Text
 
 from radiant_app.events import Decided, Event, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
-from radiant_app.report.pace import Pace
+from radiant_app.report.pace import Pace, clock_text
 
 _Item = TypeVar("_Item")
 SECONDS_BETWEEN_LINES = 10.0
 """Interval between progress lines of a stage in a log file."""
 MAX_BAR_WIDTH = 30
+_TIME_LEFT = "/time left"
+"""In place of a stage's name, of which none begins with a slash."""
 
 
 def track_items(items: Sequence[_Item], what: str) -> Iterator[_Item]:
     """The items, with a bar on a terminal, for a loop whose items take about equally long."""
     console = Console(stderr=True)
     return iter(track(items, description=what, console=console, disable=not console.is_terminal))
+
+
+def show_starting() -> AbstractContextManager[Any]:
+    """A spinner on a terminal while libraries load, which takes seconds; nothing in a log."""
+    console = Console(stderr=True)
+    return console.status("starting") if console.is_terminal else nullcontext()
 
 
 class _Times(ProgressColumn):
@@ -95,8 +104,7 @@ class ProgressDisplay:
         elif isinstance(event, StageSkipped):
             self._end(event.stage, Text.assemble(("skipped", "dim"), f" {event.stage}: finished before"))
         elif isinstance(event, TimeLeft):
-            times = "" if abs(event.correction - 1) < 0.005 else f", {event.correction:.2f} times the plan's for what remains"
-            self._print(f"devices and edges: left about {max(1.0, event.seconds):.0f} s{times}")
+            self._tell_time_left(event)
         elif isinstance(event, Warned):
             self._print(f"warning {event.stage}: {event.message}", "yellow")
         elif isinstance(event, Decided) and not event.decision.changes_nothing:
@@ -125,8 +133,20 @@ class ProgressDisplay:
         """How many stages of the run are finished, which its bar shows too."""
         num_ended, total = len(self._stages & self._ended), len(self._stages)
         if self._run is not None:
-            self._progress.update(self._run, description=f"run: {num_ended} of {total} stages", completed=num_ended, total=total)
+            # Charts and pictures of the report take seconds and are no stage of the run.
+            rest = ", finishing" if 0 < total == num_ended else ""
+            self._progress.update(self._run, description=f"run: {num_ended} of {total} stages{rest}", completed=num_ended, total=total)
         return num_ended
+
+    def _tell_time_left(self, event: TimeLeft) -> None:
+        """Beside the bar of the run; in a log as a line, at most one per interval."""
+        left = f"devices and edges: left about {clock_text(max(1.0, event.seconds))}"
+        if self._console.is_terminal and self._run is not None:
+            self._progress.update(self._run, note=left)
+        elif self._clock() >= self._line_due_s.get(_TIME_LEFT, 0.0):
+            self._line_due_s[_TIME_LEFT] = self._clock() + SECONDS_BETWEEN_LINES
+            off = "" if abs(event.correction - 1) < 0.005 else f", {event.correction:.2f} × what was planned"
+            self._print(left + off)
 
     def _print_line(self, event: StageProgress) -> None:
         now_s = self._clock()

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
+from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import typer
+
+from radiant_app.report.verdict import verdict_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -45,6 +50,24 @@ def _print(table: Table) -> None:
 
     width = None if sys.stdout.isatty() else FILE_WIDTH
     Console(width=width, markup=False, emoji=False).print(table, markup=False, emoji=False)
+
+
+def print_model(path: Path, metrics: Mapping[str, Any]) -> None:
+    """Two lines: where a finished model is, and how good it is by `metrics` (metrics.json)."""
+    typer.echo(f"model: {path} ({metrics['num_gaussians']:,} Gaussians, {path.stat().st_size / 1e6:.1f} MB)")
+    typer.echo(f"quality: {verdict_of(metrics).line}")
+
+
+def print_scene(result: Mapping[str, Any]) -> None:
+    """What `commands.steps.sfm` found, and what to do next."""
+    typer.echo(f"photographs: {result['cameras']} of {result['cameras'] + len(result['unregistered'])} placed")
+    typer.echo(f"points: {result['points']:,}")
+    residual_m = result["gps_residual_m"]
+    typer.echo(f"frame: {result['frame']}" + ("" if residual_m is None else f", median distance to GPS {residual_m:.2f} m"))
+    if result["warnings"] != "none":
+        typer.echo(f"warnings: {result['warnings']}")
+    folder = quote(str(result["folder"]))
+    typer.echo(f"scene: {folder}\nnext: radiant train {folder} --out MODEL, or radiant inspect {folder}")
 
 
 def finish(result: dict[str, Any], as_json: bool) -> None:

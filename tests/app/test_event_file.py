@@ -120,3 +120,9 @@ def test_no_stream_a_broken_one_and_a_folder_that_cannot_be_written(tmp_path: Pa
     with EventFile(tmp_path / "none", heard.append) as tell:
         tell(STREAM[0])
     assert heard == [STREAM[0]]
+
+
+def test_a_stage_that_tells_what_is_left_of_it_says_so_beside_its_step(tmp_path: Path) -> None:
+    with EventFile(tmp_path, lambda event: None) as tell:
+        tell(StageProgress(stage="sfm", done=3, total=60, phase="features", step=2, num_steps=7, left_s=95.2))
+    assert read_progress(tmp_path).stages[0].note == "features, step 2 of 7, about 1:35 left"

@@ -34,6 +34,7 @@ from radiant_app.files.event_file import EventFile, read_progress
 from radiant_app.report.pace import Pace, clock_text
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.report.tables import print_figures
+from radiant_app.report.verdict import verdict_of
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import write_json
 from radiant_core.sfm.config import SfmProgress, number_phases
@@ -213,7 +214,7 @@ def test_lines_of_a_log_are_not_wrapped() -> None:
         display(Decided(decision=Decision(stage="sfm", topic="t", choice=message, figure=None, unit="", reason="r")))
         display(TimeLeft(seconds=0.2, correction=1.2, after="devices/a"))
     assert told.lines[0] == f"warning sfm: {message}" and told.lines[1] == f"decided sfm, t: {message} (r)"
-    assert told.lines[2] == "devices and edges: left about 1 s, 1.20 times the plan's for what remains" and len(told.lines) == 3
+    assert told.lines[2] == "devices and edges: left about 0:01, 1.20 × what was planned" and len(told.lines) == 3
 
 
 def test_decisions_can_be_left_to_the_report() -> None:
@@ -286,3 +287,46 @@ def test_sfm_gives_one_object_with_lists_and_a_log_of_its_own(tmp_path: Path) ->
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["unregistered"] == [] and done.stderr == ""
     assert (tmp_path / "scene" / "log.txt").is_file()
+
+
+def test_time_left_stands_beside_the_bar_of_a_terminal_and_in_a_log_at_intervals() -> None:
+    shown, log = Told(terminal=True), Told()
+    for told in (shown, log):
+        with told.display as display:
+            display(Outlined(stages=("devices/a", "devices/b")))
+            for seconds in (80.0, 70.0, 60.0):
+                display(TimeLeft(seconds=seconds, correction=1.0, after="devices/a"))
+                told.clock.now_s += 6.0
+            display._progress.refresh()
+    assert "devices and edges: left about 1:00" in [line for line in shown.lines if line.strip()][-1]
+    assert log.lines == [f"devices and edges: left about {left}" for left in ("1:20", "1:00")]
+
+
+def test_words_for_quality_follow_the_worse_of_both_figures() -> None:
+    def word(psnr_db: float, ssim: float) -> str:
+        return verdict_of({"psnr_db": psnr_db, "ssim": ssim, "images": [{}] * 8}).word
+
+    assert [word(*figures) for figures in ((30, 0.9), (30, 0.8), (24.4, 0.79), (22, 0.7), (22, 0.4), (13, 0.9))] == [
+        "very good", "good", "good", "fair", "poor", "poor",
+    ]  # fmt: skip
+    few = verdict_of({"psnr_db": 13.406, "ssim": 0.372, "images": [{}]})
+    assert few.line == "poor: 13.41 dB PSNR and SSIM 0.37 on 1 held-out photograph (too few to be sure)"
+
+
+def test_the_first_sign_of_life_comes_before_heavy_libraries() -> None:
+    """On a terminal; nothing of it is in a log."""
+    script = (
+        "import pty, os, sys, time\n"
+        "pid, fd = pty.fork()\n"
+        "if pid == 0: os.execv(sys.executable, [sys.executable, '-m', 'radiant_app', 'run', 'no/such/folder', '--out', '/nowhere/run'])\n"
+        "said = b''\n"
+        "try:\n"
+        "    while part := os.read(fd, 65536): said += part\n"
+        "except OSError: pass\n"
+        "sys.stdout.write(said.decode())"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert 0 <= done.stdout.find("starting") < done.stdout.find("radiant: ")
+    command = [sys.executable, "-m", "radiant_app", "run", "no/such/folder", "--out", "/nowhere/run"]
+    log = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert log.returncode == 2 and len(log.stderr.splitlines()) == 1 and log.stdout == ""

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from radiant_app.network.serving import require_network
+from radiant_core import extras
 from radiant_core.errors import BadInput
 from radiant_viewer.web import server as web
 from radiant_viewer.window import desktop
 
 ROOT = Path(__file__).parents[2]
 NATIVE_SOURCE = "core/radiant_core/native/room/one.cpp"
-EVERYDAY = "-m pip install --editable .[desktop,web]"
+EVERYDAY = "-m pip install --editable .[desktop,flip,sfm,web]"
 
 
 def program(path: Path, text: str) -> None:
@@ -55,20 +60,64 @@ def test_the_demo_brings_what_inspect_needs_and_is_not_set_up_twice(checkout: Pa
     for source in ("pyproject.toml", NATIVE_SOURCE):
         (checkout / source).write_text("changed")
         assert setup(checkout) == [f"python {EVERYDAY}"]
-    (checkout / ".venv/installed-desktop,web").rename(checkout / ".venv/installed-base")
+    (checkout / ".venv/installed-desktop,flip,sfm,web").rename(checkout / ".venv/installed-base")
     assert setup(checkout, "demo") == [f"python {EVERYDAY}", "radiant demo"]
 
 
 def test_the_tests_bring_the_everyday_extras_too(checkout: Path) -> None:
     assert setup(checkout, "check")[0] == "python -m pip install --editable .[test]"
     assert setup(checkout) == []
-    assert 'test = [\n    "radiant-splats[cluster,desktop,network,web]"' in (ROOT / "pyproject.toml").read_text()
+    assert 'test = [\n    "radiant-splats[cluster,desktop,flip,network,sfm,web]"' in (ROOT / "pyproject.toml").read_text()
 
 
-def test_a_missing_extra_names_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(desktop.importlib.util, "find_spec", lambda name: None)
-    for require, extra in ((desktop.require_desktop, "desktop"), (web.require_web, "web")):
+def test_a_missing_extra_names_the_command_that_installs_it_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """For the Python that runs, from any folder; without pip, by uv; without an installation, by the set-up of the source."""
+
+    def found(*absent: str) -> None:
+        monkeypatch.setattr(extras, "find_spec", lambda name: None if name in absent else object())
+
+    requirements = (
+        ("desktop", desktop.require_desktop, "PySide6"),
+        ("web", web.require_web, "trame"),
+        ("network", require_network, "httpx"),
+    )
+    for extra, require, module in requirements:
+        found(module)
         with pytest.raises(BadInput) as caught:
             require()
-        assert "./setup.sh" in str(caught.value) and f".venv/bin/pip install -e '.[{extra}]'" in str(caught.value)
+        assert f"-m pip install 'radiant-splats[{extra}]', or " in str(caught.value) and module in str(caught.value)
         assert len(str(caught.value).splitlines()) == 1
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "my venv" / "bin" / "python"))
+    found()
+    assert extras.install_command("web") == f"'{tmp_path}/my venv/bin/python' -m pip install 'radiant-splats[web]'"
+    monkeypatch.chdir(tmp_path)
+    assert extras.install_command("web") == "'my venv/bin/python' -m pip install 'radiant-splats[web]'"
+    found("pip")
+    assert extras.install_command("web").startswith("uv pip install --python ")
+    monkeypatch.setattr(extras, "DISTRIBUTION", "no-such-thing")
+    assert extras.install_command("web") == str(ROOT / "setup.sh")
+
+
+def test_every_extra_is_in_the_table_and_every_line_of_it_is_an_extra() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(extras.EXTRAS) == set(project["optional-dependencies"]) - {"test"}
+
+
+@pytest.mark.parametrize("module", ["pycolmap", "flip_evaluator"])
+def test_a_placed_scene_needs_neither_pycolmap_nor_flip(module: str, tmp_path: Path) -> None:
+    """Photographs without poses end with the command that brings it, before anything is written."""
+    for name, target in (("images", "images"), ("sparse", "known")):
+        (tmp_path / name).symlink_to(ROOT / "sample_scenes" / "hamlet" / target)
+    script = f"import sys; sys.modules[{module!r}] = None\nfrom radiant_app.cli.app import main; main()"
+
+    def radiant(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+    trained = radiant("train", tmp_path, "--out", tmp_path / "model", "--steps", "2", "--long-side-px", "64", "--json")
+    assert trained.returncode == 0, trained.stderr
+    flip = json.loads(trained.stdout)["flip"]
+    assert (flip is None) == (module == "flip_evaluator")
+    if module == "pycolmap":
+        placed = radiant("sfm", tmp_path / "images", "--out", tmp_path / "scene")
+        assert placed.returncode == 2 and "-m pip install 'radiant-splats[sfm]', or " in placed.stderr
+        assert not (tmp_path / "scene").exists()

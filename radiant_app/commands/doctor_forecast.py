@@ -1,0 +1,98 @@
+"""What a run of so many photographs will take on this machine, by curves of `radiant profile`.
+
+A run without options: two edges with two devices each, `num_workers` processes at a time.
+
+    sfm(N) + ⌈4 / W⌉ (G(N/4) + F(N/4)) + ⌈2 / W⌉ F_m(N/2) + merge(N)        seconds, W workers
+
+Refining, scoring and the report come on top: no profile has a curve of them. Once per call.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from radiant_app.config.run_config import ExecutionOptions
+from radiant_app.files.profile_file import load_profile
+from radiant_app.run.predictions import planned_training
+from radiant_core.plan.profiles.profile import Profile
+from radiant_core.train.memory import most_cameras
+from radiant_core.train.needs import Overrides
+
+NUM_DEVICES, NUM_EDGES = 4, 2
+FAR = 2.0
+"""A curve is extrapolated beyond so many times the photographs it was measured with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """The time and the memory of a run on one machine."""
+
+    num_photographs: int
+    parts_s: dict[str, float]
+    """Seconds by stage, in order."""
+    unknown: tuple[str, ...]
+    """Stages without a curve."""
+    extrapolated: tuple[str, ...]
+    """Stages whose curves were measured with far fewer photographs."""
+    machine: str
+    key: str
+    """The training that the times hold for."""
+    most_photographs: int | None = None
+    """The most photographs of a device that memory holds; None where all fit."""
+
+    @property
+    def text(self) -> str:
+        """The forecast in one line."""
+        parts = ", ".join(f"{stage} {duration_text(seconds)}" for stage, seconds in self.parts_s.items())
+        doubts = [f"unknown: {', '.join(self.unknown)}"] if self.unknown else []
+        doubts += [f"extrapolated: {', '.join(self.extrapolated)}"] if self.extrapolated else []
+        doubts += ["refining and scoring come on top"]
+        total = duration_text(sum(self.parts_s.values()))
+        return f"about {total} ({parts}; {'; '.join(doubts)}); {self.key}; by the curves of {self.machine}"
+
+
+def forecast(num_photographs: int, profile: Path, free_bytes: int) -> Forecast:
+    """Predict a run without options from a curve file; BadInput for a file that is none."""
+    curves = load_profile(profile)
+    workers = min(NUM_DEVICES, ExecutionOptions().num_workers)
+    stages = list(_stages(curves, num_photographs, workers))
+    train = planned_training("default", Overrides())
+    each = math.ceil(num_photographs / NUM_DEVICES)
+    most = most_cameras(train, free_bytes / workers, lambda count: float(train.max_num_splats), each)
+    return Forecast(
+        num_photographs=num_photographs,
+        parts_s={stage: seconds for stage, seconds, _ in stages if seconds is not None},
+        unknown=tuple(stage for stage, seconds, _ in stages if seconds is None),
+        extrapolated=tuple(stage for stage, _, far in stages if far),
+        machine=curves.machine,
+        key=str(curves.key),
+        most_photographs=most if most < each else None,
+    )
+
+
+def _stages(curves: Profile, num_photographs: int, workers: int) -> Iterator[tuple[str, float | None, bool]]:
+    """Stage, its seconds (None: no curve) and whether they are extrapolated."""
+    per_device, per_edge = (math.ceil(num_photographs / parts) for parts in (NUM_DEVICES, NUM_EDGES))
+    waves_of = {"devices": math.ceil(NUM_DEVICES / workers), "edges": math.ceil(NUM_EDGES / workers)}
+    for stage, fits, count in (
+        ("structure from motion", (curves.sfm_s,), num_photographs),
+        ("devices", (curves.init_s, curves.train_s), per_device),
+        ("edges", (curves.aggregate_s,), per_edge),
+        ("cloud", (curves.merge_s,), num_photographs),
+    ):
+        known = [fit for fit in fits if fit is not None]
+        if len(known) < len(fits):
+            yield stage, None, False
+            continue
+        seconds = waves_of.get(stage, 1) * sum(float(fit.curve(count)) for fit in known)
+        yield stage, seconds, any(count > FAR * fit.largest_count for fit in known)
+
+
+def duration_text(seconds: float) -> str:
+    """Seconds for a person: 40 s, 12 min, 3.5 h."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,154 @@
+"""The report of a run: what was surveyed, how good it is, what is missing, and how it is read on a phone and on paper."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.config.run_config import RunConfig, TrainOptions
+from radiant_app.report.gaps import gaps_of
+from radiant_app.report.html import title_of, with_code
+from radiant_app.report.survey import area_text, length_text, observed_area, sampling_distance, survey_of
+from radiant_app.run.pipeline import RunResult, run
+from radiant_core.frames import Frame
+from radiant_core.scene import SfmScene
+from radiant_viewer.pictures.turntable import MARGIN, crop_to, turntable
+from tests.core.scenes import cameras_above, ground_splats
+
+PHONE_PX = 390
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    out = tmp_path_factory.mktemp("reports") / "run"
+    images = sample_scenes_folder() / "hamlet" / "images"
+    return run(RunConfig(source=images, out=out, train=TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)))
+
+
+@pytest.fixture
+def page(finished: RunResult) -> Iterator[Any]:
+    """The report in a browser as wide as a phone."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: it comes with the extra 'test'")
+    with playwright.sync_playwright() as tool:
+        browser = tool.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        opened = browser.new_page(viewport={"width": PHONE_PX, "height": 844})
+        opened.goto(finished.report.as_uri())
+        yield opened
+        browser.close()
+
+
+def scene_of(frame: Frame, *, depth_m: float = 6.0) -> SfmScene:
+    """Points of a square of 8 × 8 m, which four cameras above it all see."""
+    cameras = cameras_above([(-1, -1), (1, -1), (-1, 1), (1, 1)], height_m=depth_m)
+    points = np.random.default_rng(0).uniform(-4, 4, (4000, 3)) * [1, 1, 0]
+    observations = np.array([(point, view) for point in range(4000) for view in range(4)])
+    return SfmScene(cameras=cameras, points=points, colors=np.zeros((4000, 3), np.uint8), observations=observations, frame=frame)
+
+
+METRIC = Frame(kind="metric", origin_lat_lon_alt=np.array([47.37, -8.54, 400.0]), residual_m=0.456)
+UNSCALED = Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3))
+
+
+def test_the_page_begins_with_the_model_and_ends_with_what_is_folded_away(finished: RunResult) -> None:
+    text = finished.report.read_text()
+    marks = ['id="model"', "How good it is", "What is missing", "<h2>Plan", "<h2>Timeline", "worst first", "<summary>Decisions"]
+    places = [text.index(mark) for mark in marks]
+    assert places == sorted(places)
+    assert "<h1>hamlet</h1>" in text and re.search(r"12 photographs of [\d,]+ m².*EPSG:326", text)
+    assert "{&#39;" not in text and "None" not in re.sub(r'"data:[^"]*"', "", text), "settings are no dictionaries of Python"
+    assert (finished.folder / "pictures" / "model.png").is_file()
+
+
+def test_the_page_is_no_wider_than_a_phone_and_the_model_turns(page: Any) -> None:
+    assert page.evaluate("document.documentElement.scrollWidth") == PHONE_PX
+    box = page.locator("#model").bounding_box()
+    assert box["y"] < 844 / 2 and box["width"] > 0.9 * PHONE_PX
+    first = page.locator("#model").get_attribute("src")
+    page.mouse.move(box["x"] + 300, box["y"] + 40)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 200, box["y"] + 40, steps=4)
+    page.mouse.up()
+    assert page.locator("#model").get_attribute("src") != first and page.locator("#side").input_value() != "0"
+
+
+def test_printed_the_model_is_on_the_first_of_few_pages_in_black_on_white(page: Any) -> None:
+    assert len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4"))) <= 8
+    page.emulate_media(media="print", color_scheme="dark")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert not page.locator("#side").is_visible()
+
+
+def test_area_and_sampling_distance_are_those_of_the_scene() -> None:
+    scene = scene_of(METRIC, depth_m=30.0)
+    # A fiftieth of the points is left out on either side, as haze.
+    assert observed_area(scene) == pytest.approx(64.0 * 0.96**2, rel=0.05)
+    assert sampling_distance(scene) == pytest.approx(30.0 / scene.cameras.Ks[0, 0, 0], rel=1e-6)
+
+
+def test_the_line_says_what_is_known_and_nothing_else() -> None:
+    line = survey_of(scene_of(METRIC), 2, None).line
+    assert line.startswith("4 of 6 photographs of ") and "at 47.37000° N 8.54000° W" in line and "EPSG:32629" in line
+    assert line.endswith("cameras within 0.46 m of GPS (median).") and "taken" not in line
+    unscaled = survey_of(scene_of(UNSCALED), 0, None)
+    assert unscaled.line == "4 photographs, without scale or place: lengths are in units of their own."
+    bare = dataclasses.replace(
+        scene_of(METRIC), observations=np.zeros((0, 2), np.int64), points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8)
+    )
+    assert survey_of(bare, 0, None).area_m2 is None and survey_of(bare, 0, None).gsd_m is None
+
+
+def test_the_date_is_that_of_the_photographs() -> None:
+    town = sample_scenes_folder() / "town" / "images"
+    names = tuple(sorted(path.name for path in town.iterdir()))[:4]
+    scene = scene_of(METRIC)
+    named = dataclasses.replace(scene, cameras=dataclasses.replace(scene.cameras, names=names))
+    assert survey_of(named, 0, town).dates == ("2025-06-14", "2025-06-14")
+    assert survey_of(named, 0, town.parent).dates is None
+
+
+def test_lengths_and_areas_are_read_at_a_glance() -> None:
+    assert [length_text(metres) for metres in (0.0041, 0.106, 1.2)] == ["4.1 mm", "10.6 cm", "1.20 m"]
+    assert [area_text(area) for area in (850, 18_400, 12.4e6)] == ["850 m²", "1.8 ha", "12.4 km²"]
+
+
+def test_everything_that_is_missing_is_said_once() -> None:
+    borders = [{"between": ["a", "b"], "seam_found": True}, {"between": ["b", "c"], "seam_found": False}]
+    metrics = {"missing": {"east-1": "it stopped"}, "not_refined": {}, "borders": borders, "seam_found": True, "seam_excess_db": 1.25}
+    found = gaps_of(metrics, ["sfm: 3 have no pose"], UNSCALED)
+    assert [text.split(":")[0] for text in found] == [
+        "No model came from east-1", "sfm", "No scale and no place", "A seam is found at a | b",
+    ]  # fmt: skip
+    assert gaps_of({"missing": {}, "borders": borders, "seam_found": False}, [], METRIC) == []
+
+
+def test_words_between_backticks_are_code_and_nothing_is_markup() -> None:
+    assert str(with_code("run `radiant <x>` & go")) == "run <code>radiant &lt;x&gt;</code> &amp; go"
+    assert str(with_code("a ` alone")) == "a ` alone"
+
+
+def test_the_title_is_the_place_and_not_the_word_images() -> None:
+    assert [title_of(source) for source in ("/a/town/images", "/a/flight 7", "/a/quarry/DCIM")] == ["town", "flight 7", "quarry"]
+
+
+def test_the_turntable_shows_the_box_from_every_side_and_nothing_beside_it() -> None:
+    splats = ground_splats(6000)
+    box = np.array([[-2.0, -2.0, -0.5], [2.0, 2.0, 0.5]])
+    kept = crop_to(splats, box)
+    assert 0 < len(kept) < len(splats) and np.abs(kept.means[:, :2]).max() <= 2 + MARGIN * 4
+    images = list(turntable(splats, box, 4, (96, 64)))
+    assert len(images) == 4
+    for image in images:
+        drawn: np.ndarray = np.less(image, 250).max(axis=2)
+        assert drawn[16:48, 32:64].mean() > 0.5, "the middle is full"
+        assert drawn[0].mean() < 0.5 and drawn.mean() < 0.95, "and not the whole picture"
+    assert all(np.abs(image.astype(int) - images[0]).mean() > 5 for image in images[1:]), "every side is another picture"
