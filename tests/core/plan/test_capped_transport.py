@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial import distance_matrix
+from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 from radiant_core.errors import BadInput
@@ -140,11 +140,11 @@ def test_the_dual_is_the_sum_of_the_formula() -> None:
         weights, limits = -rng.random(5) * 3000, rng.random(5) * 40
         boxes = _Boxes(positions, sites)
         means, cameras, radii_m = _boxes(positions)
-        apart = distance_matrix(sites, sites) + np.diag(np.full(5, np.inf))
+        apart = cdist(sites, sites) + np.diag(np.full(5, np.inf))
         widths = np.sqrt(np.mean(apart.min(axis=1) ** 2)) * radii_m
         np.testing.assert_allclose(boxes.widths_m2, widths, rtol=1e-12)
         assert boxes.unit_m2 == pytest.approx(np.median(widths))
-        soft = widths * logsumexp((weights - distance_matrix(means, sites) ** 2) / widths[:, None], axis=1)
+        soft = widths * logsumexp((weights - cdist(means, sites) ** 2) / widths[:, None], axis=1)
         assert boxes.dual(weights, limits)[0] == pytest.approx(float(cameras @ soft - limits @ weights) / 90, rel=1e-12)
     one_spot = _Boxes(np.zeros((8, 2)), np.array([[3.0, 4.0]]))
     np.testing.assert_allclose(one_spot.widths_m2, 1e-4)  # no neighbour: 1 m
