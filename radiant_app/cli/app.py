@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from radiant_app.cli.bench import bench
+from radiant_app.cli.clean import clean
 from radiant_app.cli.node import node
 from radiant_app.cli.option_types import AggregatePresetOption, AsJson, LpipsNet, LpipsWeights, SizeOption
 from radiant_app.cli.output import export, render
@@ -158,6 +159,9 @@ def inspect(
 
 
 app.command()(export)
+
+
+app.command()(clean)
 
 
 app.command()(bench)

@@ -25,6 +25,7 @@ def render(
     fps: Annotated[float, typer.Option(min=1, max=120, help="Frames a second of a film, and between keyframes.")] = 24.0,
     size: SizeOption = "960x540",
     long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the pictures, at most as given.")] = None,
+    uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Pictures or a film of a model: from cameras, around it, along a border, or by keyframes."""
@@ -46,6 +47,7 @@ def render(
         fps=fps,
         size_wh=size_wh_of(size),
         long_side_px=long_side_px,
+        as_trained=uncleaned,
     )
     finish(render_pictures(request, terminal_display()), as_json)
 
@@ -64,6 +66,7 @@ def export(
     clean: Annotated[
         bool, typer.Option("--clean", help="ply, spz, sog: what too few photographs constrain goes into NAME_unconstrained.ply.")
     ] = False,
+    uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """A model, its plan, cameras or surface in the files of other programs; says what is lost."""
@@ -73,5 +76,7 @@ def export(
         from radiant_app.commands.export import ExportRequest
         from radiant_app.commands.export import export as write_export
 
-    request = ExportRequest(model=model, out=out, format=format, resolution=resolution, long_side_px=long_side_px, clean=clean)
+    request = ExportRequest(
+        model=model, out=out, format=format, resolution=resolution, long_side_px=long_side_px, clean=clean, as_trained=uncleaned
+    )
     finish(write_export(request, terminal_display()), as_json)

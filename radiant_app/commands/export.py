@@ -12,19 +12,22 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
+from radiant_app.commands.clean import measure_support, require_cleaned_model
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.memory import available_bytes
 from radiant_core.choices import ExportFormat
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
-from radiant_core.io.ply import load_ply, save_ply
-from radiant_core.io.records import load_splats
+from radiant_core.geometry.cleaning import SupportStep, Surroundings, keeps
+from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
+from radiant_viewer.runs.model_file import load_model
 
 if TYPE_CHECKING:
     from radiant_core.geometry.surface import Surface
     from radiant_core.scene import SfmScene
+    from radiant_viewer.runs.cleaned_model import CleanedModel
     from radiant_viewer.runs.run_view import RunView
 
 ENDINGS: dict[str, ExportFormat] = {
@@ -58,6 +61,8 @@ class ExportRequest:
     long_side_px: int = 640
     clean: bool = False
     """Whether Gaussians that too few photographs constrain go into a file of their own."""
+    as_trained: bool = False
+    """Whether what the model's cleaning leaves out is written too."""
 
     @property
     def side_file(self) -> Path:
@@ -93,40 +98,38 @@ def _format_of(request: ExportRequest) -> ExportFormat:
     return kind
 
 
-def _splats_of(model: Path) -> Splats:
+def _exported(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
+    """The Gaussians to write, and what a cleaning and `clean` left out of them."""
     from radiant_app.commands.steps import require_model
 
-    if model.is_dir():
-        require_model(model)
-        return load_ply(model / "scene.ply")
-    if model.suffix == ".safetensors":
-        return load_splats(model)
-    if model.suffix == ".ply":
-        return load_ply(model)
-    raise BadInput(f"{model} is neither a run folder nor a model.safetensors or .ply: give one of these.")
+    if request.clean:
+        return _without_unconstrained(request, display)
+    require_model(request.model)
+    model = load_model(request.model, as_trained=request.as_trained)
+    return model.splats, _left_out(model)
 
 
-def _exported(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
-    """The Gaussians to write, and what `clean` took out of them: both together are the model."""
-    splats = _splats_of(request.model)
-    if not request.clean:
-        return splats, {}
-    from radiant_app.commands.steps import stage_bar
-    from radiant_core.evaluate.support import support_of
-    from radiant_core.geometry.support import unconstrained
-
+def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
+    """The model by its cleaning and a further step, whose Gaussians go into the side file."""
     run = _run_of(request)
-    trained = [row for row, name in enumerate(run.scene.cameras.names) if name not in run.held_out]
-    with stage_bar(display, "clean") as report:
-        cameras = run.scene.cameras.select(np.array(trained, np.int64)).scaled(request.long_side_px)
-        support = support_of(splats, cameras, report=lambda done, total: report(done, total, "views"))
-    loose = unconstrained(splats, support, run.scene.points)
-    if not loose.any() or loose.all():
-        display(Warned(stage="clean", message=f"{int(loose.sum()):,} of {len(loose):,} Gaussians are unconstrained: nothing is left out."))
-        return splats, {"left_out": 0}
-    save_ply(request.side_file, splats.select(loose))
-    shares = {"left_out_share_of_pixels": float(f"{support.shown_px[loose].sum() / max(support.shown_px.sum(), 1e-9):.3g}")}
-    return splats.select(~loose), {"left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
+    model = require_cleaned_model(run)
+    support = measure_support(run, request.long_side_px, display)
+    around = Surroundings(points=run.scene.points, support=lambda: support)
+    loose = model.cleaned.kept & ~keeps(SupportStep(), model.whole, around)
+    if not loose.any() or (loose == model.cleaned.kept).all():
+        said = f"{int(loose.sum()):,} of {len(model.splats):,} Gaussians are unconstrained: nothing is left out."
+        display(Warned(stage="clean", message=said))
+        return model.splats, {**_left_out(model), "left_out": 0}
+    save_ply(request.side_file, model.whole.select(loose))
+    shown = support.shown_px
+    shares = {"left_out_share_of_pixels": float(f"{shown[loose].sum() / max(shown[model.cleaned.kept].sum(), 1e-9):.3g}")}
+    figures = {**_left_out(model), "left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
+    return model.whole.select(model.cleaned.kept & ~loose), figures
+
+
+def _left_out(model: CleanedModel) -> dict[str, Any]:
+    """Nothing of a model without a cleaning."""
+    return {"left_out_by_cleaning": model.cleaned.num_left_out} if model.cleaning.steps else {}
 
 
 def _run_of(request: ExportRequest) -> RunView:
@@ -134,7 +137,7 @@ def _run_of(request: ExportRequest) -> RunView:
 
     if not request.model.is_dir():
         raise BadInput(f"{request.model} is a model alone: this format needs the cameras of a run, give its folder.")
-    return load_run_view(request.model)
+    return load_run_view(request.model, as_trained=request.as_trained)
 
 
 def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:

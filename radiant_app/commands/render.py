@@ -21,7 +21,6 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import Trajectory
 from radiant_core.errors import BadInput
 from radiant_core.geometry.open3d_ops import surface_points
-from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
@@ -29,6 +28,7 @@ from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
+from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.run_view import RunView, load_run_view
 from radiant_viewer.runs.unplanned import folder_kind, scene_box
 
@@ -57,6 +57,8 @@ class RenderRequest:
     fps: float = 24.0
     size_wh: tuple[int, int] = (960, 540)
     long_side_px: int | None = None
+    as_trained: bool = False
+    """Whether what the model's cleaning leaves out is shown too."""
 
 
 def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -71,7 +73,7 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             raise BadInput("a film needs a path: add --trajectory orbit, --trajectory border, --keyframes or --cameras.")
     cameras = _cameras(request)
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
-    splats = _model(request.model)
+    splats = _model(request)
     if is_film:
         if request.out.suffix.lower() == ".mp4":
             display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
@@ -107,9 +109,9 @@ def _pictures(splats: Splats, cameras: Cameras) -> Iterator[tuple[str, NDArray[n
         yield view.name, image
 
 
-def _model(model: Path) -> Splats:
-    require_model(model)
-    return load_ply(model / "scene.ply" if model.is_dir() else model)
+def _model(request: RenderRequest) -> Splats:
+    require_model(request.model)
+    return load_model(request.model, as_trained=request.as_trained).splats
 
 
 def _cameras(request: RenderRequest) -> Cameras:
@@ -148,7 +150,7 @@ def _flight(request: RenderRequest, lens: Lens) -> Cameras:
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")
         # Haze and sky are thin or far: neither moves the middle of what is opaque.
-        return _orbit_around(middle_box(_opaque(load_ply(request.model))), request.num_frames, lens)
+        return _orbit_around(middle_box(_opaque(_model(request))), request.num_frames, lens)
     run = load_run_view(request.model)
     if run.kind != "run":
         _require_orbit(request, "was made without a plan")

@@ -46,15 +46,21 @@ class Support:
     def __len__(self) -> int:
         return len(self.num_views)
 
+    def select(self, chosen: NDArray[np.bool_]) -> Support:
+        """Of the Gaussians that a mask (N,) chooses."""
+        return Support(num_views=self.num_views[chosen], parallax_deg=self.parallax_deg[chosen], shown_px=self.shown_px[chosen])
+
     def constrained(self, num_views: int = MIN_VIEWS, parallax_deg: float = MIN_PARALLAX_DEG) -> NDArray[np.bool_]:
         """Which Gaussians (N,) so many views show, with so large an angle between two of them."""
         return (self.num_views >= num_views) & (self.parallax_deg >= parallax_deg)
 
 
-def unconstrained(splats: Splats, support: Support, points: FloatArray) -> NDArray[np.bool_]:
+def unconstrained(
+    splats: Splats, support: Support, points: FloatArray, num_views: int = MIN_VIEWS, parallax_deg: float = MIN_PARALLAX_DEG
+) -> NDArray[np.bool_]:
     """Which Gaussians (N,) too few views constrain, the background around sparse points (P,3)
     apart; without points nothing is background."""
-    loose = ~support.constrained()
+    loose = ~support.constrained(num_views, parallax_deg)
     if not len(points):
         return loose
     middle = np.median(points, axis=0)

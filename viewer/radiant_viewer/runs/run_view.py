@@ -17,7 +17,9 @@ import numpy as np
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.geometry.support import SUPPORT_NAME, Support, load_support
+from radiant_core.geometry.cleaning import Cleaning
+from radiant_core.geometry.support import Support
+from radiant_core.io.cleaning_file import CLEANING_NAME, cleaning_path, load_cleaning
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json
@@ -25,6 +27,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.layers.camera_roles import NOBODY, CameraRoles, camera_roles
+from radiant_viewer.runs.cleaned_model import CleanedModel, cleaned_model, find_support, surroundings
 from radiant_viewer.runs.field_files import local_file_names
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, folder_kind, has_unplanned_scene, single_region_plan, unplanned_scene
 
@@ -44,14 +47,15 @@ class RunView:
     before evaluation. Where photographs stayed with their devices (`in_field`), cameras are
     numbered, held-out photographs have no pose here (`unplaced`, sorted), and `files` maps numbers
     to file names if the devices' folders are inside the run's. kind: what the folder is; the plan
-    of a training or a scene is one region without borders.
+    of a training or a scene is one region without borders. model: as it was trained, and as its
+    cleaning leaves it.
     """
 
     folder: Path
     scene: SfmScene
     cloud_plan: CloudPlan
     edge_plans: tuple[EdgePlan, ...]
-    splats: Splats | None
+    model: CleanedModel | None
     held_out: frozenset[str]
     psnr_db: Mapping[str, float] | None
     roles: CameraRoles
@@ -59,6 +63,11 @@ class RunView:
     unplaced: tuple[str, ...] = ()
     files: Mapping[str, str] = field(default_factory=dict)
     kind: FolderKind = "run"
+
+    @property
+    def splats(self) -> Splats | None:
+        """The model without what its cleaning leaves out."""
+        return None if self.model is None else self.model.splats
 
     @property
     def photographs(self) -> tuple[str, ...]:
@@ -85,13 +94,14 @@ class RunView:
         return self.scene.frame.unit
 
 
-def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
+def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = False) -> RunView:
     """Read the run, training or scene in `folder`, that of `radiant run`, `train` or `sfm`.
 
     Args:
         folder: the folder that the command wrote.
         with_files: fill `RunView.files` from the devices' records; for a window, which writes
-            nothing into the run.
+            nothing of them into the run.
+        as_trained: the whole model, whatever its cleaning leaves out.
 
     Returns:
         Scene and plan, and the model and the figures if there are any yet.
@@ -104,7 +114,7 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
     if not folder.is_dir():
         raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
     if (kind := folder_kind(folder)) != "run":
-        return _unplanned_view(folder, kind)
+        return _unplanned_view(folder, kind, as_trained)
     if (folder / DELIVERED).is_dir():
         # Devices in the field send poses of training photographs only.
         _require_file(folder, f"{DELIVERED}/plan.json", "the run is not finished")
@@ -122,12 +132,13 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
         in_field = False
     cloud_plan, edge_plans = load_plan(plan_path)
     roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
+    model = _model(folder, scene, cloud_plan, as_trained)
     return RunView(
         folder=folder,
         scene=scene,
         cloud_plan=cloud_plan,
         edge_plans=edge_plans,
-        splats=load_ply(folder / PLY_NAME) if (folder / PLY_NAME).is_file() else None,
+        model=model,
         held_out=held_out,
         psnr_db=psnr_db,
         roles=roles,
@@ -137,7 +148,15 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
     )
 
 
-def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
+def _model(folder: Path, scene: SfmScene, cloud_plan: CloudPlan, as_trained: bool) -> CleanedModel | None:
+    if not (folder / PLY_NAME).is_file():
+        return None
+    whole = load_ply(folder / PLY_NAME)
+    cleaning = Cleaning() if as_trained else load_cleaning(cleaning_path(folder))
+    return cleaned_model(whole, cleaning, surroundings(folder, scene, cloud_plan, len(whole)))
+
+
+def _unplanned_view(folder: Path, kind: FolderKind, as_trained: bool) -> RunView:
     scene = unplanned_scene(folder)
     is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
     psnr_db = _image_psnr_db(folder / METRICS_NAME) if is_scored else None
@@ -147,12 +166,13 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
     held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
     cloud_plan, edge_plans = single_region_plan(scene, int((~held).sum()))
     roles, nobody = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out), np.full(len(held), NOBODY, np.int64)
+    model = _model(folder, scene, cloud_plan, as_trained) if kind == "training" else None
     return RunView(
         folder=folder,
         scene=scene,
         cloud_plan=cloud_plan,
         edge_plans=edge_plans,
-        splats=load_ply(folder / PLY_NAME) if kind == "training" and (folder / PLY_NAME).is_file() else None,
+        model=model,
         held_out=held_out,
         psnr_db=psnr_db,
         roles=replace(roles, edge_of_camera=nobody, device_of_camera=nobody),
@@ -173,9 +193,9 @@ def file_stamps(path: Path) -> FileStamps:
     """Return name, time and length of the files that `load_run_view` reads, or of the file `path`;
     equal stamps mean equal content."""
     delivered = (f"{DELIVERED}/{PLAN_NAME}", f"{DELIVERED}/scene.safetensors")
-    names = (SCENE_NAME, "scene.safetensors", PLAN_NAME, PLY_NAME, METRICS_NAME, *delivered)
+    names = (SCENE_NAME, "scene.safetensors", PLAN_NAME, PLY_NAME, METRICS_NAME, CLEANING_NAME, *delivered)
     stamps = []
-    for file in [path / name for name in names] if path.is_dir() else [path]:
+    for file in [path / name for name in names] if path.is_dir() else [path, cleaning_path(path)]:
         with suppress(OSError):
             stat = file.stat()
             stamps.append((file.name, stat.st_mtime_ns, stat.st_size))
@@ -216,11 +236,10 @@ def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
 def run_support(run: RunView) -> Support | None:
     """Return which photographs constrain each Gaussian of a run's model; None where that was not
     measured, or of another model. StoreDamaged for a broken file."""
-    path = run.folder / "evaluation" / SUPPORT_NAME
-    if run.splats is None or not path.is_file():
+    if run.model is None:
         return None
-    support = load_support(path)
-    return support if len(support) == len(run.splats) else None
+    support = find_support(run.folder, len(run.model.whole))
+    return support if support is None or run.model.splats is run.model.whole else support.select(run.model.cleaned.kept)
 
 
 def canonical_path(run: RunView, name: str) -> Path | None:
