@@ -26,6 +26,7 @@ class Extra:
 
 EXTRAS = {
     "sfm": Extra(modules=("pycolmap",), purpose="structure from motion"),
+    "geo": Extra(modules=("pyproj",), purpose="coordinate systems beside UTM on WGS84"),
     "flip": Extra(modules=("flip_evaluator",), purpose="the figure ꟻLIP"),
     "desktop": Extra(modules=("PySide6", "pyvistaqt"), purpose="the window of `radiant inspect`"),
     "web": Extra(modules=("trame", "trame_vtk", "trame_vuetify"), purpose="the page of `radiant inspect --web`"),

@@ -28,6 +28,10 @@ BenchScene = Annotated[
     ),
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train, methods: PNG of the curves.")]
+CrsOption = Annotated[
+    str | None,
+    typer.Option("--crs", metavar="EPSG:NNNN[+MMMM]", help="Coordinate system of the file, +MMMM its vertical datum; PROJ strings, WKT."),
+]
 SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height of a picture in px.")]
 UpOption = Annotated[str | None, option("sfm.up")]
 DistanceOption = Annotated[str | None, option("sfm.distance")]

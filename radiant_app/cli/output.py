@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from radiant_app.cli.option_types import AsJson, SizeOption
+from radiant_app.cli.option_types import AsJson, CrsOption, SizeOption
 from radiant_app.report.tables import finish
 from radiant_core.choices import ExportFormat, Trajectory
 
@@ -67,6 +67,7 @@ def export(
         bool, typer.Option("--clean", help="ply, spz, sog: what too few photographs constrain goes into NAME_unconstrained.ply.")
     ] = False,
     uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
+    crs: CrsOption = None,
     as_json: AsJson = False,
 ) -> None:
     """A model, its plan, cameras or surface in the files of other programs; says what is lost."""
@@ -77,6 +78,13 @@ def export(
         from radiant_app.commands.export import export as write_export
 
     request = ExportRequest(
-        model=model, out=out, format=format, resolution=resolution, long_side_px=long_side_px, clean=clean, as_trained=uncleaned
+        model=model,
+        out=out,
+        format=format,
+        resolution=resolution,
+        long_side_px=long_side_px,
+        clean=clean,
+        as_trained=uncleaned,
+        crs=crs,
     )
     finish(write_export(request, terminal_display()), as_json)

@@ -36,6 +36,7 @@ def plan(
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="d and T_thres of Alg. 1: plan.boundary_step=0.02, plan.threshold=0.1; repeatable.")
     ] = None,
+    crs: options.CrsOption = None,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
 ) -> None:
@@ -62,6 +63,7 @@ def plan(
         cut_by=cut_by,
         constraints=constraints,
         raster_cell_m=raster_cell_m or None,
+        crs=crs,
         content=content_request(ground, field_of_view, buffer, deadline),
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),

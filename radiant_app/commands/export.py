@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from radiant_app.commands.clean import measure_support, require_cleaned_model
+from radiant_app.commands.export_place import ExportPlace, grid_crs, place_of
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.memory import available_bytes
@@ -20,12 +21,15 @@ from radiant_core.choices import ExportFormat
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import SupportStep, Surroundings, keeps
+from radiant_core.georef.crs import parse_crs
+from radiant_core.georef.sidecar import require_no_sidecar
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
 from radiant_viewer.runs.model_file import load_model
 
 if TYPE_CHECKING:
     from radiant_core.geometry.surface import Surface
+    from radiant_core.io.export.geotiff import HeightGrid
     from radiant_core.scene import SfmScene
     from radiant_viewer.runs.cleaned_model import CleanedModel
     from radiant_viewer.runs.run_view import RunView
@@ -63,6 +67,9 @@ class ExportRequest:
     """Whether Gaussians that too few photographs constrain go into a file of their own."""
     as_trained: bool = False
     """Whether what the model's cleaning leaves out is written too."""
+    crs: str | None = None
+    """System of the file's coordinates; None: the scene's own metres, longitude and latitude in
+    GeoJSON, the UTM zone in a GeoTIFF."""
 
     @property
     def side_file(self) -> Path:
@@ -81,6 +88,8 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"--resolution is of a mesh or surface model, and {kind} has none: leave it out, or add --format mesh or dsm.")
     if request.clean and kind not in _CLEANED:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
+    if request.crs is not None:
+        require_no_sidecar(request.out)
     if request.clean and request.side_file.exists():
         raise BadInput(f"{request.side_file} exists, where --clean would put what it takes out: choose another name.")
     figures = _WRITERS[kind](request, display)
@@ -142,8 +151,9 @@ def _run_of(request: ExportRequest) -> RunView:
 
 def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     splats, cleaned = _exported(request, display)
-    save_ply(request.out, splats)
-    return {"gaussians": len(splats), **cleaned}
+    splats, placed = _placed(request, splats)
+    save_ply(request.out, splats, placed.comments)
+    return {"gaussians": len(splats), **cleaned, **placed.write(request.out)}
 
 
 def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -151,16 +161,25 @@ def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 
     splats, cleaned = _exported(request, display)
+    splats, placed = _placed(request, splats)
     cuts = save_spz(request.out, splats)
-    return {"gaussians": len(splats) - cuts.num_left_out, **asdict(cuts), "position_max_error": SPZ_MEAN_STEP, **cleaned}
+    figures = {"gaussians": len(splats) - cuts.num_left_out, **asdict(cuts), "position_max_error": SPZ_MEAN_STEP}
+    return {**figures, **cleaned, **placed.write(request.out)}
 
 
 def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.sog import save_sog
 
     splats, cleaned = _exported(request, display)
+    splats, placed = _placed(request, splats)
     figures = {name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}
-    return {"gaussians": len(splats), **figures, **cleaned}
+    return {"gaussians": len(splats), **figures, **cleaned, **placed.write(request.out)}
+
+
+def _placed(request: ExportRequest, splats: Splats) -> tuple[Splats, ExportPlace]:
+    """The Gaussians in the coordinates of the file, and what says where those lie."""
+    place = place_of(request.model, request.crs, lambda: splats.means.mean(axis=0))
+    return (splats if place.reference is None else place.reference.move(splats)), place
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -178,7 +197,8 @@ def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]
             "psnr_db": psnr_db.get(name),
         }
         about[name] = {key: value for key, value in known.items() if value is not None}
-    save_scene_geojson(request.out, run.scene, run.cloud_plan, run.edge_plans, about)
+    crs = None if request.crs is None else parse_crs(request.crs)
+    save_scene_geojson(request.out, run.scene, run.cloud_plan, run.edge_plans, about, crs)
     return {"regions": sum(len(border) >= 3 for border in run.cloud_plan.borders), "cameras": len(run.scene.cameras)}
 
 
@@ -187,9 +207,13 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.scene import save_colmap
 
     scene = _scene_without_repeats(_run_of(request), display)
+    place = place_of(request.model, request.crs, lambda: scene.cameras.centers.mean(axis=0))
+    if place.reference is not None:
+        scene = place.reference.move_scene(scene)
     with create_folder(request.out):
         save_colmap(request.out, scene)
-    return {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
+    figures = {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
+    return {**figures, **place.write(request.out)}
 
 
 def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:
@@ -213,13 +237,15 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     if surface.most_covered < MIN_KNOWN:
         text = f"its triangles could cover {_percent(surface.most_covered)} of the ground at most; {_ADVICE}"
         display(Warned(stage="surface", message=text))
-    save_mesh(request.out, surface.mesh.vertices, surface.mesh.triangles, surface.mesh.colors)
+    place = place_of(request.model, request.crs, lambda: surface.mesh.vertices.mean(axis=0))
+    vertices = surface.mesh.vertices if place.reference is None else place.reference.apply(surface.mesh.vertices)
+    save_mesh(request.out, vertices, surface.mesh.triangles, surface.mesh.colors, place.comments)
     return {
-        "vertices": len(surface.mesh.vertices),
+        "vertices": len(vertices),
         "triangles": len(surface.mesh.triangles),
         "resolution": round(surface.voxel, 4),
         "unit": run.unit,
-        **_origin_of(run),
+        **(_origin_of(run) if place.reference is None else place.write(request.out)),
     }
 
 
@@ -227,8 +253,9 @@ def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.geometry.surface import surface_grid
     from radiant_core.io.export.geotiff import NO_DATA, save_geotiff
 
+    crs = None if request.crs is None else grid_crs(request.crs, _run_of(request).scene.frame)
     surface, run = _surface(request, display)
-    grid = surface_grid(surface, run.scene.frame)
+    grid = surface_grid(surface, run.scene.frame, crs=crs)
     if grid.known < MIN_KNOWN:
         text = f"only {_percent(grid.known)} of {grid.heights.size:,} cells have a height; {_ADVICE}"
         display(Warned(stage="surface", message=text))
@@ -237,7 +264,7 @@ def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         display(Warned(stage="surface", message=f"GPS has no altitude: heights count from {_LEVEL}."))
     height, width = grid.heights.shape
     return {
-        "crs": "none, the model's own coordinates" if grid.epsg is None else f"EPSG:{grid.epsg}",
+        "crs": "none, the model's own coordinates" if grid.epsg is None else _epsg_text(grid),
         "cells": f"{width} x {height}",
         "resolution": round(grid.cell, 4),
         "unit": run.unit,
@@ -279,6 +306,10 @@ def _resolution_decision(surface: Surface, unit: str) -> Decision:
         unit=unit,
         reason=f"two pixels of the photographs are {surface.finest_voxel:.3g} {unit}, which takes more memory than is free",
     )
+
+
+def _epsg_text(grid: HeightGrid) -> str:
+    return f"EPSG:{grid.epsg}" + (f"+{grid.vertical_epsg}" if grid.vertical_epsg else "")
 
 
 def _percent(share: float) -> str:

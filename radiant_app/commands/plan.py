@@ -52,6 +52,8 @@ from radiant_core.choices import CutBy, PlanMethod
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.georef.crs import Crs, parse_crs
+from radiant_core.georef.features import crs_member
 from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
@@ -113,6 +115,8 @@ class PlanRequest:
     """File of what is fixed, locked or pinned."""
     content: ContentRequest = field(default_factory=ContentRequest)
     """What is known of cameras and ground, and which buffer captures are wanted."""
+    crs: str | None = None
+    """System of the regions' file; None: longitude and latitude."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,6 +149,12 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Write the plan and what goes beside it; returns what the command line prints. Raises BadInput
     for an unusable input, system or place, where nothing stays behind."""
     _require_places(request.out)
+    if request.crs is not None:
+        crs_member(parse_crs(request.crs))
+        if _is_scene(request.source):
+            raise BadInput(
+                "--crs is of the regions' file, and a scene's plan has none: write it with radiant export RUN FILE.geojson --crs."
+            )
     system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
     with stage_bar(display, "plan") as report:
         report(0, len(PHASES), PHASES[0])
@@ -188,7 +198,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     pictures[GANTT] = plan_gantt(made.system, made.edges)
     pictures[MAP] = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    _write(request.out, made, content, pictures, waypoints)
+    _write(request.out, made, content, pictures, waypoints, None if request.crs is None else parse_crs(request.crs))
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
     above_sea = waypoints.altitude_known and waypoints.heights_m is None
     warnings = (*found.warnings, NO_HEIGHTS) if above_sea else found.warnings
@@ -202,7 +212,9 @@ def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
     return replace(waypoints, ground_m=ground_m)
 
 
-def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:
+def _write(
+    out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None, crs: Crs | None = None
+) -> None:
     from radiant_viewer.pictures.images import save_png
 
     with write_folder_atomically(out.parent) as folder:
@@ -213,7 +225,7 @@ def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, 
             lists = beside(folder / out.name, LISTS)
             lists.mkdir()
             save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
-            save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers)
+            save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers, crs)
         save_plan(
             folder / out.name, made.cloud, made.edges, waypoints, slack_curve=made.curve, warnings=made.warnings, content=content.record()
         )

@@ -25,8 +25,8 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic, geodetic_from_enu
 from radiant_core.geometry.fusion import FusionSettings, blocks_within, fuse_apart
 from radiant_core.geometry.open3d_ops import MAX_BLOCKS, DepthView, Mesh, heights_from_above
+from radiant_core.georef.crs import Crs, utm_of
 from radiant_core.io.export.geotiff import HeightGrid
-from radiant_core.map_projection import geodetic_from_utm, utm_epsg, utm_from_geodetic
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
@@ -153,20 +153,19 @@ def trusted_depth(view: RenderedView, max_depth: float) -> NDArray[np.float32]:
     return np.where(jump <= MAX_JUMP * depth, depth, 0).astype(np.float32)
 
 
-def surface_grid(surface: Surface, frame: Frame, cell: float | None = None) -> HeightGrid:
+def surface_grid(surface: Surface, frame: Frame, cell: float | None = None, crs: Crs | None = None) -> HeightGrid:
     """Heights of the topmost surface over cells of `cell`, by default the surface's resolution.
 
-    With GPS the grid is the UTM zone's and heights are those of the photographs' GPS; else both are
-    the model's own. Raises BadInput where the grid would have more than 100 million cells.
+    With GPS the grid is in `crs`, by default the UTM zone, and heights are those of the frame, or
+    over the system's vertical datum; without it both are the model's own. Raises BadInput where the
+    grid would have more than 100 million cells.
     """
     cell = surface.voxel if cell is None else cell
     mesh = surface.mesh
     corners = _box_corners(mesh.vertices)
-    epsg = None
-    if frame.kind == "metric":
-        origin = frame.origin_lat_lon_alt
-        epsg = utm_epsg(float(origin[0]), float(origin[1]))
-        corners = utm_from_geodetic(geodetic_from_enu(corners, origin)[:, :2], epsg)
+    crs = None if frame.kind != "metric" else crs or utm_of(frame.origin_lat_lon_alt)
+    if crs is not None:
+        corners = crs.from_geodetic(geodetic_from_enu(corners, frame.origin_lat_lon_alt))
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     first, last = np.floor(low / cell), np.ceil(high / cell)
     columns, rows = (int(count) for count in np.maximum(last - first, 1))
@@ -182,20 +181,22 @@ def surface_grid(surface: Surface, frame: Frame, cell: float | None = None) -> H
     strip = max(1, CELLS_AT_ONCE // columns)
     for first_row in range(0, rows, strip):
         x, y = np.meshgrid(east, north_west[1] - (np.arange(first_row, min(first_row + strip, rows)) + 0.5) * cell)
-        local = _local_places(np.column_stack([x.ravel(), y.ravel()]), epsg, frame, level)
+        local = _local_places(np.column_stack([x.ravel(), y.ravel()]), crs, frame, level)
         found = heights_from_above(near, local - middle[:2])
-        if epsg is not None:
+        if crs is not None:
             known = np.isfinite(found)
-            found[known] = geodetic_from_enu(np.column_stack([local[known], found[known]]), frame.origin_lat_lon_alt)[:, 2]
+            seen = np.column_stack([local[known], found[known]])
+            found[known] = crs.from_geodetic(geodetic_from_enu(seen, frame.origin_lat_lon_alt))[:, 2]
         heights[first_row : first_row + strip] = found.reshape(-1, columns)
-    return HeightGrid(heights=heights, north_west=north_west, cell=cell, epsg=epsg)
+    epsg, vertical_epsg = (None, None) if crs is None else (crs.horizontal_epsg, crs.vertical_epsg)
+    return HeightGrid(heights=heights, north_west=north_west, cell=cell, epsg=epsg, vertical_epsg=vertical_epsg)
 
 
-def _local_places(places: FloatArray, epsg: int | None, frame: Frame, level: float) -> FloatArray:
+def _local_places(places: FloatArray, crs: Crs | None, frame: Frame, level: float) -> FloatArray:
     """Where cells (P,2) of the grid lie in the model's frame (P,2), at the height `level`."""
-    if epsg is None:
+    if crs is None:
         return places
-    lat_lon = geodetic_from_utm(places, epsg)
+    lat_lon = crs.to_geodetic(np.column_stack([places, np.zeros(len(places))]))[:, :2]
     altitudes = np.full(len(places), frame.origin_lat_lon_alt[2] + level)
     return enu_from_geodetic(np.column_stack([lat_lon, altitudes]), frame.origin_lat_lon_alt)[:, :2]
 

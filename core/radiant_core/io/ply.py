@@ -43,12 +43,13 @@ SCALAR_TYPES = {
 }  # fmt: skip
 
 
-def save_ply(path: Path, splats: Splats) -> None:
-    """Write N Gaussians to `path`, atomically; BadInput when it cannot be written."""
+def save_ply(path: Path, splats: Splats, comments: Sequence[str] = ()) -> None:
+    """Write N Gaussians to `path`, atomically, with lines of text in the header; BadInput when it
+    cannot be written."""
     rest = tuple(f"f_rest_{index}" for index in range(3 * splats.shN.shape[1]))
     names = (*MEANS, "nx", "ny", "nz", *SH0, *rest, "opacity", *LOG_SCALES, *QUATS)
     properties = "".join(f"property float {name}\n" for name in names)
-    comment = f"comment {ANTIALIASED}\n" if splats.antialiased else ""
+    comment = "".join(f"comment {line}\n" for line in ((ANTIALIASED,) if splats.antialiased else ()) + tuple(comments))
     with atomic_writer(path) as file:
         file.write(f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(splats)}\n{properties}end_header\n".encode())
         for start in range(0, len(splats), CHUNK_ROWS):

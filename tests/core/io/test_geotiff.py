@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,16 @@ def test_place_scale_system_and_heights_come_back(tmp_path: Path) -> None:
         page = file.pages[0]
         assert isinstance(page, tifffile.TiffPage)
         assert page.geotiff_tags is not None and "ProjectedCSTypeGeoKey" not in page.geotiff_tags
+
+
+def test_a_datum_of_heights_stands_in_the_file(tmp_path: Path) -> None:
+    save_geotiff(tmp_path / "a.tif", replace(grid(), vertical_epsg=5773))
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        page = file.pages[0]
+        assert isinstance(page, tifffile.TiffPage) and page.geotiff_tags is not None
+        assert int(page.geotiff_tags["VerticalCSTypeGeoKey"]) == 5773
+        assert int(page.geotiff_tags["VerticalUnitsGeoKey"]) == 9001
+        assert page.geotiff_tags["ProjectedCSTypeGeoKey"] == 32632
 
 
 def test_a_place_finds_its_cell_and_none_outside() -> None:

@@ -20,6 +20,7 @@ from radiant_core.numerics import FloatArray
 NO_DATA = -9999.0
 _PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34735, 42113
 _MODEL_TYPE, _RASTER_TYPE, _PROJECTED_CRS, _LINEAR_UNITS = 1024, 1025, 3072, 3076
+_VERTICAL_CRS, _VERTICAL_UNITS = 4096, 4099
 _PROJECTED, _USER_DEFINED, _PIXEL_IS_AREA, _METRE = 1, 32767, 1, 9001
 _SHORT, _DOUBLE, _ASCII = 3, 12, 2
 
@@ -33,6 +34,8 @@ class HeightGrid:
     north_west: FloatArray
     cell: float
     epsg: int | None
+    vertical_epsg: int | None = None
+    """What heights count from, where it has a code."""
 
     def __post_init__(self) -> None:
         if self.heights.ndim != 2 or 0 in self.heights.shape or np.isinf(self.heights).any():
@@ -78,7 +81,10 @@ def _geo_tags(grid: HeightGrid) -> list[tuple[int, int, int, object, bool]]:
     keys = [(_MODEL_TYPE, _PROJECTED if grid.epsg else _USER_DEFINED), (_RASTER_TYPE, _PIXEL_IS_AREA)]
     if grid.epsg:
         keys += [(_PROJECTED_CRS, grid.epsg), (_LINEAR_UNITS, _METRE)]
-    directory = [1, 1, 0, len(keys), *(number for key, value in keys for number in (key, 0, 1, value))]
+    if grid.epsg and grid.vertical_epsg:
+        keys += [(_VERTICAL_CRS, grid.vertical_epsg), (_VERTICAL_UNITS, _METRE)]
+    # 1.1 of the standard: its vertical keys are EPSG's codes.
+    directory = [1, 1, 1 if grid.vertical_epsg else 0, len(keys), *(number for key, value in keys for number in (key, 0, 1, value))]
     tiepoint = (0.0, 0.0, 0.0, float(grid.north_west[0]), float(grid.north_west[1]), 0.0)
     return [
         (_PIXEL_SCALE, _DOUBLE, 3, (grid.cell, grid.cell, 0.0), True),

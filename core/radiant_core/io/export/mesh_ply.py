@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,9 @@ _VERTEX = np.dtype([("position", "<f8", 3), ("color", "u1", 3)])
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
-def save_mesh(path: Path, vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike) -> None:
+def save_mesh(path: Path, vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike, comments: Sequence[str] = ()) -> None:
     """Write vertices (V,3) as doubles, triangles (T,3) of their indices and colors (V,3) uint8,
-    atomically; BadInput for a misfit."""
+    atomically, with lines of text in the header; BadInput for a misfit."""
     positions = check_array("vertices", vertices, (None, 3))
     corners = check_array("triangles", triangles, (None, 3), np.int64)
     shades = check_array("colors", colors, (len(positions), 3), np.uint8)
@@ -28,7 +29,8 @@ def save_mesh(path: Path, vertices: ArrayLike, triangles: ArrayLike, colors: Arr
     faces = np.zeros(len(corners), _FACE)
     faces["count"], faces["corners"] = 3, corners
     properties = "".join(f"property double {axis}\n" for axis in "xyz") + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{properties}element face {len(faces)}\n"
+    comment = "".join(f"comment {line}\n" for line in comments)
+    header = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(rows)}\n{properties}element face {len(faces)}\n"
     with atomic_writer(path) as file:
         file.write(f"{header}property list uchar int vertex_indices\nend_header\n".encode())
         file.write(rows.tobytes())

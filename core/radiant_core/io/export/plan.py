@@ -27,6 +27,8 @@ from shapely.affinity import translate
 from shapely.geometry import mapping
 
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
+from radiant_core.georef.crs import Crs
+from radiant_core.georef.features import crs_member, in_crs
 from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.run_store import atomic_writer, write_atomic
 from radiant_core.numerics import FloatArray
@@ -80,23 +82,36 @@ def _keep_wanted(rows: NDArray[np.int64], wanted: NDArray[np.bool_]) -> NDArray[
 
 
 def save_regions_geojson(
-    path: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints, buffers: Sequence[EdgeBuffer] = ()
+    path: Path,
+    cloud_plan: CloudPlan,
+    edge_plans: Sequence[EdgePlan],
+    waypoints: Waypoints,
+    buffers: Sequence[EdgeBuffer] = (),
+    crs: Crs | None = None,
 ) -> None:
     """One FeatureCollection: a polygon per region and device strip with land, a point per waypoint
-    and per device that takes it as a buffer. Memory does not grow with the waypoints.
+    and per device that takes it as a buffer; in `crs`, else longitude and latitude. Memory does not
+    grow with the waypoints.
 
     Properties: kind (region, strip, waypoint, buffer), name, edge, device, cameras, planned_s.
     Raises BadInput when the plan is not of these waypoints, or as `atomic_writer`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
-    write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers))
+    write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers), crs)
 
 
-def write_features(path: Path, features: Iterable[dict[str, Any]]) -> None:
-    """Write a GeoJSON FeatureCollection, atomically, a feature a line; raises as
-    `atomic_writer`."""
+def write_features(path: Path, features: Iterable[dict[str, Any]], crs: Crs | None = None) -> None:
+    """Write a GeoJSON FeatureCollection, atomically, a feature a line; raises as `atomic_writer`.
+
+    With `crs` the features, in longitude and latitude, are written in that system, named as GeoJSON
+    of 2008 did: RFC 7946 knows longitude and latitude alone, GDAL and QGIS read both.
+    """
+    named = b""
+    if crs is not None:
+        features = in_crs(features, crs)
+        named = f'"crs": {json.dumps(crs_member(crs))}, '.encode()
     with atomic_writer(path) as file:
-        file.write(b'{"type": "FeatureCollection", "features": [\n')
+        file.write(b'{"type": "FeatureCollection", ' + named + b'"features": [\n')
         between = b""
         for feature in features:
             file.write(between + json.dumps(feature, ensure_ascii=False, allow_nan=False).encode())

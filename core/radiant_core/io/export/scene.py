@@ -16,6 +16,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
+from radiant_core.georef.crs import Crs
 from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
 from radiant_core.io.colmap.text import write_model
 from radiant_core.io.export.plan import land_features, point_feature, write_features
@@ -50,13 +51,18 @@ def save_spz(path: Path, splats: Splats) -> SpzCuts:
 
 
 def save_scene_geojson(
-    path: Path, scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], about_camera: Mapping[str, Mapping[str, Any]]
+    path: Path,
+    scene: SfmScene,
+    cloud_plan: CloudPlan,
+    edge_plans: Sequence[EdgePlan],
+    about_camera: Mapping[str, Mapping[str, Any]],
+    crs: Crs | None = None,
 ) -> None:
-    """Regions and strips as polygons, cameras as points that `about_camera` describes by name;
-    BadInput without GPS."""
+    """Regions and strips as polygons, cameras as points that `about_camera` describes by name, in
+    `crs` or else longitude and latitude; BadInput without GPS."""
     if scene.frame.kind != "metric":
         raise BadInput(f"cannot write {path}: no GPS fixed where the scene lies, and GeoJSON knows only longitude and latitude.")
-    write_features(path, _scene_features(scene, cloud_plan, edge_plans, about_camera))
+    write_features(path, _scene_features(scene, cloud_plan, edge_plans, about_camera), crs)
 
 
 def save_colmap(folder: Path, scene: SfmScene) -> None:

@@ -1,0 +1,138 @@
+"""A scene's frame in a coordinate reference system, as files hold it. Once per file.
+
+    place = crs(geodetic(x)),  file coordinate = place − offset
+
+float32 positions keep a centimetre only within 100 km, so the offset (whole hundreds in the plane)
+stands beside the file and never in its numbers. Positions are moved one by one through the map,
+which is no similarity: over a kilometre the earth bends by 8 cm. Rotations and sizes are moved by
+the similarity that is nearest to the map at the middle: UTM stretches the plane by 4e-4 at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame, Sim3, ecef_from_local, geodetic_from_enu
+from radiant_core.geometry.similarity import move_splats
+from radiant_core.georef.crs import Crs
+from radiant_core.numerics import FloatArray
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+
+OFFSET_STEP = 100.0
+STEP_M = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Georeference:
+    """How a file's coordinates become places of `crs`: add `offset` (3,)."""
+
+    crs: Crs
+    frame: Frame
+    offset: FloatArray
+    file_from_model: Sim3
+    """The nearest similarity at the middle."""
+
+    def apply(self, points_m: FloatArray) -> FloatArray:
+        """File coordinates (P,3) of points (P,3) m of the scene's frame."""
+        return self.crs.from_geodetic(geodetic_from_enu(points_m, self.frame.origin_lat_lon_alt)) - self.offset
+
+    def move(self, splats: Splats) -> Splats:
+        """The Gaussians in the file's coordinates."""
+        means = self.apply(splats.means.astype(np.float64))
+        return replace(move_splats(splats, self.file_from_model), means=means.astype(np.float32))
+
+    def move_scene(self, scene: SfmScene) -> SfmScene:
+        """Cameras and points in the file's coordinates."""
+        cameras = scene.cameras
+        poses = self.file_from_model.apply_to_poses(cameras.cam_from_world)
+        poses[:, :3, 3] = -np.einsum("cij,cj->ci", poses[:, :3, :3], self.apply(cameras.centers))
+        moved = Cameras(names=cameras.names, Ks=cameras.Ks, cam_from_world=poses, sizes_wh=cameras.sizes_wh)
+        return replace(scene, cameras=moved, points=self.apply(scene.points))
+
+    def comments(self) -> tuple[str, ...]:
+        """Lines for the header of a PLY."""
+        east, north, up = (f"{value:.10g}" for value in self.offset)
+        return (f"crs {self.crs.title}", f"offset {east} {north} {up}", "axes east north up", f"heights {self.crs.heights}")
+
+    def record(self) -> dict[str, Any]:
+        """The content of the JSON beside a file."""
+        return {
+            "schema": "radiant.georeference",
+            "version": 1,
+            "crs": self.crs.definition,
+            "name": self.crs.name,
+            "epsg": self.crs.horizontal_epsg,
+            "vertical_epsg": self.crs.vertical_epsg,
+            "unit": self.crs.unit,
+            "heights": self.crs.heights,
+            "axes": ["east", "north", "up"],
+            "offset": self.offset.tolist(),
+            "origin_lat_lon_alt": self.frame.origin_lat_lon_alt.tolist(),
+        }
+
+
+def georeference(frame: Frame, crs: Crs, middle_m: FloatArray) -> Georeference:
+    """The scene's frame in `crs` with the offset of the place `middle_m` (3,) m; BadInput without a
+    place on the globe, in degrees, or with a vertical datum for heights that count from none."""
+    require_placed(frame)
+    if crs.unit == "degree":
+        raise BadInput(f"{crs.title} counts in degrees, which no model is measured in: name a projected system, such as a UTM zone.")
+    if crs.vertical_epsg is not None and not frame.altitude_known:
+        raise BadInput(f"the scene's heights count from no datum and {crs.title} has one: name the system without its vertical part.")
+    at = np.asarray(middle_m, np.float64)
+
+    def places(points_m: FloatArray) -> FloatArray:
+        return crs.from_geodetic(geodetic_from_enu(points_m, frame.origin_lat_lon_alt))
+
+    middle = places(at[None])[0]
+    offset = np.append(np.floor(middle[:2] / OFFSET_STEP) * OFFSET_STEP, 0.0)
+    return Georeference(crs=crs, frame=frame, offset=offset, file_from_model=_nearest_similarity(places, at, offset))
+
+
+def local_record(frame: Frame) -> dict[str, Any]:
+    """What stands beside a file in the scene's own frame: its origin and the matrix to the earth's
+    own axes (ECEF), as 3D Tiles want it, rows first; BadInput without a place on the globe."""
+    require_placed(frame)
+    return {
+        "schema": "radiant.georeference",
+        "version": 1,
+        "crs": "local",
+        "unit": "metre",
+        "axes": ["east", "north", "up"],
+        "origin_lat_lon_alt": frame.origin_lat_lon_alt.tolist(),
+        "ecef_from_file": ecef_from_local(frame.origin_lat_lon_alt).tolist(),
+    }
+
+
+def local_comments(frame: Frame) -> tuple[str, ...]:
+    """Lines for the header of a PLY in the scene's own frame; none without a place on the globe."""
+    if frame.kind != "metric":
+        return ()
+    lat, lon, alt = frame.origin_lat_lon_alt.tolist()
+    return ("axes east north up, metres", f"origin {lat:.10f} {lon:.10f} {alt:.4f} (WGS84 latitude, longitude, height)")
+
+
+def require_placed(frame: Frame) -> None:
+    """Raise BadInput unless the frame has a place on the globe."""
+    if frame.kind != "metric":
+        raise BadInput(
+            "the scene has no place on the globe, so it has no coordinates in any system: give it one with --gcp, or photographs with GPS."
+        )
+
+
+def _nearest_similarity(places: Callable[[FloatArray], FloatArray], at: FloatArray, offset: FloatArray) -> Sim3:
+    """The similarity of the map's derivative at a point (3,): its rotation by the polar part, its
+    scale by the volume."""
+    steps = STEP_M * np.eye(3)
+    jacobian = ((places(at + steps) - places(at - steps)) / (2 * STEP_M)).T
+    U, singular, Vt = np.linalg.svd(jacobian)
+    rotation = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    scale = float(np.cbrt(singular.prod()))
+    return Sim3(scale=scale, rotation=rotation, translation=places(at[None])[0] - offset - scale * rotation @ at)

@@ -1,0 +1,68 @@
+"""Where an exported file lies: in the scene's own metres, or in the system that `--crs` names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from radiant_app.workers.sources import has_scene, load_scene_of
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame
+from radiant_core.georef.crs import Crs, parse_crs
+from radiant_core.georef.reference import Georeference, georeference, local_comments, require_placed
+from radiant_core.georef.sidecar import save_sidecar
+from radiant_core.numerics import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExportPlace:
+    """What is known of a file's coordinates."""
+
+    comments: tuple[str, ...] = ()
+    """For the header of a PLY."""
+    reference: Georeference | None = None
+    """How the scene becomes coordinates of `--crs`; None without it."""
+
+    def write(self, out: Path) -> dict[str, Any]:
+        """Write what stands beside the file; figures for the command line."""
+        if self.reference is None:
+            return {}
+        written = save_sidecar(out, self.reference)
+        offset = ", ".join(f"{value:.10g}" for value in self.reference.offset)
+        return {
+            "crs": self.reference.crs.title,
+            "offset": f"{offset} (add it to the file's coordinates)",
+            "heights": self.reference.crs.heights,
+            "georeference": ", ".join(path.name for path in written),
+        }
+
+
+def place_of(model: Path, crs: str | None, middle_m: Callable[[], FloatArray]) -> ExportPlace:
+    """What to write of a model's place; `middle_m` () → (3,) m, only called with a `crs`. BadInput
+    where the scene has no place, or the model is a file without a scene."""
+    frame = _frame_of(model)
+    if crs is None:
+        return ExportPlace(comments=() if frame is None else local_comments(frame))
+    if frame is None:
+        raise BadInput(f"{model} is a model without a scene that says where it lies: --crs needs the folder of a run.")
+    reference = georeference(frame, parse_crs(crs), middle_m())
+    return ExportPlace(comments=reference.comments(), reference=reference)
+
+
+def grid_crs(text: str, frame: Frame) -> Crs:
+    """The system of a GeoTIFF; BadInput unless EPSG has a code for it and it counts in metres."""
+    require_placed(frame)
+    crs = parse_crs(text)
+    if crs.horizontal_epsg is None or crs.unit != "metre":
+        raise BadInput(
+            f"a GeoTIFF's grid is in a projected system in metres with an EPSG code: {crs.title} has none or its unit is the {crs.unit}."
+        )
+    if crs.vertical_epsg is not None and not frame.altitude_known:
+        raise BadInput(f"the scene's heights count from no datum and {crs.title} has one: name the system without its vertical part.")
+    return crs
+
+
+def _frame_of(model: Path) -> Frame | None:
+    return load_scene_of(model).frame if model.is_dir() and has_scene(model) else None

@@ -1,0 +1,92 @@
+"""`radiant export --crs` of the small run that comes with the project: what is written, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import Transformer
+from typer.testing import CliRunner
+
+from radiant_app.cli.app import app
+from radiant_app.workers.sources import load_scene_of
+from radiant_core.errors import BadInput
+from radiant_core.frames import geodetic_from_enu
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.ply import load_ply
+
+RUN = Path(__file__).parents[2] / "sample_scenes" / "runs" / "tiny"
+
+
+def export(*arguments: object) -> str:
+    result = CliRunner().invoke(app, ["export", str(RUN), *(str(argument) for argument in arguments)])
+    if result.exception is not None:
+        raise result.exception
+    return result.stdout
+
+
+def swiss(points_m: np.ndarray) -> np.ndarray:
+    lat, lon, alt = geodetic_from_enu(points_m, load_scene_of(RUN).frame.origin_lat_lon_alt).T
+    return np.column_stack(Transformer.from_crs("EPSG:4979", "EPSG:2056", always_xy=True).transform(lon, lat, alt))
+
+
+def test_a_model_is_where_proj_puts_it(tmp_path: Path) -> None:
+    said = export(tmp_path / "a.ply", "--crs", "EPSG:2056")
+    assert "add it to the file's coordinates" in said and "a.georef.json, a.prj" in said
+    offset = json.loads((tmp_path / "a.georef.json").read_text())["offset"]
+    expected = swiss(load_ply(RUN / "scene.ply").means.astype(np.float64))
+    # 1e-4 m: float32 within a kilometre of the offset.
+    assert np.abs(load_ply(tmp_path / "a.ply").means + np.array(offset) - expected).max() < 1e-4
+    export(tmp_path / "b.sog", "--crs", "EPSG:2056")
+    assert {path.name for path in tmp_path.iterdir()} == {
+        f"{n}.{e}" for n, m in (("a", "ply"), ("b", "sog")) for e in (m, "georef.json", "prj")
+    }
+
+
+def test_cameras_are_where_proj_puts_them(tmp_path: Path) -> None:
+    export(tmp_path / "project", "--crs", "EPSG:2056")
+    offset = json.loads((tmp_path / "project.georef.json").read_text())["offset"]
+    centers = {
+        image.name: -image.cam_from_world[:3, :3].T @ image.cam_from_world[:3, 3] for image in read_model(tmp_path / "project").images
+    }
+    cameras = load_scene_of(RUN).cameras
+    expected = dict(zip(cameras.names, swiss(cameras.centers), strict=True))
+    assert max(float(np.abs(centers[name] + offset - expected[name]).max()) for name in centers) < 1e-3
+    export(tmp_path / "regions.geojson", "--crs", "EPSG:2056")
+    places = [
+        f["geometry"]["coordinates"]
+        for f in json.loads((tmp_path / "regions.geojson").read_text())["features"]
+        if "held_out" in f["properties"]
+    ]
+    assert np.abs(np.array(places)[:, 0] - 2_683_200).max() < 200
+
+
+def test_a_model_in_its_own_metres_says_where_its_origin_is(tmp_path: Path) -> None:
+    export(tmp_path / "a.ply")
+    lat, lon, _ = load_scene_of(RUN).frame.origin_lat_lon_alt
+    assert f"comment origin {lat:.10f} {lon:.10f}".encode() in (tmp_path / "a.ply").read_bytes()[:400]
+
+
+@pytest.mark.parametrize(
+    ("name", "crs", "said"),
+    [
+        ("a.ply", "EPSG:4326", "degrees"),
+        ("a.ply", "Bern", "unknown"),
+        ("a.tif", "EPSG:2263", "unit is the"),
+        ("a.ply", "EPSG:25832+7837", "de_bkg_gcg2016.tif"),
+    ],
+)
+def test_systems_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path: Path, name: str, crs: str, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        export(tmp_path / name, "--crs", crs)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_would_be_overwritten_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.prj").write_text("mine")
+    with pytest.raises(BadInput, match=r"a\.prj exists"):
+        export(tmp_path / "a.ply", "--crs", "EPSG:2056")
+    result = CliRunner().invoke(app, ["export", str(RUN / "scene.ply"), str(tmp_path / "b.ply"), "--crs", "EPSG:2056"])
+    assert isinstance(result.exception, BadInput) and "model without a scene" in str(result.exception)
