@@ -57,12 +57,15 @@ def export(
     out: Annotated[Path, typer.Argument(help="File to write; a folder for COLMAP. Its ending says what.", show_default=False)],
     format: Annotated[  # noqa: A002
         ExportFormat | None,
-        typer.Option(help="Model: ply, spz, sog. Scene: geojson (regions, cameras), colmap. Surface: mesh (PLY), dsm (GeoTIFF)."),
+        typer.Option(
+            help="Model: ply, spz, sog. Scene: geojson (regions, cameras), colmap. GeoTIFF: ortho (picture), dsm (heights). mesh: a PLY."
+        ),
     ] = None,
     resolution: Annotated[
-        float | None, typer.Option(min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.")
+        float | None, typer.Option(min=1e-6, help="Metres of a cell; else one pixel of the photographs (ortho), or two, or what fits.")
     ] = None,
     long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the pictures for mesh, dsm and --clean.")] = 640,
+    tile_px: Annotated[int, typer.Option("--tile-px", min=16, max=8192, help="Side of a GeoTIFF's tiles, a multiple of 16.")] = 512,
     clean: Annotated[
         bool, typer.Option("--clean", help="ply, spz, sog: what too few photographs constrain goes into NAME_unconstrained.ply.")
     ] = False,
@@ -86,5 +89,6 @@ def export(
         clean=clean,
         as_trained=uncleaned,
         crs=crs,
+        tile_px=tile_px,
     )
     finish(write_export(request, terminal_display()), as_json)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from radiant_viewer.runs.run_view import RunView
 
 ENDINGS: dict[str, ExportFormat] = {
-    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".tif": "dsm", ".tiff": "dsm", "": "colmap",
+    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", "": "colmap",
 }  # fmt: skip
 _WANTED = {
     "ply": (".ply",),
@@ -44,7 +44,9 @@ _WANTED = {
     "geojson": (".geojson", ".json"),
     "mesh": (".ply",),
     "dsm": (".tif", ".tiff"),
+    "ortho": (".tif", ".tiff"),
 }
+_OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "dsm", "ortho")
 
 _CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog")
 MIN_KNOWN = 1 / 9
@@ -56,13 +58,14 @@ _ADVICE = "what was seen lies scattered: look at it before anything is measured,
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """What to export; resolution (model's unit) and long_side_px are of mesh and surface model."""
+    """What to export; resolution (model's unit) is of rasters and meshes, tile_px of rasters."""
 
     model: Path
     out: Path
     format: ExportFormat | None = None
     resolution: float | None = None
     long_side_px: int = 640
+    tile_px: int = 512
     clean: bool = False
     """Whether Gaussians that too few photographs constrain go into a file of their own."""
     as_trained: bool = False
@@ -84,8 +87,10 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"{request.out} exists: choose another name.")
     if not request.out.parent.is_dir():
         raise BadInput(f"there is no folder {request.out.parent} to write {request.out.name} into: make it first.")
-    if (request.resolution is not None) and kind not in ("mesh", "dsm"):
-        raise BadInput(f"--resolution is of a mesh or surface model, and {kind} has none: leave it out, or add --format mesh or dsm.")
+    if (request.resolution is not None) and kind not in _OF_CELLS:
+        raise BadInput(
+            f"--resolution is of rasters and meshes, and {kind} is none: leave it out, or add --format {' or '.join(_OF_CELLS)}."
+        )
     if request.clean and kind not in _CLEANED:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
     if request.crs is not None:
@@ -99,6 +104,10 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 def _format_of(request: ExportRequest) -> ExportFormat:
     suffix = request.out.suffix.lower()
     kind = request.format or ENDINGS.get(suffix)
+    if kind is None and suffix in (".tif", ".tiff"):
+        raise BadInput(
+            f"{request.out.name} could be a picture or heights: add --format ortho for an orthophoto, or --format dsm for a surface model."
+        )
     if kind is None:
         raise BadInput(f"what {request.out.name} is to be is not clear: add --format, one of {', '.join(get_args(ExportFormat))}.")
     wanted = _WANTED.get(kind)
@@ -275,6 +284,12 @@ def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     }
 
 
+def _ortho(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_app.commands.export_ortho import export_ortho
+
+    return export_ortho(request.model, request.out, request.resolution, request.tile_px, display)
+
+
 def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface, RunView]:
     from radiant_app.commands.steps import stage_bar
     from radiant_core.geometry.surface import extract_surface
@@ -325,5 +340,5 @@ def _origin_of(run: RunView) -> dict[str, Any]:
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
-    "ply": _ply, "spz": _spz, "sog": _sog, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "dsm": _dsm,
+    "ply": _ply, "spz": _spz, "sog": _sog, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "dsm": _dsm, "ortho": _ortho,
 }  # fmt: skip

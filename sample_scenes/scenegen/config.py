@@ -18,6 +18,7 @@ MAX_KNOWN_POINTS = 200_000
 
 
 FLIGHTS = ("survey", "orbit", "street")
+SCENERIES = ("town", "fields")
 
 
 def option(default: Any, help_text: str) -> Any:
@@ -48,6 +49,9 @@ class SceneConfig:
     jpeg_quality: int = option(72, "Quality of the JPEG files, 1 to 95.")
     num_known_points: int = option(2000, "Surface points, with who sees them, in the known model.")
     seed: int = option(0, "Number from which town, flight and noise follow.")
+    scenery: str = option("town", "town: streets and houses; fields: crops on a level plane, faint and without colour, as in infrared.")
+    altered_houses: int = option(0, "Houses that are removed, raised, repainted or extended; known/houses.json says which.")
+    date: int = option(0, "Number of the flight: another one flies other lines under another exposure over the same town.")
 
     def __post_init__(self) -> None:
         if self.flight not in FLIGHTS:
@@ -72,6 +76,10 @@ class SceneConfig:
             raise BadInput(f"off_path is for the flight survey, not for {self.flight}: leave one of the two out")
         _check_range("num_known_points", self.num_known_points, 0, MAX_KNOWN_POINTS)
         _check_range("seed", self.seed, 0, 2**31 - 1)
+        if self.scenery not in SCENERIES:
+            raise BadInput(f"scenery is {self.scenery!r}, expected one of {', '.join(SCENERIES)}")
+        _check_range("altered_houses", self.altered_houses, 0, 1000)
+        _check_range("date", self.date, 0, 10_000)
         self._check_lens_unfolds()
 
     @property

@@ -54,7 +54,7 @@ def survey_lines(config: SceneConfig) -> tuple[int, int]:
 
 def plan_flight(config: SceneConfig) -> list[Shot]:
     """The photographs of one flight, in the order they were taken."""
-    rng = np.random.default_rng([config.seed, 1])
+    rng = np.random.default_rng([config.seed, 1] if config.date == 0 else [config.seed, 1, config.date])
     poses = {"survey": _survey_poses, "orbit": _orbit_poses, "street": _street_poses}[config.flight](config, rng)
     errors = _gps_errors(config, rng)
     drift = _exposures_ev(config)
@@ -160,6 +160,7 @@ def _gps_errors(config: SceneConfig, rng: np.random.Generator) -> NDArray[np.flo
 
 
 def _exposures_ev(config: SceneConfig) -> NDArray[np.float64]:
-    """A slow wave over the flight (C,), of amplitude exposure_drift_ev."""
+    """A slow wave over the flight (C,), of amplitude exposure_drift_ev; the next date's is half a
+    wave ahead."""
     phase = np.arange(config.num_cameras) / config.num_cameras
-    return config.exposure_drift_ev * np.sin(2.0 * np.pi * (1.5 * phase + 0.1))
+    return config.exposure_drift_ev * np.sin(2.0 * np.pi * (1.5 * phase + 0.1 + 0.5 * config.date))

@@ -70,6 +70,8 @@ class GroundSamples:
 def ground_albedo(layout: Layout, points: Floats, normal_z: Floats, footprint_m: Floats) -> Floats:
     """Linear RGB (N,3) of the ground at points (N,3) seen with pixels of footprint_m (N,)."""
     samples = _sample(layout, points, normal_z, footprint_m)
+    if layout.scenery == "fields":
+        return _infrared_crops(samples)
     kind = layout.block_kind(samples.i, samples.j)
     painters = {
         Block.HOUSES: _gardens, Block.FLATS: _courtyard, Block.PARKING: _car_park,
@@ -229,6 +231,13 @@ def _fields(layout: Layout, s: GroundSamples) -> Floats:
     color = tint(_grass(s), shade(crop, 1.0 + 0.5 * s.patchy + 0.5 * s.fine), 0.2 + (distance - 150.0) / 150.0)
     color = shade(color, 1.0 + 0.12 * rows * np.clip(1.4 - distance / 300.0, 0.0, 1.0))
     return tint(color, linear(0.19, 0.27, 0.15), 2.0 * (distance - 420.0) / 300.0 * (which > 0.55))
+
+
+def _infrared_crops(s: GroundSamples) -> Floats:
+    """Crops as an infrared camera sees them: bright, grey, faint rows, and fields of unlike vigour."""
+    rows = np.sin(2 * np.pi * (s.x + 0.2 * s.y) / 0.75)
+    vigour = 0.42 + 0.16 * s.broad + 0.16 * s.patchy + 0.16 * s.fine + 0.12 * s.grain + 0.02 * rows
+    return np.repeat(np.clip(vigour, 0.05, 1.0).astype(np.float32)[:, None], 3, axis=1)
 
 
 def _asphalt(layout: Layout, s: GroundSamples) -> Floats:

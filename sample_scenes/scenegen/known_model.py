@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from scenegen.alterations import houses_of
 from scenegen.config import SceneConfig
 from scenegen.flight import Shot
 from scenegen.photo_file import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
@@ -40,6 +41,9 @@ def write_known_model(folder: Path, photographer: Photographer, shots: list[Shot
     (folder / "points3D.txt").write_text(_points_text(points, colors, ids, [seen for seen, _ in views]))
     origin = {"origin_lat_deg": ORIGIN_LAT_DEG, "origin_lon_deg": ORIGIN_LON_DEG, "origin_alt_m": ORIGIN_ALT_M}
     (folder / "frame.json").write_text(json.dumps({**origin, "axes": "east-north-up", "config": asdict(config)}, indent=1) + "\n")
+    if config.altered_houses:
+        houses = [asdict(house) for house in houses_of(photographer.layout, config.altered_houses)]
+        (folder / "houses.json").write_text(json.dumps(houses, indent=1) + "\n")
 
 
 def write_cameras(folder: Path, config: SceneConfig, shots: list[Shot]) -> None:

@@ -45,6 +45,7 @@ class Layout:
 
     extent_m: tuple[float, float]
     seed: int
+    scenery: str = "town"
 
     def salt(self, which: int) -> int:
         """The salt of this seed's noise number `which` (0 to 63)."""
@@ -95,6 +96,8 @@ class Layout:
 
     def height_m(self, x: NDArray, y: NDArray) -> Floats:
         """Height of the ground at x, y (N,)."""
+        if self.scenery == "fields":
+            return np.zeros(np.shape(x), np.float32)
         x, y = x.astype(np.float32), y.astype(np.float32)
         z = 4.0 * (value_noise(x, y, 85.0, self.salt(1)) - 0.5) + 1.4 * (value_noise(x, y, 27.0, self.salt(2)) - 0.5)
         u, v = self.town_from_world(x, y)
@@ -116,6 +119,8 @@ class Layout:
 
     def _is_town(self, i: NDArray[np.integer], j: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Whether the middle of block i, j lies within the margin around the area."""
+        if self.scenery == "fields":
+            return np.zeros(np.shape(i), bool)
         u, v = (i + 0.5) * BLOCK_U_M, (j + 0.5) * BLOCK_V_M
         c, s = np.cos(_TURN_RAD), np.sin(_TURN_RAD)
         x, y = c * u - s * v, s * u + c * v

@@ -15,6 +15,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from scenegen.alterations import alterations_of
 from scenegen.config import SceneConfig
 from scenegen.flight import Shot
 from scenegen.ground import linear
@@ -33,13 +34,24 @@ HAZE, HAZE_LENGTH_M = linear(0.78, 0.84, 0.90), 2600.0
 SHADOW_OFFSET_M = 0.03
 
 
+def layout_of(config: SceneConfig) -> Layout:
+    """The plan of the scene's ground."""
+    return Layout(extent_m=config.extent_m, seed=config.seed, scenery=config.scenery)
+
+
+def town_of(config: SceneConfig) -> Mesh:
+    """The mesh of the scene, with its altered houses."""
+    layout = layout_of(config)
+    return build_town(layout, alterations_of(layout, config.altered_houses))
+
+
 class Photographer:
     """Holds the town and takes photographs of it with one lens."""
 
     def __init__(self, config: SceneConfig) -> None:
         self.config = config
-        self.layout = Layout(extent_m=config.extent_m, seed=config.seed)
-        self._mesh: Mesh = build_town(self.layout)
+        self.layout = layout_of(config)
+        self._mesh: Mesh = town_of(config)
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(o3d.core.Tensor.from_numpy(self._mesh.vertices), o3d.core.Tensor.from_numpy(self._mesh.triangles))
 
@@ -84,11 +96,18 @@ class Photographer:
         return _encode(self._radiance(shot, pixels))
 
     def _radiance(self, shot: Shot, pixels: NDArray) -> Floats:
-        origins, directions = world_rays(self.config, shot, pixels)
+        return self.radiance_along(*world_rays(self.config, shot, pixels))
+
+    def developed(self, radiance: Floats) -> NDArray[np.uint8]:
+        """sRGB (…,3) of linear radiance, at the middle exposure and without sensor noise."""
+        return _encode(radiance)
+
+    def radiance_along(self, origins: Floats, directions: Floats) -> Floats:
+        """Linear light (N,3) that comes along rays (N,3) from origins (N,3)."""
         answer = {key: value.numpy() for key, value in self._scene.cast_rays(_rays(origins, directions)).items()}
         length = np.linalg.norm(directions, axis=1)
         met = np.isfinite(answer["t_hit"])
-        radiance = np.empty((len(pixels), 3), np.float32)
+        radiance = np.empty((len(directions), 3), np.float32)
         if not met.all():
             radiance[~met] = sky_color(self.layout, directions[~met] / length[~met, None])
         if met.any():

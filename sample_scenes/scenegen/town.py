@@ -6,11 +6,13 @@ town keeps its blocks when its area grows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenegen.alterations import Alteration, HouseKey, add_altered
 from scenegen.buildings import add_flats, add_house, add_shed
 from scenegen.ground import STALL_M
 from scenegen.layout import BLOCK_U_M, BLOCK_V_M, LOTS_U, LOTS_V, TOWN_MARGIN_M, Block, Layout, lot_center_m
@@ -21,8 +23,9 @@ GROUND_STEP_M, GROUND_GROWTH, GROUND_REACH_M = 0.9, 1.22, 3000.0
 LAMP_SPACING_M = 17.0
 
 
-def build_town(layout: Layout) -> Mesh:
-    """The ground out to the horizon and everything that stands on it."""
+def build_town(layout: Layout, altered: Mapping[HouseKey, Alteration] | None = None) -> Mesh:
+    """The ground out to the horizon and everything that stands on it; `altered`: houses that are
+    not as they were."""
     builder = MeshBuilder()
     _add_ground(builder, layout)
     fillers = {
@@ -31,10 +34,11 @@ def build_town(layout: Layout) -> Mesh:
     }  # fmt: skip
     for i, j, kind in layout.blocks():
         rng = np.random.default_rng([layout.seed, i + 10_000, j + 10_000])
-        site = _Site(layout=layout, i=i, j=j)
+        site = _Site(layout=layout, i=i, j=j, altered=altered or {})
         fillers[kind](builder, site, rng)
         _line_streets(builder, site, rng)
-    _plant_surroundings(builder, layout)
+    if layout.scenery == "town":
+        _plant_surroundings(builder, layout)
     return builder.build()
 
 
@@ -45,6 +49,7 @@ class _Site:
     layout: Layout
     i: int
     j: int
+    altered: Mapping[HouseKey, Alteration] = field(default_factory=dict)
 
     def at(self, a: float, b: float, turn_rad: float = 0.0) -> Placement:
         """Placement at block coordinates a, b with a heading relative to the street."""
@@ -96,7 +101,9 @@ def _fill_houses(builder: MeshBuilder, site: _Site, rng: np.random.Generator) ->
             size = (float(rng.uniform(7.5, 9.0)), float(rng.uniform(6.2, 7.2)))
             if turn:
                 size = (min(size[0], 7.6), size[1])
-            add_house(builder, site.at(a + float(rng.uniform(-0.4, 0.4)), b + 1.2 * street, turn), size, rng)
+            place, house = site.at(a + float(rng.uniform(-0.4, 0.4)), b + 1.2 * street, turn), MeshBuilder()
+            add_house(house, place, size, rng)
+            add_altered(builder, house, place, site.altered.get((site.i, site.j, lot_u, lot_v)))
             if rng.random() < 0.55:
                 add_shed(builder, site.at(a + float(rng.choice([-5.0, 5.0])), b - 5.4 * street, 0.0), rng)
             if rng.random() < 0.7:

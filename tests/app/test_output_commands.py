@@ -110,14 +110,14 @@ def test_a_surface_model_lies_on_the_ground_of_the_town(tmp_path: Path) -> None:
     # Larger Gaussians close the ground.
     save_run(tmp_path / "run", replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
     run = tmp_path / "run"
-    said = json.loads(radiant("export", run, tmp_path / "a.tif", "--resolution", 1, "--long-side-px", 96, "--json"))
+    said = json.loads(radiant("export", run, tmp_path / "a.tif", "--format", "dsm", "--resolution", 1, "--long-side-px", 96, "--json"))
     assert said["crs"] == "EPSG:32631"
     assert said["known"] > 0.5
     values = np.asarray(tifffile.imread(tmp_path / "a.tif"))
     # Gaussians of 1.5 m at heights of 0 to 1 m.
     assert 0 < np.median(values[values > -9000]) < 3
     with pytest.raises(BadInput, match="exists"):
-        radiant("export", run, tmp_path / "a.tif")
+        radiant("export", run, tmp_path / "a.tif", "--format", "dsm")
 
 
 def test_a_surface_model_without_altitudes_says_where_its_heights_count_from(tmp_path: Path) -> None:
@@ -125,7 +125,18 @@ def test_a_surface_model_without_altitudes_says_where_its_heights_count_from(tmp
     save_run(tmp_path / "run", replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
     frame = replace(town.scene.frame, altitude_known=False)
     save_scene(tmp_path / "run" / "sfm" / "scene.safetensors", replace(town.scene, frame=frame))
-    arguments = ["export", str(tmp_path / "run"), str(tmp_path / "a.tif"), "--resolution", "2", "--long-side-px", "96", "--json"]
+    arguments = [
+        "export",
+        str(tmp_path / "run"),
+        str(tmp_path / "a.tif"),
+        "--format",
+        "dsm",
+        "--resolution",
+        "2",
+        "--long-side-px",
+        "96",
+        "--json",
+    ]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert "heights count from the middle of the scene's points, not from the sea" in " ".join(result.stderr.split())
@@ -137,7 +148,7 @@ def test_a_surface_model_without_altitudes_says_where_its_heights_count_from(tmp
 @pytest.mark.parametrize(("ending", "sentence"), [("tif", "cells have a height"), ("ply", "of the ground at most")])
 def test_a_surface_of_which_little_is_known_is_a_warning_with_the_figure(run: Path, tmp_path: Path, ending: str, sentence: str) -> None:
     # Gaussians 2 m apart in cells of 0.5 m: what two views agree on are specks.
-    options = ("--format", "mesh") if ending == "ply" else ()
+    options = ("--format", "mesh" if ending == "ply" else "dsm")
     result = CliRunner().invoke(
         app, ["export", str(run), str(tmp_path / f"a.{ending}"), "--resolution", "0.5", "--long-side-px", "96", "--json", *options]
     )
@@ -242,6 +253,9 @@ def test_a_screenshot_replaces_no_file(run: Path, tmp_path: Path) -> None:
         (("export", "RUN", "OUT/a.xyz"), "--format"),
         (("export", "RUN", "OUT/a.ply", "--resolution", 1), "--resolution"),
         (("export", "RUN", "OUT/a.png", "--format", "dsm"), r"\.tif"),
+        (("export", "RUN", "OUT/a.tif"), "--format ortho .* or --format dsm"),
+        (("export", "RUN", "OUT/a.tif", "--format", "ortho", "--tile-px", 100), "multiple of 16"),
+        (("export", "RUN", "OUT/a.tif", "--format", "ortho", "--resolution", 1e-5), "coarser"),
         (("export", "RUN", "OUT/none/a.ply"), "no folder"),
         (("export", "RUN/scene.ply", "OUT/a.geojson"), "needs the cameras"),
         (("render", "RUN", "--out", "OUT/a.mp4"), "needs a path"),

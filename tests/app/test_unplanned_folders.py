@@ -73,7 +73,7 @@ def test_a_training_is_looked_at_filmed_and_exported(folders: tuple[Path, Path],
     assert "made without one" in run_setting(trained).reason
     said = json.loads(radiant("render", trained, "--out", tmp_path / "held", "--long-side-px", 48, "--json"))
     assert said["pictures"] == 3, "the held-out cameras"
-    said = json.loads(radiant("export", trained, tmp_path / "a.tif", "--resolution", 2, "--long-side-px", 96, "--json"))
+    said = json.loads(radiant("export", trained, tmp_path / "a.tif", "--format", "dsm", "--resolution", 2, "--long-side-px", 96, "--json"))
     assert said["crs"] == "EPSG:32631" and said["known"] > 0.5
     values = np.asarray(tifffile.imread(tmp_path / "a.tif"))
     assert 0 < np.median(values[values > -9000]) < 3
@@ -126,7 +126,8 @@ def test_a_scene_shows_cameras_and_photographs_and_says_what_a_model_needs(folde
         assert is_planned(folder)
         assert find_photograph(load_run_view(folder), 1).path == sfm / "undistorted/images" / "DJI_0001.JPG"
     assert "no longer where" in find_photograph(load_run_view(sfm), 5).reason
-    for arguments in (("export", sfm, tmp_path / "a.ply"), ("export", sfm, tmp_path / "a.tif"), ("inspect", sfm, "--view", "splats")):
+    ortho = ("export", sfm, tmp_path / "a.tif", "--format", "ortho")
+    for arguments in (("export", sfm, tmp_path / "a.ply"), ortho, ("inspect", sfm, "--view", "splats")):
         with pytest.raises(BadInput, match=r"radiant train .* --out MODEL"):
             radiant(*arguments, *(("--screenshot", tmp_path / "b.png") if arguments[0] == "inspect" else ()))
     with pytest.raises(BadInput, match=r"radiant train .* --out MODEL"):

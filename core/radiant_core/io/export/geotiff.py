@@ -1,4 +1,5 @@
-"""A grid of heights as GeoTIFF (OGC 19-008): float32, north up, unknown −9999. Once per surface.
+"""Rasters on a map as GeoTIFF (OGC 19-008), north up: heights as float32, unknown −9999, or tiles
+of any bands, written one after another. Once per raster.
 
 Cell (row, column) covers east₀ + column · cell … + cell and north₀ − row · cell … − cell. With an
 EPSG code the grid is that projected system's; without one it stands in the model's own coordinates.
@@ -7,22 +8,70 @@ EPSG code the grid is that projected system's; without one it stands in the mode
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
+from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core import __version__
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import write_atomic
+from radiant_core.io.run_store import atomic_path, write_atomic
 from radiant_core.numerics import FloatArray
 
 NO_DATA = -9999.0
-_PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34735, 42113
+_PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _GDAL_METADATA, _GDAL_NODATA = 33550, 33922, 34735, 42112, 42113
 _MODEL_TYPE, _RASTER_TYPE, _PROJECTED_CRS, _LINEAR_UNITS = 1024, 1025, 3072, 3076
 _VERTICAL_CRS, _VERTICAL_UNITS = 4096, 4099
 _PROJECTED, _USER_DEFINED, _PIXEL_IS_AREA, _METRE = 1, 32767, 1, 9001
 _SHORT, _DOUBLE, _ASCII = 3, 12, 2
+_BIG_BYTES = 2**31
+"""From so many bytes on, before compression, the file is a BigTIFF: a plain one ends at 4 GiB."""
+
+
+class Placed(Protocol):
+    """What says where a raster lies: corner (2,), size of a cell, EPSG code or None."""
+
+    @property
+    def north_west(self) -> FloatArray:
+        """Outer corner (2,), east and north."""
+        ...
+
+    @property
+    def cell(self) -> float:
+        """Side of a cell."""
+        ...
+
+    @property
+    def epsg(self) -> int | None:
+        """Code of the map, None for the model's own coordinates."""
+        ...
+
+    @property
+    def vertical_epsg(self) -> int | None:
+        """Code of the datum that heights count from, None where it has none."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class TiledRaster:
+    """Rows × columns of bands of one type, in tiles of tile_px, a multiple of 16; colors: the first
+    four bands are red, green, blue and alpha; no_data: what stands where nothing is known."""
+
+    place: Placed
+    shape: tuple[int, int]
+    bands: tuple[str, ...]
+    tile_px: int
+    dtype: type[np.uint8] | type[np.float32]
+    colors: bool = False
+    no_data: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.tile_px < 16 or self.tile_px % 16:
+            raise BadInput(f"tiles of {self.tile_px} px came, but TIFF has tiles of a multiple of 16: choose one, such as 512.")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +126,64 @@ def save_geotiff(path: Path, grid: HeightGrid) -> None:
     write_atomic(path, content.getvalue())
 
 
+def save_tiles(path: Path, raster: TiledRaster, tiles: Iterable[NDArray[Any]]) -> None:
+    """Write tiles (T,T,B) row by row from the north-west as they come, atomically: what is held is
+    one tile. Those at the east and the south reach beyond the raster. CannotWrite if it fails."""
+    import tifffile
+
+    height, width = raster.shape
+    depth = len(raster.bands)
+    with (
+        atomic_path(path) as temporary,
+        tifffile.TiffWriter(temporary, bigtiff=height * width * depth * np.dtype(raster.dtype).itemsize > _BIG_BYTES) as file,
+    ):
+        file.write(
+            (np.ascontiguousarray(tile, raster.dtype) for tile in tiles),
+            shape=(height, width, depth) if depth > 1 else (height, width),
+            dtype=raster.dtype,
+            tile=(raster.tile_px, raster.tile_px),
+            photometric="rgb" if raster.colors else "minisblack",
+            planarconfig="contig" if depth > 1 else None,
+            extrasamples=_extra_samples(raster),
+            compression="zlib",
+            predictor=raster.dtype is np.uint8,
+            metadata=None,
+            software=f"radiant {__version__}",
+            extratags=[*_place_tags(raster.place), *_band_tags(raster)],
+        )
+
+
+def cut_tiles(values: NDArray[Any], tile_px: int, fill: float = 0) -> Iterable[NDArray[Any]]:
+    """The tiles (T,T,…) of an array (H,W,…) that is there as a whole, row by row."""
+    height, width = values.shape[:2]
+    for row in range(0, height, tile_px):
+        for column in range(0, width, tile_px):
+            tile = np.full((tile_px, tile_px, *values.shape[2:]), fill, values.dtype)
+            part = values[row : row + tile_px, column : column + tile_px]
+            tile[: part.shape[0], : part.shape[1]] = part
+            yield tile
+
+
+def _extra_samples(raster: TiledRaster) -> list[str] | None:
+    if raster.colors:
+        return ["unassalpha", *["unspecified"] * (len(raster.bands) - 4)]
+    return ["unspecified"] * (len(raster.bands) - 1) or None
+
+
+def _band_tags(raster: TiledRaster) -> list[tuple[int, int, int, object, bool]]:
+    """Names of the bands as GDAL keeps them, and what stands for nothing."""
+    items = [
+        f'<Item name="DESCRIPTION" sample="{index}" role="description">{escape(name)}</Item>' for index, name in enumerate(raster.bands)
+    ]
+    tags: list[tuple[int, int, int, object, bool]] = [(_GDAL_METADATA, _ASCII, 0, f"<GDALMetadata>{''.join(items)}</GDALMetadata>", True)]
+    return tags if raster.no_data is None else [*tags, (_GDAL_NODATA, _ASCII, 0, f"{raster.no_data:.0f}", True)]
+
+
 def _geo_tags(grid: HeightGrid) -> list[tuple[int, int, int, object, bool]]:
+    return [*_place_tags(grid), (_GDAL_NODATA, _ASCII, 0, f"{NO_DATA:.0f}", True)]
+
+
+def _place_tags(grid: Placed) -> list[tuple[int, int, int, object, bool]]:
     keys = [(_MODEL_TYPE, _PROJECTED if grid.epsg else _USER_DEFINED), (_RASTER_TYPE, _PIXEL_IS_AREA)]
     if grid.epsg:
         keys += [(_PROJECTED_CRS, grid.epsg), (_LINEAR_UNITS, _METRE)]
@@ -90,5 +196,4 @@ def _geo_tags(grid: HeightGrid) -> list[tuple[int, int, int, object, bool]]:
         (_PIXEL_SCALE, _DOUBLE, 3, (grid.cell, grid.cell, 0.0), True),
         (_TIEPOINT, _DOUBLE, 6, tiepoint, True),
         (_GEO_KEYS, _SHORT, len(directory), tuple(directory), True),
-        (_GDAL_NODATA, _ASCII, 0, f"{NO_DATA:.0f}", True),
     ]

@@ -1,0 +1,1 @@
+"""What a client of a survey asks for: orthophoto, heights, measures, change between dates."""
