@@ -74,12 +74,17 @@ def join(
     typer.echo(f"{home} is {invitation.node} of {invitation.upper} at {invitation.url}; next: {following}")
 
 
+OfflineOption = Annotated[
+    bool, typer.Option("--offline", help="Work on the task that `node unpack` took, ask nobody for another, and end with its result.")
+]
+
+
 @node.command()
-def serve(home: HomeOption = Path("radiant_node")) -> None:
+def serve(home: HomeOption = Path("radiant_node"), offline: OfflineOption = False) -> None:
     """Work as an edge until Ctrl-C."""
     from radiant_app.commands import node as commands
 
-    commands.Running(say=_say).serve(home)
+    commands.Running(say=_say).serve(home, offline=offline)
 
 
 @node.command()
@@ -88,6 +93,7 @@ def work(
     home: HomeOption = Path("radiant_node"),
     poses: Annotated[Path | None, typer.Option(help="COLMAP model of their poses, for a run with --frames known.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Agree to what leaves this machine without being asked.")] = False,
+    offline: OfflineOption = False,
 ) -> None:
     """Work as a device until Ctrl-C: outbound connections alone."""
     from radiant_app.commands import node as commands
@@ -96,7 +102,31 @@ def work(
         typer.echo(text, err=True)
         return yes or typer.confirm("Agreed?", err=True)
 
-    commands.Running(say=_say).work(home, photos, poses, agree)
+    commands.Running(say=_say).work(home, photos, poses, agree, offline=offline)
+
+
+@node.command()
+def pack(
+    name: Annotated[str | None, typer.Argument(help="Node below whose task is packed; without it, what the node above is to get.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder, such as one on a USB disk.")] = Path("pack"),
+    home: HomeOption = Path("radiant_node"),
+) -> None:
+    """Write a task or a result into a folder for any carrier; it is signed, not encrypted."""
+    from radiant_app.commands import node_packs
+
+    typer.echo(f"{out} holds {node_packs.pack(home, name, out)} for `radiant node unpack {out.name}` there.")
+
+
+@node.command()
+def unpack(
+    folder: Annotated[Path, typer.Argument(help="Folder that `radiant node pack` wrote.")],
+    home: HomeOption = Path("radiant_node"),
+) -> None:
+    """Take what another carrier brought, once all of it is verified."""
+    from radiant_app.commands import node_packs
+
+    for said in node_packs.unpack(home, folder):
+        typer.echo(said)
 
 
 @node.command()

@@ -84,8 +84,9 @@ class Running:
     """How worker processes are started; None: as everywhere."""
     poll_s: float | None = None
 
-    def serve(self, folder: Path) -> None:
-        """Work as an edge: fold devices, join their models; BadInput where the node is refused."""
+    def serve(self, folder: Path, *, offline: bool = False) -> None:
+        """Work as an edge: fold devices, join their models; `offline`: only on the task that was
+        unpacked, without a connection to the node above. BadInput where the node is refused."""
         require_network()
         from radiant_app.executors.local import worker_command
         from radiant_app.network.edge import EdgePerformer
@@ -96,13 +97,13 @@ class Running:
         if not home.node.startswith("edges/"):
             raise BadInput(f"{folder} is {home.node}: an edge serves, a device works, and at the cloud it is the run that serves.")
         with home.lock(), open_hub(home, self.poll_s) as hub:
-            self.say(f"{home.node} listens at port {hub.port} and asks {home.upper.upper} for work; Ctrl-C ends it.")
+            self.say(f"{home.node} listens at port {hub.port} and {self._source(home, offline)}; Ctrl-C ends it.")
             performer = EdgePerformer(hub=hub, command=self.command or worker_command, listen=self._show)
-            Errands(home=home, line=self._line(home), performer=performer, say=self.say).run()
+            Errands(home=home, line=self._way(home, offline), performer=performer, say=self.say).run()
 
-    def work(self, folder: Path, photographs: Path, poses: Path | None, agree: Callable[[str], bool]) -> None:
-        """Work as a device, once its owner agreed to what leaves it; BadInput where the node is
-        refused, or its owner does not agree."""
+    def work(self, folder: Path, photographs: Path, poses: Path | None, agree: Callable[[str], bool], *, offline: bool = False) -> None:
+        """Work as a device, once its owner agreed to what leaves it; `offline` as for `serve`.
+        BadInput where the node is refused, or its owner does not agree."""
         require_network()
         from radiant_app.executors.local import worker_command
         from radiant_app.network.device import DevicePerformer
@@ -115,14 +116,19 @@ class Running:
             raise BadInput(f"{photographs} is no folder: give that of this device's photographs.")
         _require_consent(home, agree)
         with home.lock():
-            self.say(f"{home.node} asks {home.upper.upper} for work; Ctrl-C ends it.")
+            self.say(f"{home.node} {self._source(home, offline)}; Ctrl-C ends it.")
             performer = DevicePerformer(home=home, photographs=photographs, poses=poses, command=self.command or worker_command)
-            Errands(home=home, line=self._line(home), performer=performer, say=self.say).run()
+            Errands(home=home, line=self._way(home, offline), performer=performer, say=self.say).run()
 
-    def _line(self, home: Home) -> Any:
+    def _source(self, home: Home, offline: bool) -> str:
+        return "works on what was unpacked" if offline else f"asks {home.upper.upper} for work"
+
+    def _way(self, home: Home, offline: bool) -> Any:
+        from radiant_app.network.carrying import CarriedWay
         from radiant_app.network.line import Line
 
-        return Line(home=home, ended=self.ended or threading.Event(), say=self.say)
+        way = CarriedWay if offline else Line
+        return way(home=home, ended=self.ended or threading.Event(), say=self.say)
 
     def _show(self, event: Event) -> None:
         from radiant_app.events import StageDone, StageStarted, Warned

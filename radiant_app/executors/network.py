@@ -49,6 +49,8 @@ LEASE_S = 900.0
 ALIVE_S = 30.0
 """Interval of the signs of life of a node with a lease."""
 CHECK_S = 0.05
+LOOK_S = 1.0
+"""Interval of looking for results that were unpacked by another process of this machine."""
 MAX_STEP_S = 5.0
 """Most seconds that count against a node between two checks."""
 FOLDING = ("region", "edge_refine")
@@ -118,6 +120,8 @@ class _Machines:
     ready: deque[tuple[str, Event | NodeStarted | NodeEnded | None]] = field(default_factory=deque)
     checked_s: float | None = None
     """When leases were checked last."""
+    looked_s: float = 0.0
+    """When results were looked for last that came by another carrier."""
 
     def has_room(self) -> bool:
         """Far nodes are machines of their own."""
@@ -143,6 +147,7 @@ class _Machines:
             if self.executor.stopping.is_set():
                 raise Stopped("the work was stopped by who asked for it.")
             self._listen_to_nodes()
+            self._find_carried()
             self._check_leases()
             if self.ready:
                 return self.ready.popleft()
@@ -203,6 +208,16 @@ class _Machines:
         del self.far[node_id]
         self.ready.append((node_id, ended))
 
+    def _find_carried(self) -> None:
+        """Take results that nobody said, since they came by a disk."""
+        if (now_s := time.monotonic()) - self.looked_s < LOOK_S:
+            return
+        self.looked_s = now_s
+        for node_id, far in list(self.far.items()):
+            found = self.executor.hub.store.task(far.digest)
+            if found is not None and found.state == "received":
+                self._end(node_id, self._take(far))
+
     def _check_leases(self) -> None:
         now_s = self.executor.clock()
         # A process that was suspended heard nobody: that counts against no node.
@@ -217,7 +232,7 @@ class _Machines:
             lease_s = max(LEASE_S, self.executor.lease_s(node_id))
             if member is not None and member.revoked:
                 self._lose(node_id, far, "it is revoked")
-            elif far.silent_s > lease_s:
+            elif far.silent_s > lease_s and not self.executor.hub.store.is_carried(far.digest):
                 self._lose(node_id, far, f"nothing was heard of it for {lease_s / 60:.0f} minutes")
             else:
                 self.ready.append((node_id, None))

@@ -11,23 +11,24 @@ import json
 import shutil
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from radiant_app.events import Event, StageProgress, Warned, encode
 from radiant_app.network.arrivals import SPARE_BYTES
-from radiant_app.network.home import Home
+from radiant_app.network.carrying import keep_result
+from radiant_app.network.home import Home, Invitation
 from radiant_app.network.kinds import task_problem
-from radiant_app.network.line import Line, Withdrawn
+from radiant_app.network.line import Withdrawn
 from radiant_app.network.reception import MAX_EVENT_CHARS, MAX_EVENTS, Ended
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
-from radiant_core.io.run_store import content_key, disk_is_full, read_json, write_json
+from radiant_core.io.run_store import disk_is_full, read_json, write_json
 from radiant_core.io.transport.delivery import describe_files
 from radiant_core.io.transport.envelope import Envelope, open_envelope
 
-JOINED_NAME, ASKED_NAME = "joined.json", "asked.json"
+ASKED_NAME = "asked.json"
 MIN_POLL_S, MAX_POLL_S = 0.05, 10.0
 MAX_EVENT_BYTES = 1 << 20
 """Of all events of one poll, as JSON has them."""
@@ -74,6 +75,38 @@ class Performer(Protocol):
         ...
 
 
+class Way(Protocol):
+    """How a node's requests reach the one above: a `Line`, or what was carried by hand."""
+
+    ended: threading.Event
+    upper: Invitation
+
+    @property
+    def counter(self) -> int:
+        """That of the next request."""
+        ...
+
+    def enter(self) -> None:
+        """Join, unless that was done before."""
+        ...
+
+    def poll(self, body: Mapping[str, Any]) -> dict[str, Any]:
+        """What the node above answers to what this one does."""
+        ...
+
+    def fetch(self, envelope: Envelope, digest: str, folder: Path) -> None:
+        """Get the files of a task into a folder, each with the bytes that were signed."""
+        ...
+
+    def send(self, result: Envelope, paths: Mapping[str, Path]) -> None:
+        """Send the files of a result, by name."""
+        ...
+
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
 @dataclass(kw_only=True)
 class _Errand:
     envelope: Envelope
@@ -91,7 +124,7 @@ class Errands:
     """Asks the node above for work until it is ended."""
 
     home: Home
-    line: Line
+    line: Way
     performer: Performer
     say: Callable[[str], None] = lambda text: None
     current: _Errand | None = None
@@ -107,7 +140,7 @@ class Errands:
 
     def run(self) -> None:
         """Ask and work until `ended`; BadInput where the node above refuses this one."""
-        self._join()
+        self.line.enter()
         try:
             while not self.ended.is_set():
                 wait_s = self._round()
@@ -118,14 +151,6 @@ class Errands:
         finally:
             self._drop()
             self.line.close()
-
-    def _join(self) -> None:
-        path, key = self.home.folder / JOINED_NAME, content_key(asdict(self.line.upper))
-        if path.is_file() and read_json(path, ("invitation",))["invitation"] == key:
-            return
-        self.line.join()
-        write_json(path, {"invitation": key})
-        self.say(f"joined {self.line.upper.upper} as {self.line.upper.node}.")
 
     def _round(self) -> float:
         """One poll and what follows; how long to wait for the next."""
@@ -193,7 +218,8 @@ class Errands:
         self._drop()
         self.current = errand = _Errand(envelope=envelope, digest=envelope.digest, tries=tries)
         try:
-            self._require_own(envelope)
+            require_own(self.home, envelope)
+            note_asked(self.home, envelope)
             folder = self.performer.place(envelope)
             if shutil.disk_usage(self.home.folder).free < envelope.num_bytes + SPARE_BYTES:
                 raise CannotWrite(f"the disk of this node is full: {envelope.num_bytes + SPARE_BYTES:,} bytes are needed there.")
@@ -207,23 +233,6 @@ class Errands:
         except OSError as error:
             message = f"{error.strerror or type(error).__name__} on the disk of this node."
             errand.outcome = Outcome(error=CannotWrite(message) if disk_is_full(self.home.folder) else StageFailed(message))
-
-    def _require_own(self, envelope: Envelope) -> None:
-        """Raise BadInput unless a task is the newest that the node above gives this one."""
-        upper = self.line.upper
-        if (envelope.sender, envelope.receiver, envelope.answers) != (upper.upper, upper.node, ""):
-            raise BadInput(f"a task is from {envelope.sender} for {envelope.receiver}, expected one from {upper.upper} for {upper.node}.")
-        if envelope.software != __version__:
-            raise BadInput(f"{upper.upper} has Radiant {envelope.software} and {upper.node} has {__version__}: install the same version.")
-        if problem := task_problem(envelope.kind, envelope.files):
-            raise BadInput(problem)
-        run = self.home.run_folder(envelope.run)
-        run.mkdir(parents=True, exist_ok=True)
-        asked = read_json(run / ASKED_NAME) if (run / ASKED_NAME).is_file() else {}
-        attempt, digest = asked.get(envelope.stage, [0, ""])
-        if envelope.attempt < attempt or (envelope.attempt == attempt and envelope.digest != digest):
-            raise BadInput(f"a task of {envelope.stage} is attempt {envelope.attempt}, and attempt {attempt} was taken before.")
-        write_json(run / ASKED_NAME, {**asked, envelope.stage: [envelope.attempt, envelope.digest]})
 
     def _work_on(self) -> None:
         """Hear the work, and send its result once it is there."""
@@ -246,9 +255,9 @@ class Errands:
     def _send(self, errand: _Errand, paths: Mapping[str, Path]) -> None:
         asked = errand.envelope
         result = asked.result(describe_files(paths), __version__)
+        keep_result(self.home, result, paths)
         self.line.send(result, paths)
         errand.sent = True
-        self.say(f"{asked.stage}: {result.num_bytes:,} bytes are sent.")
 
     def _keep(self, events: list[Event]) -> None:
         """Keep events to be sent; of progress the newest alone."""
@@ -271,6 +280,32 @@ class Errands:
             self.current.work.stop()
         self.current = None
         self.waiting = []
+
+
+def require_own(home: Home, envelope: Envelope) -> None:
+    """Raise BadInput unless a task is the newest that the node above gives the one in `home`."""
+    upper = home.upper
+    if (envelope.sender, envelope.receiver, envelope.answers) != (upper.upper, upper.node, ""):
+        raise BadInput(f"a task is from {envelope.sender} for {envelope.receiver}, expected one from {upper.upper} for {upper.node}.")
+    if envelope.software != __version__:
+        raise BadInput(f"{upper.upper} has Radiant {envelope.software} and {upper.node} has {__version__}: install the same version.")
+    if problem := task_problem(envelope.kind, envelope.files):
+        raise BadInput(problem)
+    attempt, digest = _asked(home, envelope).get(envelope.stage, [0, ""])
+    if envelope.attempt < attempt or (envelope.attempt == attempt and envelope.digest != digest):
+        raise BadInput(f"a task of {envelope.stage} is attempt {envelope.attempt}, and attempt {attempt} was taken before.")
+
+
+def note_asked(home: Home, envelope: Envelope) -> None:
+    """Remember a task, so that no older one of its stage is taken."""
+    home.run_folder(envelope.run).mkdir(parents=True, exist_ok=True)
+    asked = {**_asked(home, envelope), envelope.stage: [envelope.attempt, envelope.digest]}
+    write_json(home.run_folder(envelope.run) / ASKED_NAME, asked)
+
+
+def _asked(home: Home, envelope: Envelope) -> dict[str, Any]:
+    path = home.run_folder(envelope.run) / ASKED_NAME
+    return read_json(path) if path.is_file() else {}
 
 
 def _num_fitting(lines: list[str]) -> int:

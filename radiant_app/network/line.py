@@ -15,10 +15,11 @@ import random
 import ssl
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from radiant_app.network.arrivals import PART_BYTES
@@ -27,7 +28,7 @@ from radiant_app.network.home import Home, Invitation
 from radiant_app.network.reception import BODY, COUNTER, GONE, JOIN, NODE, OFFSET, REPLY, SEAL
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.run_store import parse_json
+from radiant_core.io.run_store import content_key, parse_json, read_json, write_json
 from radiant_core.io.transport.delivery import SentFile
 from radiant_core.io.transport.envelope import Envelope, Request, envelope_bytes, sign_envelope
 from radiant_core.io.transport.signing import is_signed_by
@@ -35,6 +36,7 @@ from radiant_core.io.transport.signing import is_signed_by
 if TYPE_CHECKING:
     import httpx
 
+JOINED_NAME = "joined.json"
 TIMEOUT_S = 20.0
 FIRST_WAIT_S, MAX_WAIT_S = 0.25, 10.0
 """The longest is what a node may be late when the one above is there again."""
@@ -138,9 +140,10 @@ class Line:
 
         digest = hashlib.sha256(body).hexdigest()
         request = Request(node=self.upper.node, counter=self._next_counter(), method=method, target=target, body_sha256=digest)
-        seal = base64.b64encode(self._key.sign(request.message())).decode()
+        sealed = seal_headers(request, self._key)
+        seal = sealed[SEAL]
         # Nothing packed: a few bytes of somebody on the way could fill the memory.
-        sealed = {NODE: request.node, COUNTER: str(request.counter), SEAL: seal, BODY: digest, "Accept-Encoding": "identity"}
+        sealed["Accept-Encoding"] = "identity"
         try:
             client = self._client = self._client or self._connect()
             url = self.upper.url.rstrip("/") + target
@@ -179,11 +182,18 @@ class Line:
         self._counter += 1
         return self._counter - 1
 
+    def enter(self) -> None:
+        """Join, unless that was done before by the same invitation; raises as `join`."""
+        path, key = self.home.folder / JOINED_NAME, content_key(asdict(self.upper))
+        if path.is_file() and read_json(path, ("invitation",))["invitation"] == key:
+            return
+        self.join()
+        write_json(path, {"invitation": key})
+        self.say(f"joined {self.upper.upper} as {self.upper.node}.")
+
     def join(self) -> None:
         """Register this node's key by the word of its invitation; BadInput where it is refused."""
-        raw = self._key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
-        body = {"token": self.upper.token, "key": base64.b64encode(raw).decode(), "software": __version__}
-        _accepted(self.ask("POST", JOIN, json.dumps(body).encode()))
+        _accepted(self.ask("POST", JOIN, join_body(self.home)))
 
     def poll(self, body: Mapping[str, Any]) -> dict[str, Any]:
         """What the node above answers to what this one does; raises as `ask`."""
@@ -249,6 +259,7 @@ class Line:
             # What arrived with other bytes was dropped there, and is sent once more.
             again = _accepted(self.ask("POST", f"/results/{result.answers}", signature + text))["offsets"]
             if again == [file.bytes for _, file in files]:
+                self.say(f"{result.stage}: {result.num_bytes:,} bytes are sent.")
                 return
         raise BadInput("a result arrived with other bytes than were signed, twice: look at the disk of this machine.")
 
@@ -283,6 +294,19 @@ class Line:
         self._in_a_row += 1
         if self._in_a_row >= self._grows_after:
             self.part_bytes, self._in_a_row = min(PART_BYTES, self.part_bytes * 2), 0
+
+
+def seal_headers(request: Request, key: Ed25519PrivateKey) -> dict[str, str]:
+    """The headers that seal a request by its node's key."""
+    seal = base64.b64encode(key.sign(request.message())).decode()
+    return {NODE: request.node, COUNTER: str(request.counter), SEAL: seal, BODY: request.body_sha256}
+
+
+def join_body(home: Home) -> bytes:
+    """What a node's request to join carries: its public key and the word of its invitation."""
+    raw = home.key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
+    body = {"token": home.upper.token, "key": base64.b64encode(raw).decode(), "software": __version__}
+    return json.dumps(body).encode()
 
 
 def _offset_in(answer: Answer) -> int:

@@ -33,6 +33,7 @@ from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import parse_json
 from radiant_core.io.strict import Strict
+from radiant_core.io.transport.delivery import SentFile
 from radiant_core.io.transport.envelope import MAX_COUNTER, MAX_ENVELOPE_BYTES, Envelope, Request, open_envelope
 from radiant_core.io.transport.signing import is_signed_by
 
@@ -212,11 +213,11 @@ class Reception:
         found = _FILE.fullmatch(place[1])
         if found is not None:
             what, digest, number = found.groups()
-            task = self._own_task(request.node, digest, DONE if what == "results" else ())
+            task = self.own_task(request.node, digest, DONE if what == "results" else ())
             if (asked.method, what) == ("GET", "tasks") and number is not None:
                 return _part_of_file(task, int(number), asked)
             if (asked.method, what) == ("POST", "results") and number is None:
-                return self._announce(task, asked.body)
+                return self.announce(task, asked.body)
             if asked.method in ("HEAD", "PATCH") and what == "results" and number is not None:
                 return self._upload(task, int(number), asked)
         raise Refused(404, f"{asked.method} {asked.target[:80]} is nothing that is answered here.")
@@ -256,7 +257,8 @@ class Reception:
         ended = ended and ended.model_copy(update={"message": plain_text(ended.message)})
         self.heard(Said(digest=task.digest, events=tuple(body.events), taken=taken, ended=ended))
 
-    def _own_task(self, node: str, digest: str, also: Collection[str] = ()) -> KnownTask:
+    def own_task(self, node: str, digest: str, also: Collection[str] = ()) -> KnownTask:
+        """The node's task with this digest, open or in one of the states `also`; raises Refused."""
         task = self.store.task(digest)
         if task is None or task.node != node:
             raise Refused(404, f"{node} has no such task.")
@@ -264,8 +266,9 @@ class Reception:
             raise Refused(GONE, f"the task is {task.state}{f': {task.reason}' if task.reason else ', nobody waits for it any more.'}")
         return task
 
-    def _announce(self, task: KnownTask, data: bytes) -> Reply:
-        """Take the signed list of a result's files, or repeat what is there of them."""
+    def announce(self, task: KnownTask, data: bytes) -> Reply:
+        """Take the signed list of a result's files (signature, then text), or repeat what is there
+        of them. Raises Refused, BadInput, DiskFull."""
         signature, text = data[:64], data[64:]
         member = self.store.member(task.node)
         if len(data) > MAX_ENVELOPE_BYTES or member is None or member.key is None:
@@ -275,7 +278,7 @@ class Reception:
         if problem := _result_problem(envelope, asked, task):
             raise Refused(409, problem)
         with self._lock_of(task):
-            before, state = self.store.result(task.digest), self._own_task(task.node, task.digest, DONE).state
+            before, state = self.store.result(task.digest), self.own_task(task.node, task.digest, DONE).state
             if state not in DONE:
                 anew = before is not None and before[0] != text
                 offsets = self.arrivals.begin(task.digest, envelope, anew=anew, promised=self._promised(task.digest))
@@ -288,6 +291,15 @@ class Reception:
         return _json(200, {"offsets": offsets})
 
     def _upload(self, task: KnownTask, number: int, asked: Asked) -> Reply:
+        part = (_offset_of(asked), asked.body) if asked.method == "PATCH" else None
+        taken, offset, file = self.take_part(task, number, part)
+        headers = {"Tus-Resumable": "1.0.0", OFFSET: str(offset), "Upload-Length": str(file.bytes), "Cache-Control": "no-store"}
+        body = b"" if asked.method == "HEAD" else json.dumps({"offset": offset}).encode()
+        return Reply(status=200 if taken else 409, body=body, headers=headers)
+
+    def take_part(self, task: KnownTask, number: int, part: tuple[int, bytes] | None) -> tuple[bool, int, SentFile]:
+        """Take a part, its offset and bytes, of an announced file: whether it fitted, where the
+        file goes on, and its entry in the list. None only asks. Raises Refused, DiskFull."""
         result = self.store.result(task.digest)
         member = self.store.member(task.node)
         if result is None or member is None or member.key is None:
@@ -297,16 +309,12 @@ class Reception:
             raise Refused(404, f"the announcement lists {len(envelope.files)} files, there is no number {number}.")
         _, file = sorted(envelope.files.items())[number]
         with self._lock_of(task):
-            status, state = 200, self._own_task(task.node, task.digest, DONE).state
-            if asked.method == "PATCH" and state not in DONE:
-                offset = _offset_of(asked)
-                if self.arrivals.append(task.digest, number, offset, asked.body, file) is None:
-                    status = 409
+            taken, state = True, self.own_task(task.node, task.digest, DONE).state
+            if part is not None and state not in DONE:
+                taken = self.arrivals.append(task.digest, number, *part, file) is not None
                 self._finish(task, envelope)
             offset = file.bytes if self._state(task) in DONE else self.arrivals.offsets(task.digest, envelope)[number]
-        headers = {"Tus-Resumable": "1.0.0", OFFSET: str(offset), "Upload-Length": str(file.bytes), "Cache-Control": "no-store"}
-        body = b"" if asked.method == "HEAD" else json.dumps({"offset": offset}).encode()
-        return Reply(status=status, body=body, headers=headers)
+        return taken, offset, file
 
     def _lock_of(self, task: KnownTask) -> threading.Lock:
         return self._writing.setdefault(task.digest, threading.Lock())

@@ -35,6 +35,7 @@ create table if not exists tasks(
     signature blob not null, folder text not null, tries integer not null, state text not null, reason text not null default '',
     changed_s real not null);
 create index if not exists tasks_of on tasks(node, state);
+create table if not exists carried(task text primary key);
 create table if not exists results(task text primary key, text blob not null, signature blob not null);
 """
 
@@ -252,6 +253,16 @@ class HubStore:
         with self._changing() as database:
             query = f"update tasks set state = ?, reason = ?, changed_s = ? where digest = ? and state in ({marks})"
             return database.execute(query, (state, reason, time.time(), digest, *since)).rowcount > 0
+
+    def carry(self, digest: str) -> None:
+        """Remember that a task goes by another carrier than this network, so that silence means
+        nothing."""
+        with self._changing() as database:
+            database.execute("insert or ignore into carried values(?)", (digest,))
+
+    def is_carried(self, digest: str) -> bool:
+        """Whether a task was taken along by another carrier."""
+        return bool(self._rows("select 1 from carried where task = ?", digest))
 
     def withdraw_all(self, but_of_run: str = "") -> None:
         """Withdraw what is open, except of one run."""

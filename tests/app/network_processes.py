@@ -61,11 +61,15 @@ class Fleet:
         (self.folder / WIRE).mkdir()
         Nodes(folder=self.folder).make({"e": list(self.devices)})
 
+    def environment(self) -> dict[str, str]:
+        return {**os.environ, STARTS: str(self.folder / "starts.txt"), "OMP_NUM_THREADS": "1"}
+
     def start(self, name: str) -> None:
-        environment = {**os.environ, STARTS: str(self.folder / "starts.txt"), "OMP_NUM_THREADS": "1"}
         with (self.folder / f"{name}.log").open("ab") as log:
             arguments = [sys.executable, "-m", "tests.app.network_processes", name, str(self.folder)]
-            self.running[name] = subprocess.Popen(arguments, cwd=ROOT, env=environment, stdout=log, stderr=log, start_new_session=True)
+            self.running[name] = subprocess.Popen(
+                arguments, cwd=ROOT, env=self.environment(), stdout=log, stderr=log, start_new_session=True
+            )
 
     def kill(self, name: str) -> bool:
         """SIGKILL; whether it was running."""

@@ -150,3 +150,21 @@ def test_a_result_that_was_sealed_and_not_said_to_be_is_settled_by_the_next_fold
     task = world.store.task(world.task.digest)
     assert task is not None and task.state == "accepted"
     assert [type(event) for event in after.events] == [StageSkipped]
+
+
+def test_a_task_that_is_carried_by_hand_has_no_lease(conducted: Conducted) -> None:
+    conducted.world.store.carry(conducted.world.task.digest)
+    conducted.pass_time(4 * LEASE_S, 60.0)
+    assert conducted.thread.is_alive() and conducted.warnings() == []
+
+
+def test_a_result_that_another_process_of_this_machine_took_is_found(conducted: Conducted, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `radiant node unpack` does: nothing is said to the process of the run."""
+    monkeypatch.setattr(network, "LOOK_S", 0.01)
+    world = conducted.world
+    world.report.write_text('{"found": {}, "missing": {}}')
+    world.reception.heard = lambda said: None
+    assert world.ask("POST", f"/results/{world.task.digest}", world.announcement())[0] == 200
+    assert world.answer(world.part(0, world.report.read_bytes())).status == 200
+    conducted.thread.join(10)
+    assert not conducted.thread.is_alive() and [event.stage for event in conducted.events if isinstance(event, StageDone)] == [NODE.id]

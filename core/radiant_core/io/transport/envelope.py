@@ -118,12 +118,17 @@ def sign_envelope(envelope: Envelope, key: Ed25519PrivateKey) -> tuple[bytes, by
     return text, key.sign(_ENVELOPE + text)
 
 
+def is_envelope_of(text: bytes, signature: bytes, key: Ed25519PublicKey) -> bool:
+    """Whether the holder of a key signed these bytes as an envelope."""
+    return is_signed_by(key, signature, _ENVELOPE + text)
+
+
 def open_envelope(text: bytes, signature: bytes, key: Ed25519PublicKey) -> Envelope:
     """The envelope in these bytes, which are parsed only once the signature is right; BadInput
     where it is wrong, they are too many, or no envelope of this schema."""
     if len(text) > MAX_ENVELOPE_BYTES:
         raise BadInput(f"an envelope has {len(text)} bytes, expected at most {MAX_ENVELOPE_BYTES}.")
-    if not is_signed_by(key, signature, _ENVELOPE + text):
+    if not is_envelope_of(text, signature, key):
         raise BadInput("an envelope is not signed by the key that is registered for its sender.")
     try:
         record = parse_json(text)

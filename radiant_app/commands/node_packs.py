@@ -1,0 +1,77 @@
+"""What `radiant node pack` and `node unpack` do: work that goes by a disk instead of a network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from radiant_app.network.carrying import keep_task, pack_own
+from radiant_app.network.errands import require_own
+from radiant_app.network.home import UPPER_NAME, Home, open_home
+from radiant_app.network.packs import has_list, open_pack, read_join
+from radiant_app.network.receiving import open_desk
+from radiant_app.network.store import STORE_NAME
+from radiant_core.errors import BadInput
+
+TIER_BELOW = {"cloud": "edges", "edges": "devices"}
+
+
+def pack(home_folder: Path, name: str | None, folder: Path) -> str:
+    """Write what this node has for the node below with this name, or, without one, for the node
+    above; says what it was. Raises as `write_pack`."""
+    home = open_home(home_folder)
+    if name is None:
+        return pack_own(home, folder)
+    tier = TIER_BELOW.get(home.node.split("/")[0])
+    if tier is None or not (home.folder / STORE_NAME).is_file():
+        raise BadInput(f"nobody has joined {home.node}: without a name what it has for the node above is packed.")
+    with open_desk(home) as desk:
+        return f"the task of {desk.pack_task(f'{tier}/{name}', folder)},"
+
+
+def unpack(home_folder: Path, folder: Path) -> list[str]:
+    """Take what is in a folder, once all of it was verified; says what it was.
+
+    Raises:
+        BadInput: it is for somebody else, altered, not whole, or not awaited.
+        CannotWrite: there is no room for it.
+    """
+    home = open_home(home_folder)
+    if has_list(folder) and (said := _unpack_task(home, folder)) is not None:
+        return [said]
+    if not (home.folder / STORE_NAME).is_file():
+        # Says why it cannot be used.
+        open_pack(folder, [])
+        raise BadInput(f"{folder} is nothing for {home.node}.")
+    return _unpack_from_below(home, folder)
+
+
+def _unpack_task(home: Home, folder: Path) -> str | None:
+    """Keep a task of the node above; None where the pack is not signed by it."""
+    if not (home.folder / UPPER_NAME).is_file():
+        return None
+    upper = home.upper
+    try:
+        task = open_pack(folder, [upper.key])
+    except BadInput:
+        return None
+    require_own(home, task.envelope)
+    task.check()
+    keep_task(home, task)
+    command = "radiant node work --photos FOLDER --offline" if home.node.startswith("devices/") else "radiant node serve --offline"
+    return f"the task of {task.envelope.stage} is here; next: {command}"
+
+
+def _unpack_from_below(home: Home, folder: Path) -> list[str]:
+    said = []
+    with open_desk(home) as desk:
+        join = read_join(folder)
+        if join is not None:
+            try:
+                said.append(f"{desk.take_join(*join)} has joined.")
+            except BadInput:
+                # With a result its older key may still be the one that counts.
+                if not has_list(folder):
+                    raise
+        if has_list(folder) or join is None:
+            said.append(f"{desk.take_result(desk.open(folder))}.")
+    return said
