@@ -28,5 +28,7 @@ Trajectory = Literal["orbit", "border"]
 """orbit: once around the scene; border: along a border of two edges."""
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """What the picture of a run shows."""
+Viewer = Literal["radiant", "open3d"]
+"""radiant: our own window and pictures; open3d: Open3D's, with the same layers."""
 LightMode = Literal["auto", "none", "always"]
 """auto: the light of photographs is modelled where it differs; none, always: never or anyhow."""

@@ -26,7 +26,7 @@ from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals, stop_repea
 from radiant_app.quantities import size_wh_of
 from radiant_app.report.tables import finish, print_figures
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory
-from radiant_core.choices import View
+from radiant_core.choices import View, Viewer
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 
 app = typer.Typer(
@@ -139,19 +139,24 @@ def inspect(
     camera: Annotated[str | None, typer.Option(help="A photograph's name: splats are seen from there, compare shows it alone.")] = None,
     system: Annotated[Path | None, typer.Option(help="TOML of edges and devices with which the plan is changed; else its own.")] = None,
     scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.")] = None,
+    viewer: Annotated[Viewer, typer.Option(help="open3d: Open3D's own window or picture, with the same layers.")] = "radiant",
     web: Annotated[bool, typer.Option("--web", help=_WEB_HELP)] = False,
     host: Annotated[str, typer.Option(help="--web: address to bind; any but this machine's own is open to others.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
     """Show a run, or a plan to be changed: in a window, as a picture, or as a page to browse."""
+    if web and viewer != "radiant":
+        raise BadInput("--web serves a page and --viewer open3d opens a window: ask for one of them.")
     if web and screenshot is not None:
         raise BadInput("--web serves a page and --screenshot writes a picture: ask for one of them.")
     if web:
         from radiant_viewer.web.server import open_page
 
         return open_page(run_folder, typer.echo, host, port)
-    from radiant_app.commands.inspect import Picture, open_inspector, save_picture
+    from radiant_app.commands.inspect import Picture, inspect_with_open3d, open_inspector, save_picture
 
+    if viewer == "open3d":
+        raise typer.Exit(inspect_with_open3d(run_folder, view, screenshot, Picture(size_wh=size_wh_of(size), camera=camera, scene=scene)))
     if screenshot is None:
         raise typer.Exit(open_inspector(run_folder, system, scene))
     typer.echo(save_picture(run_folder, view, screenshot, Picture(size_wh=size_wh_of(size), camera=camera, scene=scene)))

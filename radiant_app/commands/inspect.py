@@ -100,6 +100,27 @@ def save_picture(source: Path, view: str | None, path: Path, picture: Picture = 
     return f"written: {path}"
 
 
+def inspect_with_open3d(source: Path, view: str | None, path: Path | None, picture: Picture = Picture()) -> int:
+    """Show a run, a plan or a model in Open3D's window, or write what it would show as PNG; returns
+    the exit code. Raises BadInput for what Open3D does not show."""
+    from radiant_viewer.open3d_window.launch import open_open3d_window, save_open3d_picture
+
+    plan = plan_file_of(source) if source.exists() else None
+    if view not in (None, "splats"):
+        raise BadInput(f"Open3D shows the whole scene, and {view} is a picture of our own: leave out --view or --viewer open3d.")
+    if picture.scene is not None:
+        raise BadInput("--viewer open3d shows runs, models and plans with waypoints: leave out --scene or --viewer open3d.")
+    if path is None:
+        return open_open3d_window(plan or source, picture.size_wh, picture.camera)
+    if path.suffix.lower() != ".png":
+        raise BadInput(f"cannot write {path}: give a name that ends in .png.")
+    from radiant_app.commands.steps import require_file_to_be
+
+    require_file_to_be(path)
+    save_open3d_picture(plan or source, path, picture.size_wh, picture.camera)
+    return 0
+
+
 def run_setting(run: Path, system: Path | None = None) -> PlanSetting:
     """With which machines the plan of a run may be changed: those it was planned for."""
     reason = f"The plan cannot be changed: {run.name} has no {SYSTEM_NAME}, it was planned by an earlier version; name one by --system."

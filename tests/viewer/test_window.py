@@ -204,7 +204,7 @@ def tools(window):
     assert window.statusBar().currentMessage().startswith("Distance 1")
     window.measure.set_active(False)
     before = window.screenshot()
-    crop = window.docks.crop
+    crop = window.docks.cleaning.box
     crop.active.setChecked(True)
     crop.set_box(np.array([[-50, -30, -5], [50, 30, 70.0]]))
     assert (before != window.screenshot()).any(axis=2).mean() > 0.02, "the crop box hid nothing"
@@ -221,6 +221,40 @@ def tools(window):
     crop.active.setChecked(False)
     crop.reset.click()
     assert np.array_equal(before, window.screenshot()), "the crop box left something behind"
+    cleaning(window, before)
+
+def cleaning(window, before):
+    dock = window.docks.cleaning
+    window.raise_dock(dock)
+    file = window.subject.path / "cleaning.json"
+    dock.draw.click()
+    # Around the town's south-west.
+    for x, y in ((-100, -60), (0, -60), (0, 0), (-100, 0)):
+        pixel = window.map.pixels_of(np.array([[x, y, 0.0]]))[0]
+        spot = QPoint(round(pixel[0]), round(window.map.size_wh[1] - 1 - pixel[1]))
+        QTest.mouseClick(window.map.plotter, Qt.MouseButton.LeftButton, pos=spot)
+    dock.keep_inside("outside")
+    assert not dock.polygon.is_active and file.exists()
+    kept = window.run.splats.means
+    quarter = (kept[:, 0] > -95) & (kept[:, 0] < -5) & (kept[:, 1] > -55) & (kept[:, 1] < -5)
+    assert 1000 < len(kept) < 9000 and not quarter.any(), "the polygon kept its inside"
+    assert f"{9000 - len(kept):,} of 9,000 Gaussians left out" in window.statusBar().currentMessage()
+    assert (before != window.screenshot()).any(axis=2).mean() > 0.02, "the cleaning changed no picture"
+    dock.width_limit.setValue(0.61)
+    assert dock.count.text() == "0 more would be left out", dock.count.text()
+    dock.opacity.setValue(0.9)
+    assert dock.count.text() == f"{len(kept):,} more would be left out", dock.count.text()
+    dock.keep_opacity.click()
+    boxes = window.findChildren(QMessageBox)
+    assert "leaves nothing" in boxes[-1].text() and len(window.run.splats) == len(kept)
+    boxes[-1].close()
+    dock.undo.click()
+    assert np.array_equal(before, window.screenshot()), "undo did not bring everything back"
+    assert dock.steps.count() == 1 and dock.redo.isEnabled() and not dock.undo.isEnabled()
+    dock.redo.click()
+    assert len(window.run.splats) == len(kept)
+    dock.reset.click()
+    assert np.array_equal(before, window.screenshot()) and not dock.keep_support.isEnabled()
 
 def drags_the_box(window, crop):
     # By the handle in the middle of its east side, in the 3D view.
@@ -364,8 +398,8 @@ def steps_of_model(window):
     assert window.screenshot().std() > 5
     window.fly_to_selected()
     assert "No camera" in window.statusBar().currentMessage()
-    window.docks.crop.active.setChecked(True)
-    assert window.docks.crop.save_inside(out / "part.ply") > 0
+    window.docks.cleaning.box.active.setChecked(True)
+    assert window.docks.cleaning.box.save_inside(out / "part.ply") > 0
 
 def steps_of_begun_run(nothing):
     # There is no plan yet: what is at work is shown until there is one.
@@ -384,7 +418,7 @@ def steps_of_begun_run(nothing):
     window.select_camera("DJI_0009.JPG")
     window.set_theme("dark")
     assert window.docks.progress.table.item(0, 1).text() == "running"
-    refused(window, lambda: window.docks.crop.save_inside(out / "none.ply"))
+    refused(window, lambda: window.docks.cleaning.box.save_inside(out / "none.ply"))
     # New results of the training appear by themselves, but not while the user measures.
     window.set_layer_visible("Borders", False)
     window.docks.fly.add_view()

@@ -184,7 +184,9 @@ def describe(step: CleaningStep, unit: str) -> str:
 
 
 def box_step(box: FloatArray) -> PolygonStep:
-    """The inside of a box, lower and upper corner (2,3)."""
+    """The inside of a box, lower and upper corner (2,3); BadInput where it has no volume."""
+    if not (np.diff(box, axis=0) > 0).all():
+        raise BadInput("the crop box holds no Gaussian: make it larger.")
     (west, south, low), (east, north, high) = np.asarray(box, np.float64).tolist()
     return PolygonStep(corners=((west, south), (east, south), (east, north), (west, north)), low=low, high=high)
 

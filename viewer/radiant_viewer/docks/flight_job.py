@@ -41,9 +41,9 @@ class SceneFrames:
         self._part = Part()
         self._drawn: Drawn = lambda image: None
 
-    def add_model(self, parent: QObject, ply_path: Path, box: FloatArray | None) -> None:
-        """Show the model of a file, inside a box (2,3) if there is one."""
-        self._part = Part(box=box)
+    def add_model(self, parent: QObject, ply_path: Path, part: Part) -> None:
+        """Show a part of the model of a file."""
+        self._part = part
         self._process = SplatProcess(parent, ply_path)
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:

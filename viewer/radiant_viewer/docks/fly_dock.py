@@ -29,6 +29,7 @@ from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.fly_through import flight_poses
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
+from radiant_viewer.splats.splat_process import Part
 
 SIZES = {"640 × 360": (640, 360), "1280 × 720": (1280, 720), "1920 × 1080": (1920, 1080)}
 SCENE, MODEL, LAYERS = "As the 3D view", "Model alone", "Layers alone"
@@ -101,7 +102,7 @@ class FlyDock(QDockWidget):
         layers = [] if shown == MODEL else [layer for layer in self._host.visible_layers() if layer.name != "Gaussians" or shown == LAYERS]
         frames = SceneFrames(layers, size, self._host.origin, self._host.theme)
         if shown != LAYERS and self._ply_path is not None:
-            frames.add_model(self, self._ply_path, self._host.crop_box)
+            frames.add_model(self, self._ply_path, Part(box=self._host.crop_box, kept=self._host.kept_path))
         self.job = FlightJob(self, poses, writer, frames)
         self.job.progressed.connect(self.bar.setValue)
         self.job.ended.connect(self._on_ended)

@@ -10,6 +10,7 @@ Pure: it needs neither Qt nor VTK at run time.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from radiant_core.numerics import FloatArray
@@ -48,6 +49,11 @@ class Host(StatusHost, Protocol):
     @property
     def crop_box(self) -> FloatArray | None:
         """The box (2,3) that hides what lies outside of it, or None."""
+        ...
+
+    @property
+    def kept_path(self) -> Path | None:
+        """The mask (.npy) of the Gaussians that the cleaning keeps, None for all."""
         ...
 
     def attempt(self, action: Callable[[], _Result]) -> _Result | None:

@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
+from radiant_core.geometry.cleaning import SizeStep, keeps
 from radiant_core.numerics import FloatArray
 from radiant_core.render.trajectories import Lens, box_corners, orbit
 from radiant_core.splats import Splats
@@ -33,9 +35,20 @@ def crop_to(splats: Splats, box: FloatArray) -> Splats:
     """Return the Gaussians whose middles lie in a box (2,3) widened by `MARGIN`, without haze."""
     side = float((box[1] - box[0]).max())
     inside = ((splats.means >= box[0] - MARGIN * side) & (splats.means <= box[1] + MARGIN * side)).all(axis=1)
-    sizes = np.exp(splats.log_scales.max(axis=1))
-    largest = max(LARGEST * side, LARGEST_MEDIANS * float(np.median(sizes[inside]))) if inside.any() else 0.0
-    return splats.select(np.flatnonzero(inside & (sizes <= largest)))
+    largest = _largest(splats, side, inside) if inside.any() else 1.0
+    return splats.select(inside & keeps(SizeStep(at_most=largest), splats))
+
+
+def haze_size(splats: Splats) -> float:
+    """From which standard deviation on a Gaussian of a model is haze, by its middle nine tenths."""
+    if not len(splats):
+        return 1.0
+    side = float(np.ptp(np.quantile(splats.means[:, :2], [0.05, 0.95], axis=0), axis=0).max())
+    return max(_largest(splats, side, np.ones(len(splats), bool)), 1e-6)
+
+
+def _largest(splats: Splats, side: float, inside: NDArray[np.bool_]) -> float:
+    return max(LARGEST * side, LARGEST_MEDIANS * float(np.exp(np.median(splats.log_scales[inside].max(axis=1)))))
 
 
 def turntable(splats: Splats, box: FloatArray, num_frames: int, size_wh: tuple[int, int]) -> Iterator[Image]:

@@ -11,9 +11,11 @@ Events drive it: nothing is polled, and the next picture is requested before the
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from radiant_core.cameras import Cameras
@@ -42,16 +44,19 @@ class ModelView(QObject):
     sharpened = Signal()
     """The 3D view shows the model in full."""
 
-    def __init__(self, host: Host, splats: Splats) -> None:
+    def __init__(self, host: Host, splats: Splats, kept: NDArray[np.bool_]) -> None:
         super().__init__()
         self._host, self._splats = host, splats
+        self._num_kept, self._num_masks = len(splats), 0
+        self.kept_path: Path | None = None
+        """The mask of what is drawn, None for the whole model."""
         self.is_shown = True
         self.has_failed = False
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
         # A copy of what the strict reader accepted: the run's file may change while this is open.
         self.ply_path = Path(self._folder.name) / "model.ply"
         save_ply(self.ply_path, splats)
-        self._ground = Ground.of(splats)
+        self._keep(kept)
         self._process = SplatProcess(self, self.ply_path)
         self._process.drawn.connect(self._on_drawn)
         self._process.ready.connect(self._on_ready)
@@ -85,8 +90,13 @@ class ModelView(QObject):
 
     @property
     def num_gaussians(self) -> int:
-        """Gaussians of the whole model."""
-        return len(self._splats)
+        """Gaussians that are drawn."""
+        return self._num_kept
+
+    def set_kept(self, kept: NDArray[np.bool_]) -> None:
+        """Draw those of a mask (N,) from now on."""
+        self._keep(kept)
+        self.look()
 
     def set_shown(self, shown: bool) -> None:
         """Show or hide the model in both views."""
@@ -141,8 +151,17 @@ class ModelView(QObject):
             self._is_looking = True
             QTimer.singleShot(0, self.look)
 
+    def _keep(self, kept: NDArray[np.bool_]) -> None:
+        self._num_kept = int(kept.sum())
+        self._ground = Ground.of(self._splats if kept.all() else self._splats.select(kept))
+        # A new file each time: the renderer knows parts by the file's name.
+        self._num_masks += 1
+        self.kept_path = None if kept.all() else Path(self._folder.name) / f"kept{self._num_masks}.npy"
+        if self.kept_path is not None:
+            np.save(self.kept_path, kept)
+
     def _part(self) -> Part:
-        return Part(box=self._host.crop_box)
+        return Part(box=self._host.crop_box, kept=self.kept_path)
 
     def _key(self) -> bytes:
         view = self._host.view
@@ -172,7 +191,7 @@ class ModelView(QObject):
         self._asked = (self._wanted, coarse == 1 and not thinned)
         view.keep_camera()
         if thinned:
-            part = Part(box=part.box, max_gaussians=MOVING_GAUSSIANS)
+            part = replace(part, max_gaussians=MOVING_GAUSSIANS)
         self._process.ask(VIEW, camera, self._host.theme.view, part)
 
     def _ask_map(self) -> None:
@@ -187,7 +206,9 @@ class ModelView(QObject):
         if part.box is not None:
             low, high = np.maximum(low, part.box[0]), np.minimum(high, part.box[1])
         x_min, y_min, x_max, y_max = self._host.map.extent
-        return camera_above((x_min, x_max, y_min, y_max), self._host.map.size_wh, self._ground.height), Part(box=np.stack([low, high]))
+        return camera_above((x_min, x_max, y_min, y_max), self._host.map.size_wh, self._ground.height), replace(
+            part, box=np.stack([low, high])
+        )
 
     def _on_ready(self) -> None:
         self.look()
@@ -218,7 +239,7 @@ class ModelView(QObject):
         if self._drawn[1] and self.coarse != 1:
             return
         if seconds > 1.25 * MOVING_S:
-            self._is_thinned = self._is_thinned or (self.coarse == COARSEST and len(self._splats) > MOVING_GAUSSIANS)
+            self._is_thinned = self._is_thinned or (self.coarse == COARSEST and self._num_kept > MOVING_GAUSSIANS)
             self.coarse = min(self.coarse + 1, COARSEST)
         elif seconds < 0.4 * MOVING_S:
             self.coarse = max(self.coarse - 1, 1)
@@ -226,7 +247,7 @@ class ModelView(QObject):
     def _note(self, frame: Frame) -> None:
         height, width = frame.picture.shape[:2]
         detail = "" if self._drawn[1] else ", coarse while moving"
-        self._host.view.note.setText(f"{len(self._splats):,} Gaussians, {width} × {height} px in {1000 * frame.seconds:.0f} ms{detail}")
+        self._host.view.note.setText(f"{self._num_kept:,} Gaussians, {width} × {height} px in {1000 * frame.seconds:.0f} ms{detail}")
 
     def _place_map(self) -> None:
         x_min, y_min, x_max, y_max = self._map_extent

@@ -37,15 +37,17 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
-    """What of a model is drawn: inside a box (2,3), and at most so many Gaussians."""
+    """What of a model is drawn: inside a box (2,3), of a mask in a file (.npy, never changed), and
+    at most so many Gaussians."""
 
     box: FloatArray | None = None
     max_gaussians: int | None = None
+    kept: Path | None = None
 
     @property
     def key(self) -> bytes:
         """Equal for equal parts."""
-        return (b"" if self.box is None else self.box.tobytes()) + str(self.max_gaussians).encode()
+        return (b"" if self.box is None else self.box.tobytes()) + f"{self.max_gaussians} {self.kept}".encode()
 
 
 class SplatProcess(QObject):
@@ -84,6 +86,7 @@ class SplatProcess(QObject):
             "background": list(background),
             "box": None if part.box is None else part.box.tolist(),
             "max_gaussians": part.max_gaussians,
+            "kept": None if part.kept is None else str(part.kept),
             "slot": self._slot,
         }
         self._process.write(json.dumps(message).encode() + b"\n")

@@ -1,11 +1,12 @@
 """A renderer process: `python -m radiant_viewer.splats.splat_worker MODEL.ply FRAMES`.
 
 One JSON line per request on standard input: {"id", "K", "cam_from_world", "size_wh", "background",
-"box", "max_gaussians", "slot"}; box is null or the lower and upper corner (2,3) of what is drawn,
-max_gaussians null or the most that are drawn, the weightiest ones. The picture, H·W·4 float32 of
-colour and depth (`render_rgbd`), is written at the start of the file FRAMES<slot>, which only
-grows: who asks maps it, so that no pixel goes through a pipe. Per answer one JSON line {"id",
-"size_wh", "seconds"}; the first line is {"ready", "num_gaussians"}. Ends with its standard input.
+"box", "max_gaussians", "kept", "slot"}; box is null or the lower and upper corner (2,3) of what is
+drawn, max_gaussians null or the most that are drawn, the weightiest ones, kept null or the .npy
+file of a mask (N,) of those that are drawn. The picture, H·W·4 float32 of colour and depth
+(`render_rgbd`), is written at the start of the file FRAMES<slot>, which only grows: who asks maps
+it, so that no pixel goes through a pipe. Per answer one JSON line {"id", "size_wh", "seconds"}; the
+first line is {"ready", "num_gaussians"}. Ends with its standard input.
 """
 
 from __future__ import annotations
@@ -40,11 +41,12 @@ class Parts:
         self._splats = splats
         self._kept: OrderedDict[str, ModelRenderer | None] = OrderedDict()
 
-    def renderer(self, box: list[list[float]] | None, max_gaussians: int | None) -> ModelRenderer | None:
+    def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, kept: str | None) -> ModelRenderer | None:
         """The renderer of the weightiest Gaussians in the box; None where there are none."""
-        key = json.dumps([box, max_gaussians])
+        key = json.dumps([box, max_gaussians, kept])
         if key not in self._kept:
-            inside = np.arange(len(self._splats)) if box is None else np.flatnonzero(inside_box(self._splats.means, box))
+            chosen = np.ones(len(self._splats), bool) if kept is None else np.load(kept)
+            inside = np.flatnonzero(chosen if box is None else chosen & inside_box(self._splats.means, box))
             if max_gaussians is not None and len(inside) > max_gaussians:
                 weights = _weights(self._splats)[inside]
                 inside = inside[np.sort(np.argpartition(-weights, max_gaussians)[:max_gaussians])]
@@ -77,7 +79,7 @@ def serve(path: Path, frames: str, requests: IO[bytes], answers: IO[bytes]) -> N
         )
         red, green, blue = (int(level) for level in request["background"])
         began = time.monotonic()
-        renderer = parts.renderer(request["box"], request["max_gaussians"])
+        renderer = parts.renderer(request["box"], request["max_gaussians"], request["kept"])
         picture = _map_frame(Path(f"{frames}{int(request['slot'])}"), width, height)
         if renderer is None:
             picture[:] = torch.tensor([red / 255, green / 255, blue / 255, 0.0])

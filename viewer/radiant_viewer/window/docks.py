@@ -9,7 +9,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QTabWidget, QWidget
 
 from radiant_viewer.docks.camera_dock import CameraDock
-from radiant_viewer.docks.crop_dock import CropDock
+from radiant_viewer.docks.cleaning_dock import CleaningDock
 from radiant_viewer.docks.fly_dock import FlyDock
 from radiant_viewer.docks.gantt_dock import GanttDock
 from radiant_viewer.docks.photo_dock import PhotoDock
@@ -29,7 +29,7 @@ class Docks:
     """A dock is None where it would be empty: a model alone has no cameras, a plan no seams."""
 
     fly: FlyDock
-    crop: CropDock
+    cleaning: CleaningDock
     photo: PhotoDock | None = None
     cameras: CameraDock | None = None
     seams: SeamDock | None = None
@@ -38,20 +38,21 @@ class Docks:
 
     def all(self) -> list[QDockWidget]:
         """Return the docks that exist, in the order of their tabs."""
-        docks = (self.photo, self.cameras, self.seams, self.gantt, self.progress, self.fly, self.crop)
+        docks = (self.photo, self.cameras, self.seams, self.gantt, self.progress, self.fly, self.cleaning)
         return [dock for dock in docks if dock is not None]
 
 
 def make_docks(host: Host, subject: Subject, feeds: RunFeeds, ply_path: Path | None) -> Docks:
     """Make the docks for what a window shows, its model as a file; `place_docks` places them."""
     run = subject.run
-    fly, crop = FlyDock(host, ply_path), CropDock(host, subject.splats, subject.unit)
+    fly = FlyDock(host, ply_path)
+    cleaning = CleaningDock(host, subject.cleaning_session(), subject.unit, subject.ground)
     if run is None:
-        return Docks(fly=fly, crop=crop)
+        return Docks(fly=fly, cleaning=cleaning)
     figures = image_figures(run.folder)
     return Docks(
         fly=fly,
-        crop=crop,
+        cleaning=cleaning,
         photo=PhotoDock(host, run, figures),
         cameras=CameraDock(host, run, figures),
         seams=make_seam_dock(host, run),

@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from radiant_core.errors import BadInput
-from radiant_core.io.ply import load_ply
+from radiant_core.geometry.cleaning import Surroundings
 from radiant_core.scene import SfmScene
-from radiant_core.splats import Splats
 from radiant_viewer.editing.plan_layers import add_planning_layers
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.splat_layer import splat_layer
+from radiant_viewer.runs.cleaned_model import CleanedModel, surroundings
+from radiant_viewer.runs.cleaning_session import CleaningSession
+from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.plan_view import load_plan_view
 from radiant_viewer.runs.run_layers import ground_height, run_layers
 from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_run_view
@@ -19,18 +21,27 @@ from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """layers in drawing order; splats and run if any; unit of the world; ground: height of the
+    """layers in drawing order; model and run if any; unit of the world; ground: height of the
     regions."""
 
     path: Path
     layers: tuple[Layer, ...]
-    splats: Splats | None
+    model: CleanedModel | None
     run: RunView | None
     unit: str
     ground: float
     summary: str
     stamps: FileStamps = ()
     """Stamps of the files before they were read."""
+
+    def cleaning_session(self) -> CleaningSession | None:
+        """The cleaning of the model; None without one."""
+        if self.model is None:
+            return None
+        if self.run is None:
+            return CleaningSession(self.path, self.model, Surroundings())
+        around = surroundings(self.run.folder, self.run.scene, self.run.cloud_plan, len(self.model.whole))
+        return CleaningSession(self.path, self.model, around)
 
 
 def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
@@ -42,13 +53,14 @@ def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
 
 def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
     if path.suffix.lower() == ".ply" and not path.is_dir():
-        splats = load_ply(path)
+        model = load_model(path)
+        splats = model.splats
         if not len(splats):
             raise BadInput(f"{path} holds no Gaussian: there is nothing to show.")
         summary = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
         # A PLY has no unit.
         layers = (splat_layer(splats),)
-        return Subject(path=path, layers=layers, splats=splats, run=None, unit="units", ground=0.0, summary=summary)
+        return Subject(path=path, layers=layers, model=model, run=None, unit="units", ground=0.0, summary=summary)
     if path.suffix.lower() == ".json" and not path.is_dir():
         return run_subject(load_plan_view(path, scene))
     return run_subject(load_run_view(path, with_files=True))
@@ -64,7 +76,7 @@ def run_subject(run: RunView) -> Subject:
     return Subject(
         path=run.folder,
         layers=tuple(add_planning_layers(run, run_layers(run)) if run.kind == "run" else run_layers(run)),
-        splats=run.splats,
+        model=run.model,
         run=run,
         unit=run.unit,
         ground=ground_height(run.scene),

@@ -8,13 +8,14 @@ document the shared methods.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer, Signal
-from PySide6.QtGui import QAction, QCloseEvent, QColor, QKeySequence, QPalette, QShortcut, QShowEvent
+from PySide6.QtGui import QAction, QCloseEvent, QKeySequence, QShortcut, QShowEvent
 from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
 
 from radiant_core.errors import BadInput, RadiantError
@@ -23,8 +24,10 @@ from radiant_viewer.docks.layer_dock import LayerDock
 from radiant_viewer.editing.plan_files import PlanSetting
 from radiant_viewer.editing.planning import make_planning
 from radiant_viewer.host.canvas import TOP_SLOT, Canvas
+from radiant_viewer.host.measure_tool import MeasureTool
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.layer import Layer, framing_positions
+from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, apply_theme, style_sheet
 from radiant_viewer.pictures.images import Image, save_png
 from radiant_viewer.pictures.view_motion import Side, side_view
@@ -34,9 +37,10 @@ from radiant_viewer.runs.run_layers import hidden_at_first
 from radiant_viewer.runs.run_view import RunView, file_stamps
 from radiant_viewer.splats.model_view import ModelView
 from radiant_viewer.window.docks import make_docks, place_docks, place_plan_docks, resize_docks
-from radiant_viewer.window.measure_tool import MeasureTool
 from radiant_viewer.window.panels import Panels
 from radiant_viewer.window.place_label import PlaceLabel
+from radiant_viewer.window.qt_palette import qt_palette
+from radiant_viewer.window.shortcuts import show_shortcuts
 from radiant_viewer.window.subject import Subject
 from radiant_viewer.window.window_size import fit_to_screen, remember_size
 
@@ -45,14 +49,6 @@ MAP_SHARE, EDITED_SHARE = 0.35, 0.6
 """Share of the map of both views' width; larger while a plan is edited on it."""
 PICK_PX = 14
 """Largest distance of a click from the camera that it selects."""
-MOUSE = {
-    "Drag": "Map: move it. 3D: orbit about what is under the pointer",
-    "Shift or middle, drag": "3D: move it. Map, while editing: select cameras",
-    "Wheel, right drag": "Nearer and farther. Right drag in 3D: look around, with W A S D Q E: fly",
-    "Click": "Select the camera there; with Measure: a corner",
-    "Double click": "3D: come nearer to it. A row: fly to its camera. A panel's tab: float it",
-}
-"""What the mouse does, for F1."""
 _Result = TypeVar("_Result")
 
 
@@ -95,11 +91,13 @@ class InspectorWindow(QMainWindow):
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
-        self.model = None if subject.splats is None else ModelView(self, subject.splats)
+        self.model = None if subject.model is None else ModelView(self, subject.model.whole, subject.model.cleaned.kept)
         self.docks = make_docks(self, subject, feeds or RunFeeds(), None if self.model is None else self.model.ply_path)
         place_docks(self, self.docks)
         if self.model is not None:
             self.model.failed.connect(self._on_model_failed)
+        if self.docks.cleaning.session is not None:
+            self.docks.cleaning.session.changed = self._on_cleaned
         if self.docks.cameras is not None:
             self.docks.cameras.chosen.connect(self.mark_camera)
         if self.docks.progress is not None:
@@ -219,7 +217,11 @@ class InspectorWindow(QMainWindow):
     @property
     def crop_box(self) -> FloatArray | None:
         # Asked for while the docks are made.
-        return self.docks.crop.active_box if hasattr(self, "docks") else None
+        return self.docks.cleaning.box.active_box if hasattr(self, "docks") else None
+
+    @property
+    def kept_path(self) -> Path | None:
+        return None if self.model is None else self.model.kept_path
 
     def set_theme(self, name: ThemeName) -> None:
         """Use the light or the dark theme, also in the views."""
@@ -228,7 +230,7 @@ class InspectorWindow(QMainWindow):
             button.blockSignals(True)
             button.setChecked(name == "dark")
             button.blockSignals(False)
-        QApplication.setPalette(_palette(self.theme))
+        QApplication.setPalette(qt_palette(self.theme))
         self.setStyleSheet(style_sheet(self.theme))
         for canvas in (self.map, self.view):
             canvas.set_theme(self.theme)
@@ -329,13 +331,21 @@ class InspectorWindow(QMainWindow):
         is_filming = self.docks.fly.job is not None
         has_dialog = QApplication.activeModalWidget() is not None or QApplication.activePopupWidget() is not None
         is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
-        return is_editing or is_filming or has_dialog or is_pressed or self.measure.is_active or self.crop_box is not None
+        return (
+            is_editing
+            or is_filming
+            or has_dialog
+            or is_pressed
+            or self.measure.is_active
+            or self.docks.cleaning.polygon.is_active
+            or self.crop_box is not None
+        )
 
     def _add_actions(self) -> None:
         bar = self.addToolBar("View")
         bar.setMovable(False)
         bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
-        photo, seams, fly, crop = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.crop
+        photo, seams, fly, cleaning = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.cleaning
         planning = self.planning
         actions = None if planning is None else planning.actions
         # Text, tip, key and action; an entry without a text has its button in a dock.
@@ -350,7 +360,7 @@ class InspectorWindow(QMainWindow):
             ("Seam tour", "The worst seam first", "T", self._begin_tour if seams else None),
             ("", "The next seam", "N", (lambda: seams.step(1)) if seams else None),
             ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
-            ("", "Take the last measured corner back", "Backspace", self.measure.undo),
+            ("", "Take the last measured or drawn corner back", "Backspace", self._undo_corner),
             ("", "Add the 3D view as a keyframe", "K", fly.add_view),
             ("", "Undo the last edit of the plan", "Ctrl+Z", actions.undo if actions else None),
             ("", "Redo it", "Ctrl+Shift+Z", actions.redo if actions else None),
@@ -359,7 +369,7 @@ class InspectorWindow(QMainWindow):
             ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
             ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
             ("", "Read the run anew", "F5", self.reload),
-            ("", "Show all keys and what the mouse does", "F1", self._show_shortcuts),
+            ("", "Show all keys and what the mouse does", "F1", lambda: show_shortcuts(self, self.shortcuts)),
         ]
         self.shortcuts: dict[str, str] = {}
         for text, tip, key, action in entries:
@@ -375,7 +385,7 @@ class InspectorWindow(QMainWindow):
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
             *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", self._set_editing)] if planning else []),
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
-            ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
+            ("Crop", "Cleaning: hide what lies outside a box", "B", self._set_cropping),
             ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: self.set_theme("dark" if dark else "light")),
         ]
         for text, tip, key, toggle in toggles:
@@ -390,7 +400,7 @@ class InspectorWindow(QMainWindow):
             if text == "Edit plan":
                 self.edit_button = button
             if text == "Crop":
-                crop.active.toggled.connect(button.setChecked)
+                cleaning.box.active.toggled.connect(button.setChecked)
         bar.addWidget(self.panels.button)
 
     def _begin_tour(self) -> None:
@@ -408,9 +418,27 @@ class InspectorWindow(QMainWindow):
         self.planning.set_active(active)
 
     def _set_cropping(self, active: bool) -> None:
-        self.docks.crop.active.setChecked(active)
+        self.docks.cleaning.box.active.setChecked(active)
         if active:
-            self.raise_dock(self.docks.crop)
+            self.raise_dock(self.docks.cleaning)
+
+    def _undo_corner(self) -> None:
+        for tool in (self.measure, self.docks.cleaning.polygon):
+            tool.undo()
+
+    def _on_cleaned(self) -> None:
+        """Show the model without what its cleaning leaves out now."""
+        session = self.docks.cleaning.session
+        assert session is not None
+        if self.run is not None:
+            self.run = replace(self.run, model=session.model)
+        # This window made the change: there is nothing to read again.
+        self._tried = file_stamps(self.subject.path)
+        if self.model is not None:
+            self.model.set_kept(session.model.cleaned.kept)
+        self.replace_layer(splat_layer(session.model.splats))
+        self.docks.cleaning.show_session()
+        self.render_views()
 
     def _share_views(self, map_share: float) -> None:
         width = self.splitter.width()
@@ -427,7 +455,7 @@ class InspectorWindow(QMainWindow):
         slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
         for canvas in (self.map, self.view):
             canvas.draw(layer, slot, visible=self._draws(layer))
-            self.docks.crop.apply_to(canvas)
+            self.docks.cleaning.box.apply_to(canvas)
 
     def _draws(self, layer: Layer) -> bool:
         """Whether a layer is drawn as it is: Gaussians are drawn as the model while that can be."""
@@ -467,33 +495,3 @@ class InspectorWindow(QMainWindow):
         if path:
             # The dialog must have left the screen.
             QTimer.singleShot(300, lambda: self.attempt(lambda: self.save_window_picture(Path(path))))
-
-    def _show_shortcuts(self) -> None:
-        pairs = [*MOUSE.items(), *self.shortcuts.items()]
-        rows = "".join(f"<tr><td><b>{key}</b>&nbsp;&nbsp;</td><td>{tip}</td></tr>" for key, tip in pairs)
-        box = QMessageBox(QMessageBox.Icon.NoIcon, "Keys and mouse", f"<table>{rows}</table>", QMessageBox.StandardButton.Close, self)
-        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        box.open()
-
-
-def _palette(theme: Theme) -> QPalette:
-    roles = {
-        QPalette.ColorRole.Window: theme.panel,
-        QPalette.ColorRole.Base: theme.field,
-        QPalette.ColorRole.AlternateBase: theme.panel,
-        QPalette.ColorRole.Button: theme.panel,
-        QPalette.ColorRole.ToolTipBase: theme.field,
-        QPalette.ColorRole.WindowText: theme.text,
-        QPalette.ColorRole.Text: theme.text,
-        QPalette.ColorRole.ButtonText: theme.text,
-        QPalette.ColorRole.ToolTipText: theme.text,
-        QPalette.ColorRole.PlaceholderText: theme.soft_text,
-        QPalette.ColorRole.Highlight: theme.accent,
-        QPalette.ColorRole.HighlightedText: theme.field,
-    }
-    palette = QPalette()
-    for role, color in roles.items():
-        palette.setColor(role, QColor(*color))
-    for role in (QPalette.ColorRole.WindowText, QPalette.ColorRole.Text, QPalette.ColorRole.ButtonText):
-        palette.setColor(QPalette.ColorGroup.Disabled, role, QColor(*theme.soft_text))
-    return palette

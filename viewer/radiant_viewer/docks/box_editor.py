@@ -1,5 +1,6 @@
-"""The crop box: hides what lies outside it in all views, and exports what lies inside. The graphics
-card clips the clouds, so dragging the box copies no points. Needs the `desktop` extra."""
+"""The box of the cleaning: hides what lies outside it in all views while it is open, and makes a
+step of that. The graphics card clips the clouds, so dragging the box copies no points. Needs the
+`desktop` extra."""
 
 from __future__ import annotations
 
@@ -7,39 +8,38 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PySide6.QtWidgets import QCheckBox, QDockWidget, QDoubleSpinBox, QFileDialog, QGridLayout, QLabel, QPushButton, QWidget
+from PySide6.QtWidgets import QCheckBox, QDoubleSpinBox, QFileDialog, QGridLayout, QHBoxLayout, QLabel, QPushButton, QWidget
 from vtkmodules.vtkCommonDataModel import vtkPlane
 from vtkmodules.vtkRenderingCore import vtkActor
 
 from radiant_core.errors import BadInput
-from radiant_core.io.ply import save_ply
+from radiant_core.geometry.cleaning import box_step
 from radiant_core.numerics import FloatArray
-from radiant_core.splats import Splats
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.layer import CLOUD_SIZE, framing_positions
-from radiant_viewer.layers.splat_layer import inside_box
+from radiant_viewer.runs.cleaning_session import CleaningSession
 
 SIDES = (("West", "East"), ("South", "North"), ("Low", "High"))
+BUTTON_PX = 96
 SHARE = 0.5
 """Share of the scene's extent that the first box holds, per horizontal axis."""
 
 
-class CropDock(QDockWidget):
+class BoxEditor(QWidget):
     """`box` (2,3): lower and upper corner in the world; it clips only while `active` is ticked."""
 
-    def __init__(self, host: Host, splats: Splats | None, unit: str) -> None:
-        super().__init__("Crop")
-        self.setObjectName("crop")
-        self._host, self._splats = host, splats
+    def __init__(self, host: Host, session: CleaningSession | None, unit: str) -> None:
+        super().__init__()
+        self._host, self._session = host, session
         drawn = framing_positions(host.layers)
         self._extent = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
-        self.active = QCheckBox("Hide what lies outside the box")
+        self.active = QCheckBox("Box: hide what lies outside")
         self.active.setToolTip("Show and cut by the box; drag its handles in the 3D view, or type its sides (B)")
         self.active.toggled.connect(self._on_toggled)
         self._fields: list[list[QDoubleSpinBox]] = []
-        body = QWidget()
-        grid = QGridLayout(body)
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
         grid.addWidget(self.active, 0, 0, 1, 4)
         for row, names in enumerate(SIDES):
             fields = [self._field(f"{name} side of the box ({unit})") for name in names]
@@ -52,15 +52,20 @@ class CropDock(QDockWidget):
         self.reset = QPushButton("Reset")
         self.reset.clicked.connect(lambda: self.set_box(self._first_box()))
         self.export = QPushButton("Export PLY…")
-        self.export.setToolTip("Save the Gaussians inside the box as a 3DGS PLY")
-        self.export.setEnabled(splats is not None)
+        self.export.setToolTip("Save the Gaussians inside the box as a 3DGS PLY, and keep the model as it is")
         self.export.clicked.connect(self._ask_export)
-        grid.addWidget(self.count, 1, 4)
-        grid.addWidget(self.reset, 2, 4)
-        grid.addWidget(self.export, 3, 4)
-        grid.setColumnStretch(5, 1)
-        grid.setRowStretch(4, 1)
-        self.setWidget(body)
+        self.keep = QPushButton("Keep inside")
+        self.keep.setToolTip("Leave out of the model what lies outside the box")
+        self.keep.clicked.connect(lambda: host.attempt(self.keep_inside))
+        for button in (self.export, self.keep):
+            button.setEnabled(session is not None)
+        buttons = QHBoxLayout()
+        for button in (self.reset, self.export, self.keep):
+            button.setMaximumWidth(BUTTON_PX)
+            buttons.addWidget(button)
+        grid.addLayout(buttons, 4, 0, 1, 4)
+        grid.addWidget(self.count, 5, 0, 1, 4)
+        grid.setRowStretch(6, 1)
         self._widget_box: FloatArray | None = None
         self.set_box(self._first_box())
 
@@ -95,14 +100,26 @@ class CropDock(QDockWidget):
     def save_inside(self, path: Path) -> int:
         """Write the Gaussians inside the box and return their number; BadInput without any, or if
         the file cannot be written."""
-        if self._splats is None:
+        if self._session is None:
             raise BadInput("this run has no model yet: there is nothing to export.")
-        inside = np.flatnonzero(inside_box(self._splats.means, self.box.tolist()))
-        if not len(inside):
-            raise BadInput("the crop box holds no Gaussian: make it larger.")
-        save_ply(path, self._splats.select(inside))
-        self._host.show_status(f"Saved {len(inside):,} Gaussians to {path}")
-        return len(inside)
+        count = self._session.save_kept_by(box_step(self.box), path)
+        self._host.show_status(f"Saved {count:,} Gaussians to {path}")
+        return count
+
+    def keep_inside(self) -> None:
+        """Make a step of the cleaning of the box; BadInput where it holds no Gaussian."""
+        if self._session is not None:
+            self._session.add(box_step(self.box))
+            self.active.setChecked(False)
+
+    def show_count(self) -> None:
+        """Say how many Gaussians the box holds."""
+        if self._session is None:
+            return
+        left = len(self._session.model.splats)
+        is_empty = bool((np.diff(self.box, axis=0) <= 0).any())
+        inside = 0 if is_empty else left - self._session.count(box_step(self.box))
+        self.count.setText(f"{inside:,} of {left:,} inside")
 
     def _first_box(self) -> FloatArray:
         middle, half = self._extent.mean(axis=0), np.ptp(self._extent, axis=0) / 2
@@ -129,9 +146,7 @@ class CropDock(QDockWidget):
             self.apply_to(canvas)
         if self.active.isChecked():
             self._show_widget(True)
-        if self._splats is not None:
-            inside = int(inside_box(self._splats.means, self.box.tolist()).sum())
-            self.count.setText(f"{inside:,} of {len(self._splats):,} Gaussians inside")
+        self.show_count()
         self._host.render_views()
 
     def _show_widget(self, active: bool) -> None:
