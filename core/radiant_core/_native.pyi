@@ -119,3 +119,16 @@ def match_planes(
     num_threads: int = 1,
     instruction_set: str = "",
 ) -> NDArray[np.float32]: ...
+def encode_places(
+    places: Tensor, table: Tensor, resolutions: Tensor, features: Tensor, num_threads: int = 1, instruction_set: str = ""
+) -> None: ...
+def grid_gradients(
+    places: Tensor,
+    table: Tensor,
+    resolutions: Tensor,
+    feature_gradients: Tensor,
+    table_gradients: Tensor,
+    place_gradients: Tensor,
+    num_threads: int = 1,
+    instruction_set: str = "",
+) -> None: ...

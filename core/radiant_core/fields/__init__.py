@@ -1,0 +1,1 @@
+"""Radiance fields: what other rooms split and join to compare with Gaussians."""

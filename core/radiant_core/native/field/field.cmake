@@ -1,0 +1,10 @@
+# The hash grid of radiance fields: its kernels once per instruction set, chosen at run time, with the arithmetic of the training kernels.
+foreach(set IN LISTS TRAINING_SETS)
+  add_library(field_${set} OBJECT ${NATIVE}/field/kernels.cpp)
+  target_compile_features(field_${set} PRIVATE cxx_std_17)
+  target_compile_definitions(field_${set} PRIVATE RADIANT_ISA=${set})
+  target_compile_options(field_${set} PRIVATE -Wall -Wextra -Wno-psabi ${TRAINING_OPTIONS} ${TRAINING_OPTIONS_${set}})
+  set_target_properties(field_${set} PROPERTIES POSITION_INDEPENDENT_CODE ON CXX_VISIBILITY_PRESET hidden)
+  target_sources(_native PRIVATE $<TARGET_OBJECTS:field_${set}>)
+endforeach()
+target_sources(_native PRIVATE ${NATIVE}/field/bind.cpp)
