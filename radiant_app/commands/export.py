@@ -39,7 +39,8 @@ _WANTED = {
     "dsm": (".tif", ".tiff"),
 }
 
-_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog")
+_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod")
+_LEVELLED: tuple[ExportFormat, ...] = ("lod",)
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -58,6 +59,10 @@ class ExportRequest:
     long_side_px: int = 640
     clean: bool = False
     """Whether Gaussians that too few photographs constrain go into a file of their own."""
+    num_levels: int | None = None
+    """Levels of detail; None: by the number of Gaussians."""
+    regions: tuple[Path, ...] = ()
+    """Runs whose regions chunks belong to, of a model that is no run."""
 
     @property
     def side_file(self) -> Path:
@@ -76,6 +81,8 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"--resolution is of a mesh or surface model, and {kind} has none: leave it out, or add --format mesh or dsm.")
     if request.clean and kind not in _CLEANED:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
+    if (request.num_levels is not None or request.regions) and kind not in _LEVELLED:
+        raise BadInput(f"--levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
     if request.clean and request.side_file.exists():
         raise BadInput(f"{request.side_file} exists, where --clean would put what it takes out: choose another name.")
     figures = _WRITERS[kind](request, display)
@@ -103,7 +110,12 @@ def _splats_of(model: Path) -> Splats:
         return load_splats(model)
     if model.suffix == ".ply":
         return load_ply(model)
-    raise BadInput(f"{model} is neither a run folder nor a model.safetensors or .ply: give one of these.")
+    if model.suffix == ".sog" or model.name in ("meta.json", "lod-meta.json"):
+        from radiant_core.io.lod_reader import load_lod_level
+        from radiant_core.io.sog_reader import load_sog
+
+        return load_lod_level(model) if model.name == "lod-meta.json" else load_sog(model)
+    raise BadInput(f"{model} is neither a run folder nor a model.safetensors, .ply, .sog or lod-meta.json: give one of these.")
 
 
 def _exported(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
@@ -158,6 +170,28 @@ def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     splats, cleaned = _exported(request, display)
     figures = {name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}
     return {"gaussians": len(splats), **figures, **cleaned}
+
+
+def _lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_app.commands.lod_regions import lod_regions
+    from radiant_app.commands.steps import stage_bar
+    from radiant_app.files.run_folder import create_folder
+    from radiant_core.io.export.lod import save_lod
+    from radiant_core.lod.levels import LodLimits
+
+    splats, cleaned = _exported(request, display)
+    regions = lod_regions(request.model, splats, request.regions)
+    with create_folder(request.out), stage_bar(display, "levels") as report:
+        figures = save_lod(
+            request.out,
+            splats,
+            regions,
+            LodLimits(num_levels=request.num_levels),
+            lambda done, total: report(done, total, "Gaussians"),
+        )
+    errors = {name: float(f"{value:.3g}") for name, value in asdict(figures.errors).items()}
+    levels = {"levels": ", ".join(f"{count:,}" for count in figures.counts), "far_field": figures.num_far, "chunks": figures.num_chunks}
+    return {"gaussians": len(splats), **levels, **errors, **cleaned}
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -291,5 +325,5 @@ def _origin_of(run: RunView) -> dict[str, Any]:
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
-    "ply": _ply, "spz": _spz, "sog": _sog, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "dsm": _dsm,
+    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "dsm": _dsm,
 }  # fmt: skip
