@@ -10,6 +10,7 @@ import typer
 from radiant_app.cli.option_types import AsJson, CrsOption, SizeOption
 from radiant_app.report.tables import finish
 from radiant_core.choices import ExportFormat, Trajectory
+from radiant_core.errors import BadInput
 
 
 def render(
@@ -58,7 +59,7 @@ def export(
     format: Annotated[  # noqa: A002
         ExportFormat | None,
         typer.Option(
-            help="Model: ply, spz, sog. Scene: geojson (regions, cameras), colmap. GeoTIFF: ortho (picture), dsm (heights). mesh: a PLY."
+            help="Model: ply, spz, sog, lod. Scene: geojson (regions, cameras), colmap. GeoTIFF: ortho (picture), dsm (heights). mesh: a PLY."
         ),
     ] = None,
     resolution: Annotated[
@@ -67,10 +68,15 @@ def export(
     long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the pictures for mesh, dsm and --clean.")] = 640,
     tile_px: Annotated[int, typer.Option("--tile-px", min=16, max=8192, help="Side of a GeoTIFF's tiles, a multiple of 16.")] = 512,
     clean: Annotated[
-        bool, typer.Option("--clean", help="ply, spz, sog: what too few photographs constrain goes into NAME_unconstrained.ply.")
+        bool, typer.Option("--clean", help="A model: what too few photographs constrain goes into NAME_unconstrained.ply.")
     ] = False,
     uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
     crs: CrsOption = None,
+    lod: Annotated[bool, typer.Option("--lod", help="A folder of streamed SOG: levels of detail that a viewer fetches as needed.")] = False,
+    levels: Annotated[int | None, typer.Option(min=1, max=8, help="Levels of detail, else as many as the model needs.")] = None,
+    regions: Annotated[
+        list[Path] | None, typer.Option(help="--lod of a PLY: run whose regions its chunks belong to; repeatable, a joined one last.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """A model, its plan, cameras or surface in the files of other programs; says what is lost."""
@@ -80,15 +86,19 @@ def export(
         from radiant_app.commands.export import ExportRequest
         from radiant_app.commands.export import export as write_export
 
+    if lod and format not in (None, "lod"):
+        raise BadInput(f"--lod is a format of its own and --format is {format}: ask for one of them.")
     request = ExportRequest(
         model=model,
         out=out,
-        format=format,
+        format="lod" if lod else format,
         resolution=resolution,
         long_side_px=long_side_px,
+        tile_px=tile_px,
         clean=clean,
         as_trained=uncleaned,
         crs=crs,
-        tile_px=tile_px,
+        num_levels=levels,
+        regions=tuple(regions or ()),
     )
     finish(write_export(request, terminal_display()), as_json)

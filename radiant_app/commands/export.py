@@ -48,7 +48,8 @@ _WANTED = {
 }
 _OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "dsm", "ortho")
 
-_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog")
+_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod")
+_LEVELLED: tuple[ExportFormat, ...] = ("lod",)
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -73,6 +74,10 @@ class ExportRequest:
     crs: str | None = None
     """System of the file's coordinates; None: the scene's own metres, longitude and latitude in
     GeoJSON, the UTM zone in a GeoTIFF."""
+    num_levels: int | None = None
+    """Levels of detail; None: by the number of Gaussians."""
+    regions: tuple[Path, ...] = ()
+    """Runs whose regions chunks belong to, of a model that is no run."""
 
     @property
     def side_file(self) -> Path:
@@ -95,6 +100,8 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
     if request.crs is not None:
         require_no_sidecar(request.out)
+    if (request.num_levels is not None or request.regions) and kind not in _LEVELLED:
+        raise BadInput(f"--levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
     if request.clean and request.side_file.exists():
         raise BadInput(f"{request.side_file} exists, where --clean would put what it takes out: choose another name.")
     figures = _WRITERS[kind](request, display)
@@ -189,6 +196,28 @@ def _placed(request: ExportRequest, splats: Splats) -> tuple[Splats, ExportPlace
     """The Gaussians in the coordinates of the file, and what says where those lie."""
     place = place_of(request.model, request.crs, lambda: splats.means.mean(axis=0))
     return (splats if place.reference is None else place.reference.move(splats)), place
+
+
+def _lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_app.commands.lod_regions import lod_regions
+    from radiant_app.commands.steps import stage_bar
+    from radiant_app.files.run_folder import create_folder
+    from radiant_core.io.export.lod import save_lod
+    from radiant_core.lod.levels import LodLimits
+
+    splats, cleaned = _exported(request, display)
+    regions = lod_regions(request.model, splats, request.regions)
+    with create_folder(request.out), stage_bar(display, "levels") as report:
+        figures = save_lod(
+            request.out,
+            splats,
+            regions,
+            LodLimits(num_levels=request.num_levels),
+            lambda done, total: report(done, total, "Gaussians"),
+        )
+    errors = {name: float(f"{value:.3g}") for name, value in asdict(figures.errors).items()}
+    levels = {"levels": ", ".join(f"{count:,}" for count in figures.counts), "far_field": figures.num_far, "chunks": figures.num_chunks}
+    return {"gaussians": len(splats), **levels, **errors, **cleaned}
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -340,5 +369,5 @@ def _origin_of(run: RunView) -> dict[str, Any]:
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
-    "ply": _ply, "spz": _spz, "sog": _sog, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "dsm": _dsm, "ortho": _ortho,
+    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "dsm": _dsm, "ortho": _ortho,
 }  # fmt: skip

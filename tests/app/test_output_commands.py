@@ -24,6 +24,7 @@ from radiant_core.io.ply import load_ply
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.render.trajectories import Lens, cameras_looking_at
 from radiant_core.splats import concatenate_splats
+from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run
 
 
@@ -277,3 +278,29 @@ def test_what_cannot_be_is_said_in_one_sentence_and_nothing_is_left(
         radiant(*filled)
     assert len(str(caught.value).splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_levels_of_detail_belong_to_the_regions_of_the_run_and_say_nothing_but_gaussians(run: Path, tmp_path: Path) -> None:
+    said = json.loads(radiant("export", run, tmp_path / "lod", "--lod", "--levels", "3", "--json"))
+    assert said["format"] == "lod" and said["gaussians"] == 9000 and len(said["levels"].split(", ")) == 3
+    chunks = sorted(path.name for path in (tmp_path / "lod").glob("0_*"))
+    assert len(chunks) == said["chunks"] == 3, "one for each of the town's regions"
+    again = json.loads(radiant("export", run / "scene.ply", tmp_path / "again", "--lod", "--levels", "3", "--regions", run, "--json"))
+    assert again["chunks"] == 3
+    for path in (tmp_path / "lod").rglob("*.*"):
+        assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "lod")).read_bytes()
+        assert not any(name.encode() in path.read_bytes() for name in load_run_view(run).scene.cameras.names)
+    back = json.loads(radiant("export", tmp_path / "lod" / "lod-meta.json", tmp_path / "back.ply", "--json"))
+    assert back["gaussians"] == 9000 == len(load_ply(tmp_path / "back.ply"))
+
+
+def test_levels_of_what_has_none_are_refused(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="--levels and --regions"):
+        radiant("export", run, tmp_path / "a.ply", "--levels", "3")
+    with pytest.raises(BadInput, match="--lod is a format of its own"):
+        radiant("export", run, tmp_path / "a", "--lod", "--format", "colmap")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").write_text("x")
+    with pytest.raises(BadInput, match="exists"):
+        radiant("export", run, tmp_path / "full", "--lod")
+    assert [path.name for path in (tmp_path / "full").iterdir()] == ["x"]

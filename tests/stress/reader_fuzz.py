@@ -30,13 +30,19 @@ from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.colmap.model import read_model
+from radiant_core.io.export.lod import META_NAME, save_lod
+from radiant_core.io.export.sog import save_sog, save_sog_folder
+from radiant_core.io.lod_reader import load_lod_level
 from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
 from radiant_core.io.photos.jpeg import read_jpeg_facts
 from radiant_core.io.photos.listing import decode_image, list_photographs, load_photograph, photograph_positions, read_size_wh
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, save_cameras, save_scene, save_splats
+from radiant_core.io.sog_reader import load_sog
 from radiant_core.io.transport.upload import load_upload, save_upload
 from radiant_core.io.waypoints.reader import read_waypoints
+from radiant_core.lod.cells import whole_region
+from radiant_core.lod.levels import LodLimits
 from radiant_core.scene import SfmScene
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -237,6 +243,39 @@ def _spz(folder: Path) -> Target:
     )
 
 
+def _sog(folder: Path) -> Target:
+    """The zip, and of an unbundled one the description, a texture with an alpha channel, and one without."""
+    splats = ground_splats(40)
+    splats = type(splats)(**{**splats.arrays(), "shN": np.zeros((40, 3, 3), np.float32)})
+    bundle = _made(folder, "m.sog", lambda path: save_sog(path, splats))
+    (folder / "m.sog").unlink()
+    if not (folder / "loose").exists():
+        save_sog_folder(folder / "loose", splats)
+    loose = [f"loose/{name}" for name in ("meta.json", "quats.webp", "shN_centroids.webp")]
+    names = ["m.sog", *loose]
+    reads = ["m.sog", *["loose/meta.json"] * 3]
+    return Target(
+        seeds=[bundle, *((folder / name).read_bytes() for name in loose)],
+        place=lambda number: names[number],
+        read=lambda inside, number: load_sog(inside / reads[number]),
+        # WebP's pixels four bytes each, as bytes and as numbers.
+        pixel_bytes=lambda data: 1 << 20,
+    )
+
+
+def _lod(folder: Path) -> Target:
+    """Whole files of a few leaves, read with all chunks that they name."""
+    splats = ground_splats(60)
+    limits = LodLimits(num_levels=2, chunk_count=30, leaf_side_m=1.0, leaf_count=5)
+    if not (folder / META_NAME).exists():
+        save_lod(folder, splats, [whole_region(splats.means)], limits)
+    return Target(
+        seeds=[(folder / META_NAME).read_bytes()],
+        place=lambda _: META_NAME,
+        read=lambda inside, _: load_lod_level(inside / META_NAME),
+    )
+
+
 def _json(folder: Path) -> Target:
     plan = (ROOT / "sample_scenes/runs/tiny/plan.json").read_bytes()
     collection = b'{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "a"}, "geometry": '
@@ -312,6 +351,8 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
     "ply": _ply,
     "safetensors": _safetensors,
     "spz": _spz,
+    "sog": _sog,
+    "lod": _lod,
     "colmap": _colmap,
     "toml": _toml,
     "json": _json,

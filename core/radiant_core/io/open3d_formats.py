@@ -34,6 +34,7 @@ SPZ_MAX_LOG_SCALE = 5.9375
 """Larger Gaussians come back smaller."""
 _SPZ_HEADER = struct.Struct("<4sIIBBBBI12x")
 _SPZ_STREAM = struct.Struct("<QQ")
+_SPZ_FLAGS_AT, _SPZ_ANTIALIASED = 14, 1
 MAX_ZSTD_RATIO = 2**15
 """A block of Zstandard is 128 KiB at most and 4 bytes or more: a stream that promises more is none,
 and nothing is allocated for it."""
@@ -82,7 +83,10 @@ def spz_bytes(splats: Splats) -> bytes:
         path = Path(folder) / "model.spz"
         if not o3d.t.io.write_point_cloud(path, cloud):
             raise StageFailed(f"Open3D wrote no SPZ of {len(splats)} Gaussians: use --upload float16.")
-        return path.read_bytes()
+        data = bytearray(path.read_bytes())
+    # Open3D has no such flag; without it other programs draw the model too sharp and too bright.
+    data[_SPZ_FLAGS_AT] |= _SPZ_ANTIALIASED if splats.antialiased else 0
+    return bytes(data)
 
 
 def splats_from_spz(data: bytes, num_splats: int, sh_degree: int) -> Splats:
@@ -108,6 +112,7 @@ def splats_from_spz(data: bytes, num_splats: int, sh_degree: int) -> Splats:
         logit_opacities=np.clip(point["opacity"][:, 0], -end_logit, end_logit),
         sh0=point["f_dc"][:, None],
         shN=point["f_rest"],
+        antialiased=bool(data[_SPZ_FLAGS_AT] & _SPZ_ANTIALIASED),
     )
 
 

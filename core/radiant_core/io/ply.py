@@ -2,8 +2,10 @@
 
 One binary little-endian float32 record per Gaussian: x y z, nx ny nz (zero), f_dc_0..2, f_rest_*
 (all bases of red, then of green, then of blue), opacity (logit), scale_0..2 (ln m), rot_0..3
-(wxyz). The comment "antialiased" says that the model is so. Layout: Kerbl et al., 3D Gaussian
-Splatting (2023), its published models. The reader is strict: PLY files come from strangers.
+(wxyz). An antialiased model says so in two comments: ours, and "SplatRenderMode: mip", which Brush
+and PlayCanvas's tools read; Postshot's "antialiased 1" is read too. Layout: Kerbl et al., 3D
+Gaussian Splatting (2023), its published models. The reader is strict: PLY files come from
+strangers.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from radiant_core.splats import Splats
 
 MAX_HEADER_LINES = 2000
 MAX_LINE_BYTES = 1000
-ANTIALIASED = "antialiased"
+ANTIALIASED, RENDER_MODE = "antialiased", "SplatRenderMode:"
 CHUNK_ROWS = 65536
 """Gaussians written at a time: 16 MB, so that writing takes no second copy of a large model."""
 CACHED_ROWS = 4096
@@ -49,7 +51,8 @@ def save_ply(path: Path, splats: Splats, comments: Sequence[str] = ()) -> None:
     rest = tuple(f"f_rest_{index}" for index in range(3 * splats.shN.shape[1]))
     names = (*MEANS, "nx", "ny", "nz", *SH0, *rest, "opacity", *LOG_SCALES, *QUATS)
     properties = "".join(f"property float {name}\n" for name in names)
-    comment = "".join(f"comment {line}\n" for line in ((ANTIALIASED,) if splats.antialiased else ()) + tuple(comments))
+    lines = ((ANTIALIASED, f"{RENDER_MODE} mip") if splats.antialiased else ()) + tuple(comments)
+    comment = "".join(f"comment {line}\n" for line in lines)
     with atomic_writer(path) as file:
         file.write(f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(splats)}\n{properties}end_header\n".encode())
         for start in range(0, len(splats), CHUNK_ROWS):
@@ -107,7 +110,7 @@ def _read_header(file: IO[bytes]) -> tuple[int, np.dtype, bool]:
     antialiased = False
     for _ in range(MAX_HEADER_LINES):
         match _header_words(file):
-            case ["comment", word] if word == ANTIALIASED:
+            case ["comment", *words] if words in ([ANTIALIASED], [ANTIALIASED, "1"], [RENDER_MODE, "mip"]):
                 antialiased = True
             case ["comment" | "obj_info", *_]:
                 pass

@@ -114,3 +114,10 @@ def test_a_model_that_packs_well_is_no_bomb() -> None:
     data = spz_bytes(one)
     assert len(data) < 20_000 * 29 / 100
     np.testing.assert_allclose(splats_from_spz(data, 20_000, 1).means, one.means, atol=1 / 4096)
+
+
+def test_the_flag_of_spz_says_how_a_model_is_drawn() -> None:
+    plain = spz_bytes(unit_splats(3, 0))
+    marked = spz_bytes(replace(unit_splats(3, 0), antialiased=True))
+    assert [index for index, (a, b) in enumerate(zip(plain, marked, strict=True)) if a != b] == [14] and marked[14] == plain[14] | 1
+    assert splats_from_spz(marked, 3, 0).antialiased and not splats_from_spz(plain, 3, 0).antialiased

@@ -288,3 +288,15 @@ def test_a_double_beyond_float32_is_refused_and_rows_over_the_cache_are_all_read
     (tmp_path / "a.ply").write_bytes(header_of(head) + rows.astype("<f8").tobytes())
     with pytest.raises(BadInput, match="means has 1 values that are not finite"):
         load_ply(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("comment", ["antialiased", "antialiased 1", "SplatRenderMode: mip"])
+def test_the_words_of_three_programs_mark_an_antialiased_model(tmp_path: Path, comment: str) -> None:
+    save_ply(tmp_path / "a.ply", replace(random_splats(3, 0), antialiased=True))
+    data = (tmp_path / "a.ply").read_bytes()
+    assert data.count(b"comment ") == 2 and b"\ncomment SplatRenderMode: mip\n" in data
+    head, body = data.split(b"end_header\n", 1)
+    kept = b"\n".join(line for line in head.split(b"\n") if not line.startswith(b"comment"))
+    for other, marked in ((f"comment {comment}\n", True), ("comment antialiased 0\ncomment SplatRenderMode: default\n", False)):
+        (tmp_path / "b.ply").write_bytes(kept.replace(b"element vertex", other.encode() + b"element vertex") + b"end_header\n" + body)
+        assert load_ply(tmp_path / "b.ply").antialiased == marked

@@ -15,7 +15,7 @@ from radiant_viewer.runs.run_view import PLY_NAME, load_run_view, no_model_text
 
 
 def load_model(path: Path, *, as_trained: bool = False) -> CleanedModel:
-    """Read the model of a run, a training, a .ply or a model.safetensors.
+    """Read the model of a run, a training, a .ply, a model.safetensors, a .sog or levels of detail.
 
     Args:
         path: the folder or the file.
@@ -37,4 +37,12 @@ def load_model(path: Path, *, as_trained: bool = False) -> CleanedModel:
         return cleaned_model(load_splats(path), cleaning, Surroundings())
     if path.suffix.lower() == ".ply":
         return cleaned_model(load_ply(path), cleaning, Surroundings())
-    raise BadInput(f"{path} is neither a run folder nor a model.safetensors or .ply: give one of these.")
+    if path.name == "lod-meta.json":
+        from radiant_core.io.lod_reader import load_lod_level
+
+        return cleaned_model(load_lod_level(path), cleaning, Surroundings())
+    if path.suffix.lower() == ".sog" or path.name == "meta.json":
+        from radiant_core.io.sog_reader import load_sog
+
+        return cleaned_model(load_sog(path), cleaning, Surroundings())
+    raise BadInput(f"{path} is neither a run folder nor a model.safetensors, .ply, .sog or lod-meta.json: give one of these.")

@@ -1,4 +1,5 @@
-"""Models as SOG (Spatially Ordered Gaussians 2): lossless WebP textures in a zip. Once per model.
+"""Models as SOG (Spatially Ordered Gaussians 2): lossless WebP textures in a zip or a folder. Once
+per model.
 
 Of Gaussian i of N, pixel i of each W × H texture, rows first:
     means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)),
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from radiant_core import __version__
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, CannotWrite
 from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray, unit_quats
 from radiant_core.splats import Splats, morton_order
@@ -56,15 +57,35 @@ def save_sog(path: Path, splats: Splats) -> SogErrors:
     when it cannot be written."""
     if not len(splats):
         raise BadInput(f"cannot write {path}: the model has no Gaussians, and SOG cannot say so.")
-    ordered = splats.select(morton_order(splats.means))
-    textures, meta, errors = _encode(ordered)
+    files, errors = sog_files(splats.select(morton_order(splats.means)))
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_STORED) as archive:
-        for name, data in {"meta.json": json.dumps(meta).encode(), **{name: _webp(image) for name, image in textures.items()}}.items():
+        for name, data in files.items():
             # A fixed time: the same model gives the same bytes.
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data)
     write_atomic(path, content.getvalue())
     return errors
+
+
+def save_sog_folder(folder: Path, splats: Splats) -> SogErrors:
+    """Write at least one Gaussian as meta.json and textures into the new `folder`, in the given
+    order: the unbundled form. The same model gives the same bytes. Raises as `save_sog`."""
+    if not len(splats):
+        raise BadInput(f"cannot write {folder}: the model has no Gaussians, and SOG cannot say so.")
+    files, errors = sog_files(splats)
+    try:
+        folder.mkdir()
+    except OSError as error:
+        raise CannotWrite(f"cannot make {folder}: {error.strerror or error}: choose another output folder.") from error
+    for name, data in files.items():
+        write_atomic(folder / name, data)
+    return errors
+
+
+def sog_files(splats: Splats) -> tuple[dict[str, bytes], SogErrors]:
+    """The files by name of at least one Gaussian, in the given order."""
+    textures, meta, errors = _encode(splats)
+    return {"meta.json": json.dumps(meta).encode(), **{name: _webp(image) for name, image in textures.items()}}, errors
 
 
 def _encode(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any], SogErrors]:
@@ -90,7 +111,9 @@ def _encode(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any
         "version": 2,
         "asset": {"generator": f"radiant {__version__}"},
         "count": count,
+        # The first is of the specification, the second what PlayCanvas's own tools write and read.
         "antialias": splats.antialiased,
+        **({"model": "antialiased"} if splats.antialiased else {}),
         "means": {"mins": low.tolist(), "maxs": (low + span).tolist(), "files": ["means_l.webp", "means_u.webp"]},
         "scales": {"codebook": scale_book.tolist(), "files": ["scales.webp"]},
         "quats": {"files": ["quats.webp"]},

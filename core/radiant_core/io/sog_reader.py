@@ -1,0 +1,186 @@
+"""SOG files of strangers as models, one strict reader for the zip and the folder. Once per file.
+
+The format is described in `io.export.sog`, which writes it. Sizes are held against the count before
+anything is decoded, so that a short file cannot ask for much memory.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from pydantic import Field, ValidationError
+from scipy.special import logit  # pyright: ignore[reportMissingTypeStubs]
+
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import parse_json, read_bounded
+from radiant_core.io.strict import Strict, problem_sentence
+from radiant_core.splats import SH_BASES, Splats
+
+META_NAME = "meta.json"
+MAX_META_BYTES, MAX_TEXTURE_BYTES, MAX_BUNDLE_BYTES = 1 << 20, 1 << 30, 1 << 32
+MAX_COUNT = 16383**2
+ROWS_PER_LINE = 64
+MAX_SPARE_PX = 1 << 16
+"""Pixels that a texture may have beyond four times what its Gaussians need."""
+_END_OPACITY = 0.25 / 255
+_KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+FileReader = Callable[[str], bytes]
+
+
+class _Means(Strict):
+    mins: tuple[float, float, float]
+    maxs: tuple[float, float, float]
+    files: tuple[str, str]
+
+
+class _Codebook(Strict):
+    codebook: list[float] = Field(min_length=256, max_length=256)
+    files: tuple[str]
+
+
+class _Quats(Strict):
+    files: tuple[str]
+
+
+class _Harmonics(Strict):
+    count: int = Field(ge=1, le=1 << 16)
+    bands: int = Field(ge=1, le=3)
+    codebook: list[float] = Field(min_length=256, max_length=256)
+    files: tuple[str, str]
+
+
+class _Meta(Strict):
+    version: Literal[2]
+    asset: dict[str, Any] | None = None
+    count: int = Field(ge=1, le=MAX_COUNT)
+    antialias: bool = False
+    model: str | None = None
+    means: _Means
+    scales: _Codebook
+    quats: _Quats
+    sh0: _Codebook
+    shN: _Harmonics | None = None
+
+
+def load_sog(path: Path) -> Splats:
+    """The Gaussians of a .sog, or of a folder's meta.json, in the order of the file.
+
+    Raises BadInput for what is no SOG of version 2, names files elsewhere, or does not hold what it
+    says; the message names it.
+    """
+    try:
+        if path.name == META_NAME:
+            return _decoded(lambda name: read_bounded(path.with_name(name), MAX_TEXTURE_BYTES))
+        with zipfile.ZipFile(io.BytesIO(read_bounded(path, MAX_BUNDLE_BYTES))) as archive:
+            return _decoded(lambda name: _member(archive, name))
+    except (zipfile.BadZipFile, NotImplementedError, EOFError, RuntimeError, ValueError) as error:
+        # zipfile raises RuntimeError for an encrypted member, and zlib.error is turned to it below.
+        raise BadInput(f"cannot use {path}: {str(error).rstrip('.')}: export it as SOG of version 2.") from error
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    import zlib
+
+    try:
+        if archive.getinfo(name).file_size > MAX_TEXTURE_BYTES:
+            raise BadInput(f"its file {name} is larger than any texture")
+        return archive.read(name)
+    except (KeyError, zlib.error) as error:
+        raise BadInput(f"its file {name} is missing or damaged") from error
+
+
+def _decoded(read: FileReader) -> Splats:
+    meta = _meta(read(META_NAME))
+    count = meta.count
+    low, high = (_pixels(read, name, count)[:, :3].astype(np.float64) for name in meta.means.files)
+    ends = np.array([meta.means.mins, meta.means.maxs])
+    # Beyond e⁸⁸ there is no float32; the bounds are those of signed logarithms.
+    if np.abs(ends).max() > 88:
+        raise BadInput(f"its centres reach to e^{np.abs(ends).max():.3g}, beyond any coordinate")
+    logs = ends[0] + (256 * high + low) / 65535 * (ends[1] - ends[0])
+    colors = _pixels(read, meta.sh0.files[0], count)
+    opacities = np.clip(colors[:, 3] / 255, _END_OPACITY, 1 - _END_OPACITY)
+    return Splats(
+        means=np.sign(logs) * np.expm1(np.abs(logs)),
+        quats=_quats(_pixels(read, meta.quats.files[0], count)),
+        log_scales=np.array(meta.scales.codebook)[_pixels(read, meta.scales.files[0], count)[:, :3]],
+        logit_opacities=logit(opacities),
+        sh0=np.array(meta.sh0.codebook)[colors[:, None, :3]],
+        shN=_harmonics(read, meta.shN, count),
+        antialiased=meta.antialias or meta.model == "antialiased",
+    )
+
+
+def _meta(data: bytes) -> _Meta:
+    if len(data) > MAX_META_BYTES:
+        raise BadInput(f"its {META_NAME} has {len(data)} bytes, expected at most {MAX_META_BYTES}")
+    try:
+        given = parse_json(data)
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"its {META_NAME} is no JSON ({error})") from error
+    try:
+        # Through JSON's rules, by which a list may be a tuple.
+        meta = _Meta.model_validate_json(data)
+    except ValidationError as error:
+        raise BadInput(problem_sentence(error, "SOG file", given=given)) from error
+    names = [*meta.means.files, *meta.scales.files, *meta.quats.files, *meta.sh0.files, *(meta.shN.files if meta.shN else ())]
+    for name in names:
+        if not name or "/" in name or "\\" in name or name.startswith(".") or not name.isprintable():
+            raise BadInput(f"its texture {name[:60]!r} does not lie beside its {META_NAME}")
+    return meta
+
+
+def _pixels(read: FileReader, name: str, count: int) -> NDArray[np.uint8]:
+    """The first `count` pixels (N,4) of a texture."""
+    return _texture(read, name, count).reshape(-1, 4)[:count]
+
+
+def _texture(read: FileReader, name: str, count: int) -> NDArray[np.uint8]:
+    """A texture (H,W,4) of at least `count` pixels."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(read(name)), formats=("WEBP", "PNG")) as image:
+                num_px = image.width * image.height
+                if not count <= num_px <= 4 * count + MAX_SPARE_PX:
+                    raise BadInput(f"its texture {name} has {image.width} x {image.height} pixels for {count} Gaussians")
+                return np.asarray(image.convert("RGBA"), np.uint8)
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+        raise BadInput(f"its texture {name} is no picture that can be read") from error
+
+
+def _quats(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    if (pixels[:, 3] < 252).any():
+        raise BadInput("a rotation does not say which of its components is left out")
+    kept = (pixels[:, :3] / 255 - 0.5) * math.sqrt(2)
+    largest = pixels[:, 3].astype(np.int64) - 252
+    quats = np.empty((len(pixels), 4))
+    rows = np.arange(len(pixels))
+    quats[rows[:, None], _KEPT[largest]] = kept
+    quats[rows, largest] = np.sqrt(np.maximum(0.0, 1 - (kept**2).sum(axis=1)))
+    return quats.astype(np.float32)
+
+
+def _harmonics(read: FileReader, meta: _Harmonics | None, count: int) -> NDArray[np.float32]:
+    if meta is None:
+        return np.zeros((count, 0, 3), np.float32)
+    bases = SH_BASES[meta.bands] - 1
+    lines = -(-meta.count // ROWS_PER_LINE)
+    palette = _texture(read, meta.files[0], lines * ROWS_PER_LINE * bases)
+    if palette.shape[1] != ROWS_PER_LINE * bases:
+        raise BadInput(f"its texture {meta.files[0]} is {palette.shape[1]} pixels wide, expected {ROWS_PER_LINE * bases}")
+    labels = _pixels(read, meta.files[1], count).astype(np.int64)
+    label = labels[:, 0] + 256 * labels[:, 1]
+    if label.max() >= meta.count:
+        raise BadInput(f"a label is {label.max()}, expected less than the {meta.count} rows of its palette")
+    codes = palette.reshape(-1, bases, 4)[label, :, :3]
+    return np.array(meta.codebook, np.float32)[codes]
