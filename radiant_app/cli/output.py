@@ -56,13 +56,14 @@ def export(
     format: Annotated[  # noqa: A002
         ExportFormat | None,
         typer.Option(
-            help="Model: ply, spz, sog. Scene: geojson (regions, cameras), colmap. GeoTIFF: ortho (picture), dsm (heights). mesh: a PLY."
+            help="Model: ply, spz, sog. Scene: geojson, colmap. GeoTIFF: ortho, dsm, dtm (ground). Surface: contours, laz, glb, mesh."
         ),
     ] = None,
     resolution: Annotated[
         float | None, typer.Option(min=1e-6, help="Metres of a cell; else one pixel of the photographs (ortho), or two, or what fits.")
     ] = None,
     long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the pictures for mesh, dsm and --clean.")] = 640,
+    interval: Annotated[float | None, typer.Option(help="Metres from one contour to the next, else some twenty levels.")] = None,
     tile_px: Annotated[int, typer.Option("--tile-px", min=16, max=8192, help="Side of a GeoTIFF's tiles, a multiple of 16.")] = 512,
     clean: Annotated[
         bool, typer.Option("--clean", help="ply, spz, sog: what too few photographs constrain goes into NAME_unconstrained.ply.")
@@ -77,6 +78,13 @@ def export(
         from radiant_app.commands.export import export as write_export
 
     request = ExportRequest(
-        model=model, out=out, format=format, resolution=resolution, long_side_px=long_side_px, tile_px=tile_px, clean=clean
+        model=model,
+        out=out,
+        format=format,
+        resolution=resolution,
+        long_side_px=long_side_px,
+        tile_px=tile_px,
+        interval=interval,
+        clean=clean,
     )
     finish(write_export(request, terminal_display()), as_json)
