@@ -21,6 +21,7 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 
+from radiant_core.georef.crs import parse_crs
 from radiant_core.numerics import FloatArray
 from radiant_core.survey.map_grid import MapGrid, map_frame_of
 from radiant_viewer.runs.run_view import load_run_view
@@ -54,7 +55,7 @@ def main() -> None:
     places, shape = truth.flown(grid.cell)
     heights = truth.heights(places)
     world = truth.truth_from_run.inverse().apply(np.column_stack([places, heights]))
-    cells = grid.cells_of(map_frame_of(scene.frame, grid.epsg).from_world(world)[:, :2])
+    cells = grid.cells_of(map_frame_of(scene.frame, parse_crs(f"EPSG:{grid.epsg}")).from_world(world)[:, :2])
     inside = ((cells >= 1) & (cells < np.array(grid.shape) - 1)).all(axis=1)
     known = inside & (bands[tuple(np.clip(cells, 0, np.array(grid.shape) - 1).astype(int).T)][:, 3] > 0)
     ours = sample(np.ascontiguousarray(bands[..., :3]), cells).reshape(*shape, 3)

@@ -59,13 +59,14 @@ def export(
     format: Annotated[  # noqa: A002
         ExportFormat | None,
         typer.Option(
-            help="Model: ply, spz, sog, lod. Scene: geojson (regions, cameras), colmap. GeoTIFF: ortho (picture), dsm (heights). mesh: a PLY."
+            help="Model: ply, spz, sog, lod. Scene: geojson, colmap. GeoTIFF: ortho, dsm, dtm (ground). Surface: contours, laz, glb, mesh."
         ),
     ] = None,
     resolution: Annotated[
         float | None, typer.Option(min=1e-6, help="Metres of a cell; else one pixel of the photographs (ortho), or two, or what fits.")
     ] = None,
     long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the pictures for mesh, dsm and --clean.")] = 640,
+    interval: Annotated[float | None, typer.Option(help="Metres from one contour to the next, else some twenty levels.")] = None,
     tile_px: Annotated[int, typer.Option("--tile-px", min=16, max=8192, help="Side of a GeoTIFF's tiles, a multiple of 16.")] = 512,
     clean: Annotated[
         bool, typer.Option("--clean", help="A model: what too few photographs constrain goes into NAME_unconstrained.ply.")
@@ -95,6 +96,7 @@ def export(
         resolution=resolution,
         long_side_px=long_side_px,
         tile_px=tile_px,
+        interval=interval,
         clean=clean,
         as_trained=uncleaned,
         crs=crs,

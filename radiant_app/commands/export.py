@@ -10,10 +10,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-import numpy as np
-
 from radiant_app.commands.clean import measure_support, require_cleaned_model
-from radiant_app.commands.export_place import ExportPlace, grid_crs, place_of
+from radiant_app.commands.export_place import ExportPlace, place_of
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.memory import available_bytes
@@ -35,7 +33,7 @@ if TYPE_CHECKING:
     from radiant_viewer.runs.run_view import RunView
 
 ENDINGS: dict[str, ExportFormat] = {
-    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", "": "colmap",
+    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".laz": "laz", ".glb": "glb", "": "colmap",
 }  # fmt: skip
 _WANTED = {
     "ply": (".ply",),
@@ -44,9 +42,13 @@ _WANTED = {
     "geojson": (".geojson", ".json"),
     "mesh": (".ply",),
     "dsm": (".tif", ".tiff"),
+    "dtm": (".tif", ".tiff"),
+    "contours": (".geojson", ".json"),
+    "laz": (".laz",),
+    "glb": (".glb",),
     "ortho": (".tif", ".tiff"),
 }
-_OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "dsm", "ortho")
+_OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb")
 
 _CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod")
 _LEVELLED: tuple[ExportFormat, ...] = ("lod",)
@@ -67,6 +69,8 @@ class ExportRequest:
     resolution: float | None = None
     long_side_px: int = 640
     tile_px: int = 512
+    interval: float | None = None
+    """Of contours, in the model's unit."""
     clean: bool = False
     """Whether Gaussians that too few photographs constrain go into a file of their own."""
     as_trained: bool = False
@@ -96,6 +100,8 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(
             f"--resolution is of rasters and meshes, and {kind} is none: leave it out, or add --format {' or '.join(_OF_CELLS)}."
         )
+    if request.interval is not None and kind != "contours":
+        raise BadInput(f"--interval is of contours, and {kind} has none: leave it out, or add --format contours.")
     if request.clean and kind not in _CLEANED:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
     if request.crs is not None:
@@ -287,36 +293,30 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     }
 
 
-def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.geometry.surface import surface_grid
-    from radiant_core.io.export.geotiff import NO_DATA, save_geotiff
+def _of_surface(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
+    """The function `name` of `export_heights`, which imports what it needs when it is called."""
 
-    crs = None if request.crs is None else grid_crs(request.crs, _run_of(request).scene.frame)
-    surface, run = _surface(request, display)
-    grid = surface_grid(surface, run.scene.frame, crs=crs)
-    if grid.known < MIN_KNOWN:
-        text = f"only {_percent(grid.known)} of {grid.heights.size:,} cells have a height; {_ADVICE}"
-        display(Warned(stage="surface", message=text))
-    save_geotiff(request.out, grid)
-    if not run.scene.frame.altitude_known:
-        display(Warned(stage="surface", message=f"GPS has no altitude: heights count from {_LEVEL}."))
-    height, width = grid.heights.shape
-    return {
-        "crs": "none, the model's own coordinates" if grid.epsg is None else _epsg_text(grid),
-        "cells": f"{width} x {height}",
-        "resolution": round(grid.cell, 4),
-        "unit": run.unit,
-        "known": float(f"{grid.known:.4g}"),
-        "no_data": NO_DATA,
-        "lowest": round(float(np.nanmin(grid.heights)), 3),
-        "highest": round(float(np.nanmax(grid.heights)), 3),
-    }
+    def write(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+        from radiant_app.commands import export_heights
+
+        surface = export_heights.SurfaceExport(
+            model=request.model,
+            out=request.out,
+            resolution=request.resolution,
+            long_side_px=request.long_side_px,
+            tile_px=request.tile_px,
+            interval=request.interval,
+            crs=request.crs,
+        )
+        return getattr(export_heights, name)(surface, display)
+
+    return write
 
 
 def _ortho(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.commands.export_ortho import export_ortho
 
-    return export_ortho(request.model, request.out, request.resolution, request.tile_px, display)
+    return export_ortho(request.model, request.out, request.resolution, request.tile_px, display, request.crs)
 
 
 def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface, RunView]:
@@ -369,5 +369,7 @@ def _origin_of(run: RunView) -> dict[str, Any]:
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
-    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "dsm": _dsm, "ortho": _ortho,
+    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "ortho": _ortho,
+    "dsm": _of_surface("export_dsm"), "dtm": _of_surface("export_dtm"), "contours": _of_surface("export_contours"),
+    "laz": _of_surface("export_laz"), "glb": _of_surface("export_glb"),
 }  # fmt: skip

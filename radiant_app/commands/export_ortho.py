@@ -23,11 +23,13 @@ MIN_SEEN = 0.5
 """With less of the raster seen the export warns, and with nothing it fails."""
 
 
-def export_ortho(model: Path, out: Path, resolution: float | None, tile_px: int, display: ProgressDisplay) -> dict[str, Any]:
+def export_ortho(
+    model: Path, out: Path, resolution: float | None, tile_px: int, display: ProgressDisplay, crs: str | None = None
+) -> dict[str, Any]:
     """Write the orthophoto and return its figures; BadInput where nothing is seen from above."""
-    survey = load_survey(model)
+    survey = load_survey(model, crs)
     ground = survey.ground
-    grid = grid_over(ground.low, ground.high, cell_of(survey, resolution, 1.0), survey.map_frame.epsg)
+    grid = grid_over(ground.low, ground.high, cell_of(survey, resolution, 1.0), survey.map_frame)
     raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=tile_px, dtype=np.uint8, colors=True)
     seen = from_above(survey.splats, support_of_survey(survey, display, 640), survey.run.scene.cameras)
     counts = {"seen": 0, "weak": 0}

@@ -1,8 +1,8 @@
 """`MapFrame` and `MapGrid`: which map a model lies on, and the cells of a raster there.
 
     cell (r, c) covers  east₀ + c · cell … + cell,   north₀ − r · cell … − cell
-With GPS the map is a UTM zone and heights are those of the photographs' GPS; without, both are the
-model's own. Once per raster.
+With GPS the map is a UTM zone, or the system that is asked for, and heights are those of the
+photographs' GPS; without, both are the model's own. Once per raster.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic, geodetic_from_enu
-from radiant_core.map_projection import geodetic_from_utm, utm_epsg, utm_from_geodetic
+from radiant_core.georef.crs import Crs, parse_crs
+from radiant_core.map_projection import utm_epsg
 from radiant_core.numerics import FloatArray, check_array
 
 MAX_CELLS = 400_000_000
@@ -23,44 +24,52 @@ MAX_CELLS = 400_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MapFrame:
-    """The map of a world frame: EPSG code, None where the world is the map."""
+    """The map of a world frame: its system, None where the world is the map."""
 
     frame: Frame
-    epsg: int | None
+    system: Crs | None
+
+    @property
+    def epsg(self) -> int | None:
+        """Code of the map, None where the world is the map."""
+        return None if self.system is None else self.system.horizontal_epsg
+
+    @property
+    def vertical_epsg(self) -> int | None:
+        """Code of the datum of its heights, None where they count from none."""
+        return None if self.system is None else self.system.vertical_epsg
 
     def from_world(self, points: ArrayLike) -> FloatArray:
         """East, north, height (P,3) on the map of points (P,3) of the world."""
         points = check_array("points", points, (None, 3))
-        if self.epsg is None or not len(points):
+        if self.system is None or not len(points):
             return points.copy()
-        places = geodetic_from_enu(points, self.frame.origin_lat_lon_alt)
-        return np.column_stack([utm_from_geodetic(places[:, :2], self.epsg), places[:, 2]])
+        return self.system.from_geodetic(geodetic_from_enu(points, self.frame.origin_lat_lon_alt))
 
     def to_world(self, places: ArrayLike) -> FloatArray:
         """Points (P,3) of the world of east, north, height (P,3) on the map."""
         places = check_array("places", places, (None, 3))
-        if self.epsg is None or not len(places):
+        if self.system is None or not len(places):
             return places.copy()
-        lat_lon = geodetic_from_utm(places[:, :2], self.epsg)
-        return enu_from_geodetic(np.column_stack([lat_lon, places[:, 2]]), self.frame.origin_lat_lon_alt)
+        return enu_from_geodetic(self.system.to_geodetic(places), self.frame.origin_lat_lon_alt)
 
     @property
     def crs(self) -> str:
         """The map in words."""
-        return "none, the model's own coordinates" if self.epsg is None else f"EPSG:{self.epsg}"
+        return "none, the model's own coordinates" if self.system is None else self.system.title
 
 
-def map_frame_of(frame: Frame, epsg: int | None = None) -> MapFrame:
-    """The map of a frame: the UTM zone `epsg`, by default that of its origin; BadInput for a code
-    where the frame has no place on the globe."""
+def map_frame_of(frame: Frame, system: Crs | None = None) -> MapFrame:
+    """The map of a frame: `system`, by default the UTM zone of its origin; BadInput for one where
+    the frame has no place on the globe."""
     if frame.kind != "metric":
-        if epsg is not None:
+        if system is not None:
             raise BadInput(
-                f"EPSG:{epsg} was asked for, but the scene has no place on the globe: leave it out, or give photographs with GPS."
+                f"{system.title} was asked for, but the scene has no place on the globe: leave it out, or give photographs with GPS."
             )
-        return MapFrame(frame=frame, epsg=None)
+        return MapFrame(frame=frame, system=None)
     lat, lon, _ = frame.origin_lat_lon_alt.tolist()
-    return MapFrame(frame=frame, epsg=utm_epsg(lat, lon) if epsg is None else epsg)
+    return MapFrame(frame=frame, system=parse_crs(f"EPSG:{utm_epsg(lat, lon)}") if system is None else system)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,11 +110,18 @@ class MapGrid:
         return east, self.north_west[1] - (np.arange(self.rows) + 0.5) * self.cell
 
 
-def grid_over(low: FloatArray, high: FloatArray, cell: float, epsg: int | None) -> MapGrid:
+def grid_over(low: FloatArray, high: FloatArray, cell: float, map_frame: MapFrame) -> MapGrid:
     """The grid of whole multiples of `cell` that covers a box of the map, corners (2,)."""
     if not (np.isfinite(cell) and cell > 0):
         raise BadInput(f"cells of {cell} came, expected a number above zero.")
     first, last = np.floor(low[:2] / cell), np.ceil(high[:2] / cell)
     # Python's integers: a slip by a million overflows no array.
     columns, rows = (max(1, int(last[axis] - first[axis])) for axis in (0, 1))
-    return MapGrid(north_west=np.array([first[0], last[1]]) * cell, cell=cell, rows=rows, columns=columns, epsg=epsg)
+    return MapGrid(
+        north_west=np.array([first[0], last[1]]) * cell,
+        cell=cell,
+        rows=rows,
+        columns=columns,
+        epsg=map_frame.epsg,
+        vertical_epsg=map_frame.vertical_epsg,
+    )

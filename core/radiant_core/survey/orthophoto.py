@@ -135,7 +135,7 @@ def painted(splats: Splats, figures: FloatArray) -> Splats:
 
 
 def _map_height(map_frame: MapFrame, level: float) -> float:
-    return level if map_frame.epsg is None else float(map_frame.frame.origin_lat_lon_alt[2]) + level
+    return float(map_frame.from_world([[0.0, 0.0, level]])[0, 2])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.survey.map_grid import MapFrame
+from radiant_core.survey.map_grid import MapFrame, MapGrid
 
 MIN_VIEWS = 3
 QUANTILES = (0.005, 0.995)
@@ -24,14 +27,21 @@ MOST_CAMERAS = 64
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeenGround:
-    """low, high (2,): box on the map; level: median height there; reach: the usual depth; gsd: the
-    ground sampling distance of the undistorted photographs; all in the frame's unit."""
+    """low, high (2,): box on the map; hull (K,2): corners of the convex ground within; level: median
+    height there; reach: the usual depth; gsd: the ground sampling distance of the undistorted
+    photographs; all in the frame's unit."""
 
+    hull: FloatArray
     low: FloatArray
     high: FloatArray
     level: float
     reach: float
     gsd: float
+
+    def mask(self, grid: MapGrid) -> NDArray[np.bool_]:
+        """Which cells (H,W) of a raster lie within the hull."""
+        corners = np.rint(grid.cells_of(self.hull)[:, ::-1] - 0.5).astype(np.int32)
+        return cv2.fillConvexPoly(np.zeros(grid.shape, np.uint8), corners, 1) > 0
 
 
 def seen_ground(scene: SfmScene, map_frame: MapFrame) -> SeenGround:
@@ -51,8 +61,12 @@ def seen_ground(scene: SfmScene, map_frame: MapFrame) -> SeenGround:
         )
     places = map_frame.from_world(points)
     low, high = np.quantile(places[:, :2], QUANTILES, axis=0)
+    inner = places[((places[:, :2] >= low) & (places[:, :2] <= high)).all(axis=1), :2]
+    if len(inner) < MIN_POINTS or np.linalg.matrix_rank(inner - inner.mean(axis=0), tol=1e-6 * reach) < 2:
+        raise BadInput("the points that photographs share lie on a line, so they span no ground: add photographs beside it.")
+    hull = inner[ConvexHull(inner).vertices]
     gsd = reach / float(np.median(scene.cameras.Ks[:, 0, 0]))
-    return SeenGround(low=low, high=high, level=float(np.median(points[:, 2])), reach=reach, gsd=gsd)
+    return SeenGround(hull=hull, low=low, high=high, level=float(np.median(points[:, 2])), reach=reach, gsd=gsd)
 
 
 def _usual_depth(scene: SfmScene) -> float:

@@ -85,7 +85,7 @@ def test_a_tile_is_plain_orthographic_splatting(cell: float) -> None:
 def test_tiles_of_any_size_meet_without_a_seam(tile_px: int, frame: Frame) -> None:
     seen, map_frame = all_seen(hilly_splats(400)), map_frame_of(frame)
     middle = map_frame.from_world(np.zeros((1, 3)))[0]
-    grid = grid_over(middle - 4.8, middle + 4.8, 0.1, map_frame.epsg)
+    grid = grid_over(middle - 4.8, middle + 4.8, 0.1, map_frame)
     whole, _ = _render(seen.splats, ortho_camera(grid, map_frame, 20.0, (0, 0), grid.shape))
     for row in range(0, grid.rows - tile_px + 1, tile_px):
         for column in range(0, grid.columns - tile_px + 1, tile_px):
@@ -178,4 +178,4 @@ def test_tiles_that_break_off_leave_no_file_and_odd_tiles_are_refused(tmp_path: 
         with pytest.raises(BadInput, match="above zero"):
             replace(grid, cell=bad)
     with pytest.raises(BadInput, match="larger cells"):
-        grid_over(np.zeros(2), np.full(2, 1e6), 0.01, None)
+        grid_over(np.zeros(2), np.full(2, 1e6), 0.01, map_frame_of(NOWHERE))

@@ -4,6 +4,8 @@ agree on is kept. Once per training.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -55,13 +57,21 @@ def smaller_views(views: TrainingViews) -> TrainingViews:
 
 
 def depth_maps(
-    scene: SfmScene, views: TrainingViews, partners: list[NDArray[np.int64]], *, seed: int, num_threads: int
+    scene: SfmScene,
+    views: TrainingViews,
+    partners: list[NDArray[np.int64]],
+    *,
+    seed: int,
+    num_threads: int,
+    report: Callable[[int], None] = lambda done: None,
 ) -> list[DepthPlanes | None]:
-    """Planes of each photograph; None where it has no partner or too few sparse points."""
+    """Planes of each photograph; None where it has no partner or too few sparse points. `report`
+    hears how many photographs are done."""
     shapes = shapes_of(views.images)
     sparse = sparse_depths(scene, views)
     maps: list[DepthPlanes | None] = []
     for index in range(len(views)):
+        report(index)
         indices = [index, *map(int, partners[index][:NUM_SOURCES])]
         if len(indices) < 2 or min(min(shapes[i][:2]) for i in indices) < 2:
             maps.append(None)
