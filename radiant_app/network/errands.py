@@ -24,7 +24,7 @@ from radiant_app.network.line import Withdrawn
 from radiant_app.network.reception import MAX_EVENT_CHARS, MAX_EVENTS, Ended
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
-from radiant_core.io.run_store import disk_is_full, read_json, write_json
+from radiant_core.io.run_store import SEAL_NAME, disk_is_full, read_json, write_json
 from radiant_core.io.transport.delivery import describe_files
 from radiant_core.io.transport.envelope import Envelope, open_envelope
 
@@ -223,6 +223,9 @@ class Errands:
             folder = self.performer.place(envelope)
             if shutil.disk_usage(self.home.folder).free < envelope.num_bytes + SPARE_BYTES:
                 raise CannotWrite(f"the disk of this node is full: {envelope.num_bytes + SPARE_BYTES:,} bytes are needed there.")
+            if offered.get("refused") is True:
+                # What was made before is not wanted.
+                (folder / SEAL_NAME).unlink(missing_ok=True)
             self.line.fetch(envelope, errand.digest, folder)
             errand.work = self.performer.begin(envelope, folder, errand.digest)
         except Withdrawn:

@@ -119,6 +119,10 @@ class Hub:
         self.store.move_task(digest, "withdrawn", ("offered", "taken", "received"), reason)
         self.arrivals.remove(digest)
 
+    def reject_stage(self, run: str, stage: str, reason: str) -> None:
+        """What was accepted for a stage cannot be used: asked again, its node makes it anew."""
+        self.store.reject_stage(run, stage, reason)
+
     def settle_stage(self, run: str, stage: str) -> None:
         """A stage is sealed: what was received for it is taken, also if a process ended between."""
         self.store.settle_stage(run, stage)

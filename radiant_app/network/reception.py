@@ -246,7 +246,9 @@ class Reception:
             reason = f"this node has Radiant {body.software} and {self.node} has {__version__}: install the same version."
             raise Refused(409, reason)
         if task is not None:
-            answer["task"] = {"text": _text(task.text), "signature": _text(task.signature), "tries": task.tries}
+            # A result that was refused is asked for once more: the node is to make it anew.
+            refused = task.state == "offered" and task.reason != ""
+            answer["task"] = {"text": _text(task.text), "signature": _text(task.signature), "tries": task.tries, "refused": refused}
         return _json(200, answer)
 
     def _hear(self, task: KnownTask, body: PollBody) -> None:

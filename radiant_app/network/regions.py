@@ -74,7 +74,7 @@ from radiant_core.io.messages import (
 )
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
-from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
+from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_json, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.timeline.prediction import planned_stages
@@ -273,6 +273,10 @@ class EdgeRun:
                 missing[node.name] = f"{self.edge} refused {node.name}: {refused[node.name]}"
             if dealer.is_done(node.id):
                 found[node.name] = {"frame": read_json(place / FRAME_NAME), "summary": read_json(place / SUMMARY_NAME)}
+        for device, reason in refused.items():
+            # The next time that this region is asked for, the device makes its model anew.
+            self.hub.reject_stage(self.number, f"devices/{device}", reason)
+            (self.folder / "devices" / device / SEAL_NAME).unlink(missing_ok=True)
         files = {}
         if dealer.is_done(self.edge):
             names = [FRAME_NAME, SUMMARY_NAME, NOTES_NAME, CORRECTIONS_NAME, REFUSED_NAME]

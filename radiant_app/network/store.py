@@ -193,8 +193,8 @@ class HubStore:
     # Tasks
 
     def put_task(self, task: KnownTask) -> KnownTask:
-        """Offer a task; the same one again is offered anew only where it was not received. Older
-        tasks of its stage are withdrawn."""
+        """Offer a task; the same one again is offered anew only where it was not received, with the
+        reason where its result was refused. Older tasks of its stage are withdrawn."""
         with self._changing() as database:
             database.execute(
                 f"update tasks set state = 'withdrawn', changed_s = ? where node = ? and stage = ? and digest != ? and state in {OPEN}",
@@ -202,7 +202,8 @@ class HubStore:
             )
             database.execute(
                 "insert into tasks values(?, ?, ?, ?, ?, ?, ?, ?, 1, 'offered', '', ?) on conflict(digest) do update set "
-                f"tries = tries + (state in {_CLOSED}), folder = excluded.folder, changed_s = excluded.changed_s, reason = '', "
+                f"tries = tries + (state in {_CLOSED}), folder = excluded.folder, changed_s = excluded.changed_s, "
+                "reason = case when state = 'refused' then reason else '' end, "
                 f"state = case when state in {_CLOSED} then 'offered' else state end",
                 (*self._key(task), task.text, task.signature, str(task.folder), time.time()),
             )
@@ -232,6 +233,12 @@ class HubStore:
         with self._changing() as database:
             query = "update tasks set state = 'accepted', changed_s = ? where run = ? and stage = ? and state = 'received'"
             database.execute(query, (time.time(), run, stage))
+
+    def reject_stage(self, run: str, stage: str, reason: str) -> None:
+        """Refuse what was accepted for a stage: who joined it found that it cannot be used."""
+        with self._changing() as database:
+            query = "update tasks set state = 'refused', reason = ?, changed_s = ? where run = ? and stage = ? and state = 'accepted'"
+            database.execute(query, (reason, time.time(), run, stage))
 
     def newest_attempt(self, run: str, node: str, stage: str) -> KnownTask | None:
         """The newest task of a stage, whatever became of it."""

@@ -64,7 +64,7 @@ from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
 from radiant_core.io.messages import FRAME_NAME, MODEL_NAME, REFINED_NAME, SUMMARY_NAME, save_task, task_key
 from radiant_core.io.records import save_plan
-from radiant_core.io.run_store import content_key, is_sealed, seal, write_atomic, write_json
+from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, seal, write_atomic, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.system import System
 from radiant_core.plan.timeline.prediction import planned_stages
@@ -158,6 +158,7 @@ class CloudRun:
                 (folder / path.name).replace(folder / given)
             key = content_key(__version__, task_key(task), *((folder / given) for given in files or ()))
             self.keys[node.id] = key
+            ask_again(folder, key)
             return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
         nodes = tuple(Tree(id=f"edges/{edge}/{name}", tier="edge") for edge in tasks)
@@ -258,6 +259,7 @@ class CloudRun:
         self.keys[edge.id] = key
         for name in names:
             dealer.keys[f"devices/{name}"] = self._key_of_device(key, name)
+        ask_again(folder, key)
         return NodeTask(kind="region", stage=edge.id, folder=folder, key=key)
 
     def _key_of_device(self, key: str, device: str) -> str:
@@ -314,6 +316,7 @@ class CloudRun:
             key = self.keys[node.id] = content_key(__version__, task_key(task), folder / SCENE_NAME, own)
             for device in devices:
                 refining.keys[refined_at(f"devices/{device}")] = self._key_of_device(key, device)
+            ask_again(folder, key)
             return NodeTask(kind="edge_refine", stage=node.id, folder=folder, key=key)
 
         self._executor(progress).fold(tree, prepare, progress.listen)
@@ -364,3 +367,9 @@ class CloudRun:
             facts["failed_scoring"] = sorted(report.missing)
         write_json(place / "result.json", {**result, **facts})
         save_delivered_by_edges(self.folder, dealer, counts.origin)
+
+
+def ask_again(folder: Path, key: str) -> None:
+    """Unseal an edge's report that lacks devices: a run that goes on waits for them once more."""
+    if is_sealed(folder, key) and load_report(folder).missing:
+        (folder / SEAL_NAME).unlink()

@@ -12,7 +12,7 @@
 
 Models go up (`deliver`, `find_refusals`), tasks come down (`sign_task`, `accept_task`). The dealer
 of a run creates and exchanges keys (`exchange_keys`) and signs tasks with the key in their sender's
-folder; by hand: copy signing_key.pub to the parent's senders/ and to the children's above.pub.
+folder; over a network nodes have keys of their own (`identify_owned`, `register_sender`).
 """
 
 from __future__ import annotations

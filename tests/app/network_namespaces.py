@@ -83,6 +83,11 @@ class Machines:
         """Pull a cable out, or put it back."""
         self._ip(name, "link", "set", end, "up" if plugged else "down")
 
+    def sent_bytes(self, name: str, end: str) -> int:
+        """Bytes that left by one end of a cable, with all headers."""
+        table = subprocess.run(self.words(name, "cat", "/proc/net/dev"), capture_output=True, text=True, check=True).stdout
+        return next(int(line.split(":")[1].split()[8]) for line in table.splitlines() if line.strip().startswith(f"{end}:"))
+
     def environment(self) -> Mapping[str, str]:
         paths = [str(self.folder / "one_core"), str(ROOT), str(ROOT / "core"), str(ROOT / "viewer")]
         return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"}

@@ -22,19 +22,25 @@ from radiant_app.network import hub
 from radiant_app.network import line as lines
 from radiant_app.run import over_network
 from radiant_app.run.pipeline import run
+from radiant_core.io.run_store import read_json, write_json
 from tests.app.network_nodes import Nodes, split_photographs
 
 ROOT = Path(__file__).parents[2]
 TINY = TrainOptions(long_side_px=64, num_steps=60, max_num_splats=600)
-STARTS, CHECKPOINTS, WIRE = "RADIANT_TEST_STARTS", "checkpoints", "wire"
+STARTS, CHECKPOINTS, WIRE, OPTIONS = "RADIANT_TEST_STARTS", "checkpoints", "wire", "options.json"
 # Structure from motion with several threads differs in the last digits from run to run.
 WORKER = """import os, sys
 from pathlib import Path
 os.cpu_count = lambda: 1
-saved = len(list((Path(sys.argv[2]) / "checkpoints").glob("*.json")))
-with open(os.environ["RADIANT_TEST_STARTS"], "a") as file:
-    file.write(f"{sys.argv[1]} {sys.argv[3]} {saved}\\n")
 from radiant_app.workers.worker import main
+from radiant_core.train.checkpoint import CheckpointFolder
+load = CheckpointFolder.load
+def load_and_write(self):
+    state = load(self)
+    with open(os.environ["RADIANT_TEST_STARTS"], "a") as file:
+        file.write(f"{sys.argv[1]} {0 if state is None else self._list_saved()[0].step}\\n")
+    return state
+CheckpointFolder.load = load_and_write
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -50,6 +56,10 @@ class Fleet:
     folder: Path
     devices: tuple[str, ...] = ("d",)
     frames: Literal["gps", "known"] = "known"
+    train: TrainOptions = TINY
+    checkpoint_every_s: float = 0.05
+    saved_at_kill: list[int] = field(default_factory=list)
+    """Step of the newest checkpoint of the first device, after each of its kills."""
     running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def make(self) -> None:
@@ -57,7 +67,8 @@ class Fleet:
         split_photographs(sample_scenes_folder() / "hamlet" / "images", self.folder / "photos", self.devices)
         rows = "".join(f'[[edge.device]]\nid = "{device}"\n' for device in self.devices)
         (self.folder / "system.toml").write_text(f'[[edge]]\nid = "e"\n{rows}')
-        (self.folder / "frames").write_text(self.frames)
+        options = {"long_side_px": self.train.long_side_px, "num_steps": self.train.num_steps, "max_num_splats": self.train.max_num_splats}
+        write_json(self.folder / OPTIONS, {"frames": self.frames, "checkpoint_every_s": self.checkpoint_every_s, "train": options})
         (self.folder / WIRE).mkdir()
         Nodes(folder=self.folder).make({"e": list(self.devices)})
 
@@ -78,7 +89,14 @@ class Fleet:
         if alive:
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+        if alive and name == self.devices[0]:
+            self.saved_at_kill.append(self.saved_step())
         return alive
+
+    def saved_step(self) -> int:
+        """Step of the newest checkpoint of the first device; 0 without one."""
+        names = [path.stem for path in (self.device_folder(self.devices[0]) / CHECKPOINTS).glob("step-*.json")]
+        return max([int(name.removeprefix("step-")) for name in names], default=0)
 
     def close(self) -> None:
         for name in [*self.running]:
@@ -106,10 +124,11 @@ class Fleet:
     def logs(self) -> str:
         return "".join(f"== {path.name}\n{path.read_text()[-3000:]}" for path in sorted(self.folder.glob("*.log")))
 
-    def starts(self, kind: str) -> list[int]:
-        """How many checkpoints were there at each start of a worker of this kind."""
-        rows = [line.split() for line in (self.folder / "starts.txt").read_text().splitlines()]
-        return [int(row[2]) for row in rows if row[0] == kind]
+    def trained_from(self, kind: str) -> list[int]:
+        """Steps from which workers of this kind trained, each time that one did."""
+        path = self.folder / "starts.txt"
+        rows = [line.split() for line in path.read_text().splitlines()] if path.is_file() else []
+        return [int(row[1]) for row in rows if row[0] == kind]
 
     def device_folder(self, device: str) -> Path:
         found = list((self.folder / device / "runs").glob(f"*/devices/{device}"))
@@ -118,15 +137,16 @@ class Fleet:
 
 def config_of(folder: Path, executor: bool) -> RunConfig:
     """The run over the network, or that on one machine."""
-    frames = "gps" if (folder / "frames").read_text() == "gps" else "known"
+    options = read_json(folder / OPTIONS)
+    frames = "gps" if options["frames"] == "gps" else "known"
     return RunConfig(
         source=folder / ("cloud" if executor else "photos"),
         frames=frames,
         sfm=SfmOptions() if executor or frames == "gps" else SfmOptions(poses=sample_scenes_folder() / "hamlet" / "known"),
         system=folder / "system.toml",
         out=folder / ("far" if executor else "here"),
-        train=TINY,
-        execution=ExecutionOptions(executor="network" if executor else "local", checkpoint_every_s=0.05),
+        train=TrainOptions(**options["train"]),
+        execution=ExecutionOptions(executor="network" if executor else "local", checkpoint_every_s=options["checkpoint_every_s"]),
     )
 
 
@@ -154,7 +174,7 @@ def _main(name: str, folder: Path) -> None:
     if name == "e":
         running.serve(folder / "e")
     else:
-        poses = sample_scenes_folder() / "hamlet" / "known" if (folder / "frames").read_text() == "known" else None
+        poses = sample_scenes_folder() / "hamlet" / "known" if read_json(folder / OPTIONS)["frames"] == "known" else None
         running.work(folder / name, folder / "photos" / name, poses, lambda text: True)
 
 

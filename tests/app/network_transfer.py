@@ -26,10 +26,10 @@ RUN = "7" * 32
 TASK = ("task.json", "given/delivery.json", "given/delivery.sig")
 
 
-def make_edge(folder: Path, port: int, url_port: int, devices: Sequence[str]) -> None:
-    """The homes of an edge at `port` and of devices that reach it at `url_port`."""
+def make_edge(folder: Path, port: int, url_port: int, devices: Sequence[str], host: str = "127.0.0.1") -> None:
+    """The homes of an edge at `port` of `host` and of devices that reach it at `url_port`."""
     make_home(folder / "cloud", listening())
-    commands.init(folder / "north", Listening(url=f"https://127.0.0.1:{url_port}", host="127.0.0.1", port=port))
+    commands.init(folder / "north", Listening(url=f"https://{host}:{url_port}", host=host, port=port))
     commands.invite(folder / "cloud", "north", folder / "north.join")
     commands.join(folder / "north", folder / "north.join")
     for device in devices:
@@ -57,24 +57,26 @@ def offer(hub: Hub, folder: Path, device: str) -> str:
     return hub.offer(RUN, f"devices/{device}", "own_field", f"devices/{device}", place).digest
 
 
-def deliver(line: Line, model: Path, folder: Path) -> None:
-    """What a device does with a task once its model is there."""
+def deliver(line: Line, model: Path, folder: Path) -> float:
+    """What a device does with a task once its model is there; how many seconds sending took."""
     body = {"software": __version__, "task": "", "tries": 0, "doing": "idle", "ended": None, "batch": line.counter, "events": []}
     while not isinstance(offered := line.poll(body)["task"], dict):
         time.sleep(0.1)
     asked = open_envelope(base64.b64decode(offered["text"]), base64.b64decode(offered["signature"]), line.upper.key)
     line.fetch(asked, asked.digest, folder)
     paths = {path.name: path for path in model.iterdir()}
-    line.send(asked.result(describe_files(paths), __version__), paths)
+    result, began = asked.result(describe_files(paths), __version__), time.monotonic()
+    line.send(result, paths)
+    return time.monotonic() - began
 
 
 def send(folder: Path, device: str) -> None:
-    """A process that delivers a device's model; prints its memory."""
+    """A process that delivers a device's model; prints its memory and how long sending took."""
     line = Line(home=open_home(folder / device))
     line.join()
     idle = _rss_bytes("VmRSS")
-    deliver(line, folder / "models" / device, folder / device / "task")
-    print(json.dumps({"idle": idle, "peak": _rss_bytes("VmHWM"), "resumed": line.num_resumed}))
+    seconds = deliver(line, folder / "models" / device, folder / device / "task")
+    print(json.dumps({"idle": idle, "peak": _rss_bytes("VmHWM"), "resumed": line.num_resumed, "seconds": seconds}))
 
 
 def receive(folder: Path, devices: Sequence[str]) -> None:

@@ -19,10 +19,11 @@ from radiant_app.network.home import open_home
 from radiant_app.network.hub import Hub, open_hub
 from radiant_app.network.line import Line
 from radiant_core.io.messages import MODEL_NAME
+from radiant_core.io.run_store import SEAL_NAME
 from radiant_core.io.transport.envelope import Envelope
 from tests.app.network_nodes import free_port
 from tests.app.network_proxy import Link
-from tests.app.network_transfer import deliver, make_edge, offer, write_model
+from tests.app.network_transfer import RUN, deliver, make_edge, offer, write_model
 
 NUM_BYTES = 20 << 20
 
@@ -250,3 +251,30 @@ def _wait_for(said: object, seconds: float = 10.0) -> None:
     while not said():  # pyright: ignore[reportCallIssue]
         assert time.monotonic() < until_s
         time.sleep(0.01)
+
+
+def test_a_device_whose_model_was_refused_makes_it_anew_when_it_is_asked_again(road: Road) -> None:
+    """Nobody removes a seal by hand; one that was accepted, and is asked for as it was lost, is sent as it is."""
+    write_model(road.folder / "model", 1000, 4)
+    (road.folder / "place").mkdir()
+    seal = road.folder / "place" / SEAL_NAME
+    seal.write_text("{}")
+    line = road.line()
+    errands = Errands(home=line.home, line=line, performer=_Done(road))
+    working = threading.Thread(target=errands.run, daemon=True)
+    working.start()
+    for again in (False, True):
+        _wait_for(lambda: _state(road) == "received")
+        road.hub.accept(road.digest)
+        _wait_for(lambda: errands.current is None)
+        assert seal.is_file()
+        if again:
+            road.hub.reject_stage(RUN, "devices/d", "it contradicts its neighbours")
+        assert offer(road.hub, road.folder, "d") == road.digest
+    _wait_for(lambda: not seal.exists())
+    _wait_for(lambda: _state(road) == "received")
+    task = road.hub.store.task(road.digest)
+    assert task is not None and task.tries == 3
+    errands.ended.set()
+    working.join(10)
+    assert not working.is_alive()

@@ -45,5 +45,5 @@ def test_a_run_whose_machines_are_killed_ends_with_the_scene_of_one_left_alone(f
     ]
     assert fleet.run_with(kills) == len(kills), fleet.logs()
     assert (fleet.folder / "far" / "scene.ply").read_bytes() == run_here(fleet.folder)
-    first, *later = fleet.starts("own_field")
-    assert first == 0 and later and all(saved > 0 for saved in later), "a training begins once"
+    first, *later = fleet.trained_from("own_field")
+    assert first == 0 and later == fleet.saved_at_kill and all(step > 0 for step in later), "a training begins once"

@@ -3,6 +3,8 @@ byte. `pytest -m stress -s tests/stress/test_network_namespaces.py`; root alone 
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -13,8 +15,11 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
-from tests.app.network_namespaces import PORT, Machines, machines_in, why_not
+from radiant_app.network.line import MAX_WAIT_S
+from radiant_core.io.messages import MODEL_NAME
+from tests.app.network_namespaces import PORT, ROOT, Machines, machines_in, why_not
 from tests.app.network_nodes import split_photographs
+from tests.app.network_transfer import make_edge, write_model
 
 pytestmark = pytest.mark.stress
 DATA = Path(os.environ.get("RADIANT_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -124,3 +129,33 @@ def test_the_scene_of_four_machines_is_that_of_one(machines: Machines, name: str
     status = machines.do(DEVICES[0], "node", "status").stdout
     (finished,) = (Path(line.split(": ")[1]) for line in status.splitlines() if "finished scene" in line)
     assert (folder / DEVICES[0] / finished).is_file()
+
+
+def test_a_cable_of_20_mbit_per_s_is_used_and_one_that_is_pulled_out_costs_its_time_alone(machines: Machines) -> None:
+    """Limited by the kernel (tc tbf); the second time the cable is out for 20 s on the way."""
+    size, bytes_per_s, device = 50_000_000, 20e6 / 8, DEVICES[0]
+    machines.limit(device, "up2", 20)
+    for number, out_s in enumerate((0.0, 20.0)):
+        folder = machines.folder / str(number)
+        make_edge(folder, PORT, PORT, [device], "10.77.2.1")
+        write_model(folder / "models" / device, size, number)
+        edge = transfer(machines, "edge", "receive", folder, device)
+        assert edge.stdout is not None and edge.stdout.readline() == "listening\n"
+        before = machines.sent_bytes(device, "up2")
+        sender = transfer(machines, device, "send", folder, device)
+        if out_s:
+            wait_for(lambda begin=before: machines.sent_bytes(device, "up2") > begin + size // 2)
+            machines.plug(device, "up2", plugged=False)
+            time.sleep(out_s)
+            machines.plug(device, "up2", plugged=True)
+        told = json.loads(sender.communicate(timeout=300)[0].splitlines()[-1])
+        got = json.loads(edge.communicate(timeout=300)[0].splitlines()[-1])
+        ratio, more = told["seconds"] * bytes_per_s / size, (machines.sent_bytes(device, "up2") - before) / size
+        print(f"20 Mbit/s, out for {out_s:.0f} s: {ratio:.3f} x bytes over bandwidth, {more:.3f} x the bytes with all headers")
+        assert got["hashes"][device] == hashlib.sha256((folder / "models" / device / MODEL_NAME).read_bytes()).hexdigest()
+        assert ratio <= 1.15 + (out_s + MAX_WAIT_S) * bool(out_s) * bytes_per_s / size and more <= 1.15
+
+
+def transfer(machines: Machines, name: str, what: str, folder: Path, device: str) -> subprocess.Popen[str]:
+    command = machines.words(name, sys.executable, "-m", "tests.app.network_transfer", what, str(folder), device)
+    return subprocess.Popen(command, cwd=ROOT, env=machines.environment(), stdout=subprocess.PIPE, text=True)
