@@ -5,7 +5,7 @@ Each photograph and each pair is a task of a pool of threads; this thread alone 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.epipolar import camera_rays, verify_by_poses
 from radiant_core.sfm.colmap.pairs import Pairs
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.quick.descriptors import Descriptors, Matches, match_descriptors
@@ -33,6 +34,8 @@ LEAST_TRIALS, MOST_TRIALS = 30, 1_000
 """Samples drawn to verify a pair. COLMAP's 100 to 10,000 found 3 more of 325 pairs of lewis, of 16
 matches at most, in five times the time, two thirds of it on pairs with nothing in common."""
 OnDone = Callable[[int], None]
+Poses = Mapping[str, FloatArray]
+"""Names → cam_from_world (4,4)."""
 
 
 def extract_quickly(
@@ -120,8 +123,9 @@ def preview_pairs(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDo
     return np.array(scores, np.int64)
 
 
-def match_quickly(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDone) -> None:
-    """Match these pairs of names in full and verify them; `on_done` gets how many are done."""
+def match_quickly(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDone, poses: Poses | None = None) -> None:
+    """Match these pairs of names in full and verify them, by their `poses` where these are known;
+    `on_done` gets how many are done."""
     options = _verification(config)
     done = 0
     with pycolmap.Database.open(database) as store:
@@ -131,8 +135,11 @@ def match_quickly(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDo
         def verify(pair: tuple[str, str]) -> tuple[Matches, Any]:
             first, second = pair
             matches = match_descriptors(reader.descriptors(first), reader.descriptors(second))
-            sides = [(reader.cameras[name], reader.points(name)) for name in pair]
-            return matches, pycolmap.estimate_two_view_geometry(*sides[0], *sides[1], matches, options)
+            geometry = None if poses is None else _by_poses(reader, pair, poses, matches)
+            if geometry is None:
+                sides = [(reader.cameras[name], reader.points(name)) for name in pair]
+                geometry = pycolmap.estimate_two_view_geometry(*sides[0], *sides[1], matches, options)
+            return matches, geometry
 
         for block in _blocks(pairs, block_size):
             for name in {name for pair in block for name in pair}:
@@ -144,6 +151,13 @@ def match_quickly(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDo
                 store.write_two_view_geometry(first, second, geometry)
             done += len(block)
             on_done(done)
+
+
+def _by_poses(reader: _Reader, pair: tuple[str, str], poses: Poses, matches: Matches) -> Any:
+    first, second = pair
+    focal_px = float(np.sqrt(np.prod([reader.cameras[name].mean_focal_length() for name in pair])))
+    rays = [camera_rays(reader.cameras[name], reader.points(name)[matches[:, side]]) for side, name in enumerate(pair)]
+    return verify_by_poses(poses[second] @ np.linalg.inv(poses[first]), (rays[0], rays[1]), matches, focal_px)
 
 
 def _verification(config: SfmConfig) -> pycolmap.TwoViewGeometryOptions:
