@@ -107,7 +107,8 @@ def scene_from_poses(
         model_folder = work_folder / "sparse"
         posed = _posed_model(cameras, database, model_folder)
         candidates = neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors)
-        match_pairs(database, keep_promising(database, candidates, config, report)[0], config, report)
+        pairs, _ = keep_promising(database, candidates, config, report)
+        match_pairs(database, pairs, config, report, dict(zip(cameras.names, cameras.cam_from_world, strict=True)))
         report(SfmProgress(phase="triangulating", done=0, total=len(cameras)))
         triangulate(posed, database, photo_folder, model_folder, config)
         report(SfmProgress(phase="triangulating", done=len(cameras), total=len(cameras)))

@@ -17,9 +17,10 @@ from radiant_core.io.photos.listing import Photograph, list_photographs
 from radiant_core.sfm import attempts
 from radiant_core.sfm.colmap import mapping
 from radiant_core.sfm.colmap.calls import pycolmap
+from radiant_core.sfm.colmap.epipolar import epipolar_errors
 from radiant_core.sfm.colmap.mapping import MappingJob, map_photographs
 from radiant_core.sfm.colmap.pairs import Pairs
-from radiant_core.sfm.colmap.strays import agreeing_matches, contradicted, epipolar_errors, remove, without_strays
+from radiant_core.sfm.colmap.strays import agreeing_matches, contradicted, remove, without_strays
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
 from radiant_core.sfm.reconstruct import reconstruct
 from radiant_core.sfm.world_frame.align import compare_centers

@@ -18,7 +18,10 @@ import numpy as np
 from radiant_core.numerics import FloatArray
 
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_START_OF_SCAN, _END_OF_IMAGE, _APP1 = 0xDA, 0xD9, 0xE1
+_START_OF_SCAN, _END_OF_IMAGE, _APP1, _APP2 = 0xDA, 0xD9, 0xE1, 0xE2
+_EXIF_SIGNATURE = b"Exif\0\0"
+_KEPT_SIGNATURES = {_APP1: (_EXIF_SIGNATURE, b"http://ns.adobe.com/xap/1.0/\0"), _APP2: (b"ICC_PROFILE\0",)}
+"""EXIF, XMP and colour profiles say the same of pixels that were moved; other segments may not."""
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}
 
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
@@ -66,13 +69,19 @@ def read_jpeg_facts(data: bytes) -> JpegFacts:
         if marker in _START_OF_FRAME and end - start >= 5:
             height, width = struct.unpack_from(">HH", data, start + 1)
             size_wh = (width, height) if width and height else None
-        elif marker == _APP1 and exif is None and data[start : start + 6] == b"Exif\0\0":
+        elif marker == _APP1 and exif is None and data[start : start + 6] == _EXIF_SIGNATURE:
             exif = read_exif(data[start + 6 : end])
         elif marker == _START_OF_SCAN:
             scan_offset = end
     # In a scan 0xFF is followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
     whole = scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
     return JpegFacts(size_wh=size_wh, whole=whole, exif=exif or ExifFacts())
+
+
+def kept_segments(data: bytes) -> bytes:
+    """EXIF, XMP and colour profile of the JPEG `data` for one made from it; never raises."""
+    kept = [data[start - 4 : end] for marker, start, end in _segments(data) if data[start:end].startswith(_KEPT_SIGNATURES.get(marker, ()))]
+    return b"".join(kept)
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:

@@ -15,7 +15,7 @@ from radiant_core.io.photos.listing import CameraKey, Photograph
 from radiant_core.io.photos.masks import mask_name
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.pairs import Pairs
-from radiant_core.sfm.colmap.quick_database import extract_quickly, match_quickly
+from radiant_core.sfm.colmap.quick_database import Poses, extract_quickly, match_quickly
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
 
 Item = TypeVar("Item")
@@ -97,14 +97,19 @@ def _extract(places: tuple[Path, Path, Path | None], names: list[str], camera_id
     )
 
 
-def match_pairs(database: Path, pairs: Pairs, config: SfmConfig, report: Report) -> None:
-    """Match the features of these pairs of names and verify the matches geometrically."""
+def match_pairs(database: Path, pairs: Pairs, config: SfmConfig, report: Report, poses: Poses | None = None) -> None:
+    """Match the features of these pairs of names and verify the matches geometrically, by the
+    `poses` of the photographs where they are known."""
     left = _unmatched_pairs(database, pairs)
     done = len(pairs) - len(left)
     report(SfmProgress(phase="matching", done=done, total=len(pairs)))
     if not left:
         return
-    match_quickly(database, left, config, lambda num: report(SfmProgress(phase="matching", done=done + num, total=len(pairs))))
+
+    def tell(num: int) -> None:
+        report(SfmProgress(phase="matching", done=done + num, total=len(pairs)))
+
+    match_quickly(database, left, config, tell, poses)
 
 
 def _unmatched_pairs(database: Path, pairs: Pairs) -> Pairs:

@@ -4,14 +4,11 @@ A stray is an image that sees almost no point, or few points and its GPS is far 
 puts it, or one that no chain of images with common points leads to from most others, so that
 nothing fixes where it is (the global mapper claims every image and leaves such).
 
-An image may also be contradicted by its own matches:
-
-    e = |x₂ᵀ E x₁| f / √((E x₁)₁² + (E x₁)₂² + (Eᵀ x₂)₁² + (Eᵀ x₂)₂²)      Sampson's distance, px
-
-with E from the two poses of the model and x on the image plane. A few wrong matches suffice to
-place an image anywhere, and hundreds of points then follow from it: an image of lewis lay 58 % of
-the extent off with 416 points. But 60 % of its verified matches missed their epipolar lines; of the
-right images 4 % at most did, one of 34 points 30 % (docs/experiments/sfm.md).
+An image may also be contradicted by its own matches, which miss the epipolar lines of its pose
+(`epipolar.py`). A few wrong matches suffice to place an image anywhere, and hundreds of points then
+follow from it: an image of lewis lay 58 % of the extent off with 416 points. But 60 % of its
+verified matches missed their epipolar lines; of the right images 4 % at most did, one of 34 points
+30 % (docs/experiments/sfm.md).
 """
 
 from __future__ import annotations
@@ -24,8 +21,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from radiant_core.io.photos.listing import Photograph
-from radiant_core.numerics import FloatArray
 from radiant_core.sfm.colmap.calls import pycolmap
+from radiant_core.sfm.colmap.epipolar import MAX_EPIPOLAR_PX, MIN_MATCHES, camera_rays, epipolar_errors
 from radiant_core.sfm.colmap.pairs import gps_positions
 from radiant_core.sfm.world_frame.align import robust_sim3
 
@@ -33,10 +30,6 @@ IntArray = NDArray[np.int64]
 MIN_POINTS = 15
 FEW_POINTS = 60
 GPS_FACTOR = 5.0
-MIN_MATCHES = 15
-"""Pairs with fewer verified matches, as COLMAP counts them too, say nothing."""
-MAX_EPIPOLAR_PX = 4.0
-"""The error up to which COLMAP calls a match verified."""
 LEAST_AGREEMENT = 0.5
 
 
@@ -117,7 +110,7 @@ def agreeing_matches(model: pycolmap.Reconstruction, database: Path) -> tuple[In
     with pycolmap.Database.open(database) as store:
         images = {image.image_id: placed[image.name] for image in store.read_all_images() if image.name in placed}
         rays = {
-            number: _rays(model.camera(image.camera_id), np.asarray(store.read_keypoints(number), np.float64))
+            number: camera_rays(model.camera(image.camera_id), np.asarray(store.read_keypoints(number), np.float64))
             for number, image in images.items()
         }
         numbers, geometries = store.read_two_view_geometries()
@@ -135,20 +128,3 @@ def agreeing_matches(model: pycolmap.Reconstruction, database: Path) -> tuple[In
             rows.append((sides[0].image_id, sides[1].image_id, len(matches), int((~(errors > MAX_EPIPOLAR_PX)).sum())))
     table = np.array(rows, np.int64).reshape(-1, 4)
     return table[:, :2], table[:, 2], table[:, 3]
-
-
-def _rays(camera: pycolmap.Camera, keypoints: FloatArray) -> FloatArray:
-    """Keypoints (N,≥2) on the image plane at distance 1, homogeneous (N,3); a point outside of what
-    the lens can show is not finite."""
-    plane = np.asarray(camera.cam_from_img(keypoints[:, :2]), np.float64).reshape(-1, 2)
-    return np.column_stack([plane, np.ones(len(plane))])
-
-
-def epipolar_errors(second_from_first: FloatArray, from_first: FloatArray, from_second: FloatArray) -> FloatArray:
-    """Sampson's distances (N,) of rays (N,3) on the image planes at distance 1, for a rigid motion
-    (4,4); not a number where both images are in one place."""
-    x, y, z = second_from_first[:3, 3]
-    essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ second_from_first[:3, :3]
-    lines, back = from_first @ essential.T, from_second @ essential
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.abs((from_second * lines).sum(axis=1)) / np.sqrt((lines[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1))

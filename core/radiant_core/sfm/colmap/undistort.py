@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from radiant_core.cameras import Cameras
+from radiant_core.errors import CannotWrite
 from radiant_core.frames import Sim3
 from radiant_core.io.run_store import require_room
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.warp import can_warp, warp_jpeg
 from radiant_core.sfm.config import Report, SfmProgress
+from radiant_core.sfm.quick.threads import in_order, single_opencv_thread
 
 JPEG_QUALITY = 95
 
@@ -24,27 +29,85 @@ class Undistorted:
 
 
 def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_threads: int, report: Report) -> Undistorted:
-    """Write work_folder/undistorted/{images,sparse}, which appears only when complete."""
+    """Write work_folder/undistorted/{images,sparse,stereo}, which appears only when complete.
+    Raises BadInput where a photograph cannot be decoded."""
     part, final = work_folder / "undistorted.part", work_folder / "undistorted"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
-    report(SfmProgress(phase="undistorting", done=0, total=1))
-    call_colmap(
-        "undistorting",
-        pycolmap.undistort_images,
-        part,
-        model_folder,
-        image_folder,
-        output_type="COLMAP",
-        jpeg_quality=JPEG_QUALITY,
-        num_threads=num_threads,
-        cancellation_token=pycolmap.CancellationToken(),
-    )
+    plan = _plan(model_folder)
+    total = len(plan.warped) + len(plan.others)
+    report(SfmProgress(phase="undistorting", done=0, total=total))
+    _undistort_by_colmap(plan, (model_folder, image_folder, part), num_threads)
+    _warp_all(plan, image_folder, part / "images", num_threads, lambda done: report(_progress(len(plan.others) + done, total)))
+    _name_for_stereo(part / "stereo", (*plan.warped, *plan.others))
     # COLMAP takes no notice of an image that could not be written.
     require_room(work_folder)
     part.rename(final)
-    report(SfmProgress(phase="undistorting", done=1, total=1))
+    report(_progress(total, total))
     return Undistorted(model_folder=final / "sparse", image_folder=final / "images")
+
+
+def _progress(done: int, total: int) -> SfmProgress:
+    return SfmProgress(phase="undistorting", done=done, total=total)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Plan:
+    """Which photographs are warped here, by name with their camera and its pinhole; `others` are
+    left to COLMAP: those in other formats, those without distortion, which it copies."""
+
+    warped: Mapping[str, tuple[pycolmap.Camera, pycolmap.Camera]]
+    others: tuple[str, ...]
+
+
+def _plan(model_folder: Path) -> _Plan:
+    model = pycolmap.Reconstruction(model_folder)
+    options = pycolmap.UndistortCameraOptions()
+    sides = {number: (camera, pycolmap.undistort_camera(options, camera)) for number, camera in model.cameras.items()}
+    placed = {image.name: sides[image.camera_id] for image in map(model.image, sorted(model.reg_image_ids()))}
+    warped = {name: cameras for name, cameras in placed.items() if can_warp(name, *cameras)}
+    return _Plan(warped=warped, others=tuple(name for name in placed if name not in warped))
+
+
+def _undistort_by_colmap(plan: _Plan, places: tuple[Path, Path, Path], num_threads: int) -> None:
+    """The model and the photographs that are not warped here; `places`: model, photographs, result.
+    Where there is none, COLMAP looks for one in an empty folder, and writes the model alone."""
+    model_folder, image_folder, part = places
+    with TemporaryDirectory(dir=part) as empty:
+        call_colmap(
+            "undistorting",
+            pycolmap.undistort_images,
+            part,
+            model_folder,
+            image_folder if plan.others else empty,
+            image_names=list(plan.others) or [next(iter(plan.warped))],
+            output_type="COLMAP",
+            jpeg_quality=JPEG_QUALITY,
+            num_threads=num_threads,
+            cancellation_token=pycolmap.CancellationToken(),
+        )
+
+
+def _warp_all(plan: _Plan, image_folder: Path, to_folder: Path, num_threads: int, on_done: Callable[[int], None]) -> None:
+    def work(name: str) -> None:
+        jpeg = warp_jpeg(image_folder / name, *plan.warped[name], JPEG_QUALITY)
+        path = to_folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            path.write_bytes(jpeg)
+        except OSError as error:
+            raise CannotWrite(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
+
+    with single_opencv_thread():
+        for done, _ in enumerate(in_order(work, tuple(plan.warped), num_threads), 1):
+            on_done(done)
+
+
+def _name_for_stereo(folder: Path, names: Iterable[str]) -> None:
+    """List all photographs where COLMAP's dense stereo looks for them, as COLMAP itself does."""
+    names = sorted(names)
+    (folder / "fusion.cfg").write_text("".join(f"{name}\n" for name in names))
+    (folder / "patch-match.cfg").write_text("".join(f"{name}\n__auto__, 20\n" for name in names))
 
 
 def fit_model(model_folder: Path, world_from_model: Sim3, cameras: Cameras) -> None:
