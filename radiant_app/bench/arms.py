@@ -26,10 +26,12 @@ from radiant_core.choices import CutBy
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
 from radiant_core.evaluate.image_error import psnr_db, ssim
+from radiant_core.evaluate.lpips import Lpips
 from radiant_core.evaluate.seam_error import SeamMasks, band_and_interior_psnr_db, seam_masks
 from radiant_core.evaluate.shown_pixels import select_strongest
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.io.array_file import load_arrays, save_arrays
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.light.canonical import light_of_score, show_in_light
@@ -38,19 +40,35 @@ from radiant_core.plan.system import System
 from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
 
+VIEWS_SCHEMA = "radiant.held_out_pictures"
 OPAQUE = 0.5
 """Pixels that the centralised model covers less have no ground."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """What a round of federated learning sent up, and how good the server's model was after it."""
+
+    sent_bytes: int
+    psnr_db: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Made:
     """What an arm made of a cell, and its work beside the device models."""
 
-    splats: Splats
+    splats: Splats | None = None
+    """None for what is no Gaussians: then `images` are given."""
+    images: tuple[FloatArray, ...] = ()
+    """(H,W,3) in 0..1, of the held-out cameras."""
+    num_parameters: int = 0
+    """Of what is no Gaussians."""
     cpu_s: float
     training_px: float
     nodes: tuple[NodeWork, ...] = ()
     """The work of each node, the devices' among it, where nodes made it."""
+    rounds: tuple[Round, ...] = ()
+    """Of federated learning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +78,10 @@ class Arm:
     name: str
     make: Callable[[Cell, Recipe], Made]
     recipe: Callable[[Cell], Recipe] = lambda cell: cell.recipe
+    settings: Any = None
+    """What decides the model beside the recipe; part of its key in the cache."""
+    of_gaussians: bool = True
+    """False: the model is a field, of which the held-out pictures are kept."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +104,10 @@ class ArmRow:
     nodes: tuple[NodeWork, ...] = ()
     off_path: OffPathFigures | None = None
     """At views that were never flown, where there are some."""
+    num_parameters: int = 0
+    """Of a field, which has no Gaussians."""
+    rounds: tuple[Round, ...] = ()
+    """Of federated learning."""
 
     @property
     def mean_psnr_db(self) -> float:
@@ -102,6 +128,10 @@ class Arms:
     first: Cell
     off_path: OffPath | None = None
     """Views that were never flown, at which every row is scored as well."""
+    field_steps: int = 1_000
+    """Of a radiance field, in the paper's main table."""
+    lpips: Lpips | None = None
+    """Scores LPIPS there; None: it is not measured."""
 
     @property
     def scene(self) -> BenchScene:
@@ -131,13 +161,17 @@ class Arms:
         return DeviceSettings(train=replace(recipe.train, seed=seed), backend=recipe.backend, upload=recipe.upload)
 
     def row(self, cell: Cell, arm: Arm, max_gaussians: int | None = None) -> ArmRow:
-        """The arm's figures, cached; of its model reduced to `max_gaussians`, where given."""
-        row = self._row(cell, arm, max_gaussians)
-        return row if self.off_path is None else replace(row, off_path=self._off_path_figures(self.off_path, cell, arm, max_gaussians))
+        """The arm's figures, cached; of its Gaussians reduced to `max_gaussians`, where given."""
+        row = self._row(cell, arm, max_gaussians if arm.of_gaussians else None)
+        return (
+            row
+            if self.off_path is None or not arm.of_gaussians
+            else replace(row, off_path=self._off_path_figures(self.off_path, cell, arm, max_gaussians))
+        )
 
     def _off_path_figures(self, views: OffPath, cell: Cell, arm: Arm, max_gaussians: int | None) -> OffPathFigures:
         """The figures at views off the path, cached apart from the others."""
-        model = self._model_file(cell, arm)
+        model = self.model_file(cell, arm)
         reduced = "" if max_gaussians is None else f".{max_gaussians}"
         record = model.with_suffix(f"{reduced}.off_path-{views.key[:16]}.json")
         if record.is_file() and (known := figures_of(read_json(record))) is not None:
@@ -148,14 +182,17 @@ class Arms:
         return figures
 
     def _row(self, cell: Cell, arm: Arm, max_gaussians: int | None) -> ArmRow:
-        model = self._model_file(cell, arm)
+        model = self.model_file(cell, arm)
         record = model.with_suffix(".json" if max_gaussians is None else f".{max_gaussians}.json")
         if model.is_file() and record.is_file():
             return _row_of(read_json(record))
         if max_gaussians is None:
             made = arm.make(cell, arm.recipe(cell))
             model.parent.mkdir(parents=True, exist_ok=True)
-            save_splats(model, made.splats)
+            if made.splats is not None:
+                save_splats(model, made.splats)
+            else:
+                save_arrays(model, VIEWS_SCHEMA, {f"{i:04d}": _in_bytes(image) for i, image in enumerate(made.images)}, {})
         else:
             whole = self._row(cell, arm, None)
             splats = select_strongest(load_splats(model), self.scene.views.cameras, max_gaussians)
@@ -165,9 +202,17 @@ class Arms:
         return row
 
     def views(self, cell: Cell, arm: Arm) -> list[RenderedView]:
-        """The arm's model at the held-out cameras."""
+        """The arm's Gaussians at the held-out cameras."""
         self.row(cell, arm)
-        return self._renders(load_splats(self._model_file(cell, arm)), cell)
+        return self._renders(load_splats(self.model_file(cell, arm)), cell)
+
+    def images(self, cell: Cell, arm: Arm) -> list[FloatArray]:
+        """The arm's pictures (H,W,3) in 0..1 of the held-out cameras, of a field in 8 bits."""
+        if arm.of_gaussians:
+            return [view.image.astype(np.float64) for view in self.views(cell, arm)]
+        self.row(cell, arm)
+        kept, _ = load_arrays(self.model_file(cell, arm), VIEWS_SCHEMA, None)
+        return [kept[name] / 255 for name in sorted(kept)]
 
     def _renders(self, splats: Splats, cell: Cell) -> list[RenderedView]:
         """A model at the held-out cameras, in the light that is predicted of the photographs."""
@@ -195,7 +240,7 @@ class Arms:
         return [np.where(view.alpha >= OPAQUE, view.depth, 0) for view in views]
 
     def _score(self, cell: Cell, arm: Arm, made: Made) -> ArmRow:
-        images = [view.image for view in self._renders(made.splats, cell)]
+        images = list(made.images) if made.splats is None else [view.image for view in self._renders(made.splats, cell)]
         pairs = list(zip(images, self.photographs, strict=True))
         error = band_and_interior_psnr_db(images, self.photographs, self.masks(cell))
         return ArmRow(
@@ -205,23 +250,32 @@ class Arms:
             seed=cell.recipe.train.seed,
             psnr_db=tuple(psnr_db(image, photograph) for image, photograph in pairs),
             ssim=tuple(ssim(image, photograph) for image, photograph in pairs),
-            num_gaussians=len(made.splats),
+            num_gaussians=0 if made.splats is None else len(made.splats),
             cpu_s=made.cpu_s,
             training_px=made.training_px,
             band_db=error.seam_psnr_db,
             interior_db=error.interior_psnr_db,
             num_band_images=error.num_band_images,
             nodes=made.nodes,
+            num_parameters=made.num_parameters,
+            rounds=made.rounds,
         )
 
-    def _model_file(self, cell: Cell, arm: Arm) -> Path:
-        key = content_key(__version__, arm.name, arm.recipe(cell), self.scene.training, self.scene.held_out.cameras)[:16]
+    def model_file(self, cell: Cell, arm: Arm) -> Path:
+        """Where an arm's model is kept, or the pictures of its field."""
+        decides = (arm.recipe(cell), *(() if arm.settings is None else (arm.settings,)))
+        key = content_key(__version__, arm.name, *decides, self.scene.training, self.scene.held_out.cameras)[:16]
         return self.out / "joined" / f"{cell.name}-{arm.name.replace(' ', '_')}-{key}.safetensors"
 
 
 def _row_of(record: dict[str, Any]) -> ArmRow:
     nodes = tuple(NodeWork(**node) for node in record.get("nodes", ()))
-    return ArmRow(**{**record, "psnr_db": tuple(record["psnr_db"]), "ssim": tuple(record["ssim"]), "nodes": nodes})
+    rounds = tuple(Round(**one) for one in record.get("rounds", ()))
+    return ArmRow(**{**record, "psnr_db": tuple(record["psnr_db"]), "ssim": tuple(record["ssim"]), "nodes": nodes, "rounds": rounds})
+
+
+def _in_bytes(image: FloatArray) -> NDArray[np.uint8]:
+    return np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
 
 
 def load_arms(

@@ -13,6 +13,7 @@ placement, seed).
     photographs     device models retrained on the photographs: the paper's upper bound
     vastgaussian    its own cells, cameras and crop, its own models
     fed3dgs         its sequential server on our device models
+    …               radiance fields and F3DGS, when they are named (`rivals.py`)
 
 Device models are trained, sent and joined by `radiant_core.hierarchy`: `ours` is what `radiant run`
 writes. CPU seconds and training pixels of a row exclude the devices' trainings, but include models
@@ -34,6 +35,7 @@ from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
 from radiant_app.bench.emulated_latency import NodeClock, NodeWork
 from radiant_app.bench.off_path import off_path_metrics
+from radiant_app.bench.rivals import FIELD_STEPS, RIVALS, FieldSettings, rival_arms
 from radiant_app.report.progress import track_items
 from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
@@ -72,7 +74,7 @@ class MethodBench:
     layout: Layout | None = TWO_BY_TWO
     """None: plan, settings and seed of the run `scene`; the training fields below do not count."""
     methods: tuple[str, ...] = ()
-    """Names from the list above; empty for all."""
+    """Names from the list above, or of `RIVALS`; empty for all but those."""
     num_placements: int = 1
     """Placements of the edges."""
     num_seeds: int = 1
@@ -88,9 +90,12 @@ class MethodBench:
     """Most Gaussians of any method's model: of a larger one those are left that show most to the
     training cameras, and nothing is fitted again. None: as many as a method makes."""
 
+    field_steps: int = FIELD_STEPS
+    """Steps of a radiance field."""
+
     def __post_init__(self) -> None:
-        if unknown := sorted(set(self.methods) - set(METHODS)):
-            raise BadInput(f"method {unknown[0]!r} is unknown: use {', '.join(METHODS)}.")
+        if unknown := sorted(set(self.methods) - {*METHODS, *RIVALS}):
+            raise BadInput(f"method {unknown[0]!r} is unknown: use {', '.join((*METHODS, *RIVALS))}.")
         if self.max_gaussians is not None and self.max_gaussians < 1:
             raise BadInput(f"max_gaussians is {self.max_gaussians}, expected at least 1.")
 
@@ -104,6 +109,7 @@ def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
         spread = [(placement, seed) for placement in range(bench.num_placements) for seed in range(bench.num_seeds)]
         cells += [arms.cell(bench.layout, seed, placement=placement) for placement, seed in spread[1:]]
     chosen = [arm for name, arm in METHODS.items() if not bench.methods or name in bench.methods or name == "centralised"]
+    chosen += [arm for name, arm in rival_arms(FieldSettings(num_steps=bench.field_steps)).items() if name in bench.methods]
     jobs = track_items([(cell, arm) for cell in cells for arm in chosen], "bench methods")
     rows = [arms.row(cell, arm, bench.max_gaussians) for cell, arm in jobs]
     return rows, _metrics(arms.scene.name, rows)
@@ -293,18 +299,38 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 
 def methods_table(rows: Sequence[ArmRow]) -> str:
     """A line per scene and method: mean PSNR, Gaussians, CPU seconds, pixels and seams' excess."""
-    lines = ["| scene | method | PSNR dB | seam excess dB | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        "| scene | method | PSNR dB | seam excess dB | Gaussians, or parameters | CPU s | training Mpx |",
+        "|---|---|---|---|---|---|---|",
+    ]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
     for (scene, method), group in _group_rows(rows).items():
         excess = [excess_db for row in group if (excess_db := seam_excess_db(row, references[row.cell])) is not None]
         seam = f"{np.mean(excess):+.2f}" if excess else "insufficient"
-        names = ("mean_psnr_db", "num_gaussians", "cpu_s", "training_px")
+        names = ("mean_psnr_db", "num_gaussians", "num_parameters", "cpu_s", "training_px")
         means = {name: float(np.mean([getattr(row, name) for row in group])) for name in names}
         lines.append(
-            f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {seam} | {means['num_gaussians']:,.0f} | {means['cpu_s']:.0f} |"
-            f" {means['training_px'] / 1e6:.0f} |"
+            f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {seam} | {size_text(means['num_gaussians'], means['num_parameters'])} |"
+            f" {means['cpu_s']:.0f} | {means['training_px'] / 1e6:.0f} |"
         )
+        lines += rounds_lines(method, group)
     return "\n".join(lines)
+
+
+def size_text(num_gaussians: float, num_parameters: float) -> str:
+    """Gaussians, or the numbers of a field."""
+    return f"{num_gaussians:,.0f}" if num_gaussians else f"{num_parameters:,.0f} numbers"
+
+
+def rounds_lines(method: str, rows: Sequence[ArmRow]) -> list[str]:
+    """A line per round of federated learning: what all clients sent up in it, PSNR after it."""
+    lines = []
+    for number, same in enumerate(zip(*(row.rounds for row in rows), strict=True), 1):
+        sent_mb = float(np.mean([one.sent_bytes for one in same])) / 1e6
+        known = [one.psnr_db for one in same if one.psnr_db is not None]
+        psnr = f"{np.mean(known):.2f}" if known else "not scored"
+        lines.append(f"| | {method}, round {number} | {psnr} | | {sent_mb:.1f} MB sent | | |")
+    return lines
 
 
 def seam_excess_db(row: ArmRow, reference: ArmRow) -> float | None:
@@ -314,9 +340,9 @@ def seam_excess_db(row: ArmRow, reference: ArmRow) -> float | None:
 
 
 def curves_of(rows: Sequence[ArmRow]) -> dict[str, list[CurvePoint]]:
-    """The rows by method, each with at least 0.1 CPU seconds: the axis is logarithmic."""
+    """The rows of Gaussians by method, at least 0.1 CPU seconds each: the axis is logarithmic."""
     curves: dict[str, list[CurvePoint]] = {}
-    for row in rows:
+    for row in (row for row in rows if row.num_gaussians):
         point = CurvePoint(cpu_s=max(row.cpu_s, 0.1), num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
         curves.setdefault(row.arm, []).append(point)
     return curves
@@ -336,7 +362,7 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
         key = f"methods.{scene}.{method.replace(' ', '_')}"
         psnr = float(np.mean([row.psnr_db for row in group]))
         metrics.append(Metric(key=f"{key}.psnr_db", value=psnr, unit="dB", direction="higher"))
-        for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("training_px", "px")):
+        for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("num_parameters", "1"), ("training_px", "px")):
             value = float(np.mean([getattr(row, name) for row in group]))
             metrics.append(Metric(key=f"{key}.{name}", value=value, unit=unit, direction="info"))
         if off_path := [row.off_path for row in group if row.off_path is not None]:

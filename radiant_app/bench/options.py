@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal, get_args
 
-from radiant_core.choices import CutBy
+from radiant_core.choices import CutBy, LpipsNetwork
 from radiant_core.errors import BadInput
 
 BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper"]
@@ -25,7 +25,10 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "hold_out": ("train",),
     "off_path": ("train", "methods"),
     "long_side_px": _ON_MODELS,
-    "num_steps": ("methods",),
+    "num_steps": ("methods", "paper"),
+    "field_steps": ("methods", "paper"),
+    "lpips_weights": ("paper",),
+    "lpips_network": ("paper",),
     "ablations": ("train",),
     "plot": ("train", "methods"),
     "methods": ("sfm", *_ON_MODELS),
@@ -48,6 +51,7 @@ _FLAGS = {
     "methods": "--method",
     "num_placements": "--placements",
     "num_steps": "--steps",
+    "lpips_network": "--lpips-net",
 }
 OF_RUN = "run"
 """The layout of a cell that has the plan, the settings and the seed of the run `scene`."""
@@ -82,6 +86,12 @@ class BenchOptions:
     """Size of the training images."""
     num_steps: int | None = None
     """Steps of a device, the mean of all; None for the benchmark's own."""
+    field_steps: int | None = None
+    """Steps of a radiance field; None for the benchmark's own."""
+    lpips_weights: Path | None = None
+    """Weights for LPIPS, as for `radiant evaluate`."""
+    lpips_network: LpipsNetwork = "vgg"
+    """Network of the weights."""
     ablations: bool = False
     """Whether parts of the training are switched off, one at a time."""
     plot: Path | None = None

@@ -3,6 +3,8 @@
     plan      costs of training, convergence and partitions (`paper_plan.py`)
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
     latency   plans, joining and Fed3DGS on the paper's two systems, emulated (`paper_latency.py`)
+    table2    the paper's main table: twelve methods, radiance fields among them (`paper_table.py`)
+    systems   costs, partitions and convergence on the same systems (`paper_systems.py`)
     others    main, fed3dgs, border, regions, fusion, epochs: joined models (`paper_parts.py`)
 
 Everything is written to one folder: `paper.md` with its pictures, `paper.json` with all figures,
@@ -13,7 +15,7 @@ No figure of the paper itself is on it: scenes, sizes and machines differ.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +27,12 @@ from radiant_app.bench.paper_balance import balance_part
 from radiant_app.bench.paper_latency import latency_part
 from radiant_app.bench.paper_parts import Part, border_part, epochs_part, fed3dgs_part, fusion_part, main_part, regions_part
 from radiant_app.bench.paper_plan import plan_part
+from radiant_app.bench.paper_systems import systems_part
+from radiant_app.bench.paper_table import table_part
+from radiant_app.bench.rivals import FIELD_STEPS
 from radiant_core import __version__
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.lpips import Lpips
 from radiant_core.evaluate.metric import Metric
 from radiant_core.io.run_store import write_atomic, write_json
 
@@ -34,21 +40,26 @@ PARTS: Mapping[str, Callable[[Arms, Sequence[int], bool], Part]] = {
     "border": border_part,
     "balance": balance_part,
     "latency": latency_part,
+    "systems": systems_part,
     "regions": regions_part,
     "fusion": fusion_part,
     "epochs": epochs_part,
     "plan": plan_part,
     "main": main_part,
     "fed3dgs": fed3dgs_part,
+    "table2": table_part,
 }
 """In order of making, few models first; `fed3dgs` repeats the main table with one more row."""
-PAGE_ORDER = ("main", "regions", "epochs", "fusion", "balance", "latency", "border", "plan")
+BY_NAME = ("table2",)
+"""Made only when named: its radiance fields take an hour."""
+PAGE_ORDER = ("table2", "main", "regions", "epochs", "fusion", "balance", "latency", "systems", "border", "plan")
 LAYOUT, QUICK_LAYOUT = Layout(num_edges=2, num_devices=2), Layout(num_edges=2, num_devices=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperBench:
-    """What to make. `num_steps` of a device's training; `parts`: sections, empty for all."""
+    """What to make. `num_steps` of a device's training; `parts`: sections, empty for all but those
+    of `BY_NAME`."""
 
     scene: Path
     out: Path
@@ -58,6 +69,10 @@ class PaperBench:
     num_steps: int = 500
     quick: bool = False
     """Fewer layouts, epochs and trainings, no Fed3DGS."""
+    field_steps: int = FIELD_STEPS
+    """Of a radiance field."""
+    lpips: Lpips | None = None
+    """Scores LPIPS in Table II."""
 
     def __post_init__(self) -> None:
         if unknown := sorted(set(self.parts) - set(PARTS)):
@@ -68,11 +83,12 @@ def bench_paper(bench: PaperBench) -> list[Metric]:
     """Page, pictures and JSON in `bench.out`; metrics `paper.<scene>.<part>.<cell>.<arm>.…`."""
     layout = QUICK_LAYOUT if bench.quick else LAYOUT
     arms = load_arms(bench.scene, bench.out, layout, bench_settings(bench.long_side_px, bench.num_steps))
+    arms = replace(arms, field_steps=bench.field_steps, lpips=bench.lpips)
     bench.out.mkdir(parents=True, exist_ok=True)
     seeds = range(bench.num_seeds)
     made: dict[str, Part] = {}
     for name, make in PARTS.items():
-        if bench.parts and name not in bench.parts:
+        if name not in (bench.parts or {*PARTS} - {*BY_NAME}):
             continue
         made["main" if name == "fed3dgs" else name] = make(arms, seeds, bench.quick)
         _write(bench, arms, made)
@@ -124,6 +140,11 @@ def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
         ]
         if row["band_db"] is not None:
             metrics.append(Metric(key=f"{key}.band_db", value=row["band_db"], unit="dB", direction="higher"))
+    for row in named.get("table", []):
+        key = f"paper.{scene}.table2.{row['method'].replace(', ', '_').replace(' ', '_')}"
+        metrics.append(Metric(key=f"{key}.psnr_db", value=row["psnr_db"], unit="dB", direction="higher"))
+        for name, unit in (("cpu_s", "s"), ("sent_bytes", "B")):
+            metrics.append(Metric(key=f"{key}.{name}", value=row[name], unit=unit, direction="info"))
     if part == "balance":
         for kind, value in named["saved_percent"].items():
             metrics.append(Metric(key=f"paper.{scene}.balance.saves_{kind}_percent", value=value, unit="%", direction="info"))

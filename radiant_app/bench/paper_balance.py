@@ -1,9 +1,8 @@
 """Even against balanced regions: time of each device, quality of the joined scene. Once per page.
 
-Here every device takes equally many steps per photograph, so that its time follows the number of
-its photographs as the plan assumes; all devices together take the steps of the other sections.
-Measured: CPU seconds of a device's training on this machine ÷ its speed. Predicted: photographs ÷
-speed × the mean CPU seconds per photograph of all these trainings.
+Both are rows of the main table: every device takes the steps that a run gives it, by its share of
+the photographs. Measured: CPU seconds of a device's training on this machine ÷ its speed.
+Predicted: photographs ÷ speed × the mean CPU seconds per photograph of all these trainings.
 """
 
 from __future__ import annotations
@@ -15,14 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from radiant_app.bench.arms import Arm, Arms
-from radiant_app.bench.cells import Cell, Train
-from radiant_app.bench.methods import join
+from radiant_app.bench.cells import Cell
+from radiant_app.bench.methods import METHODS
 from radiant_app.bench.paper_parts import Part
 from radiant_app.report.progress import track_items
-from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.hierarchy.reporter import Reporter
-from radiant_core.train.views import TrainingViews
 
 if TYPE_CHECKING:
     from radiant_viewer.charts.latency_chart import PlanLatency
@@ -141,27 +137,11 @@ def _recipe(name: str, cell: Cell) -> Recipe:
 
 
 def _arm(name: str) -> Arm:
-    return Arm(
-        name=f"{name} steps by photographs",
-        make=lambda cell, recipe: join(cell, recipe, _train_by_photographs(cell)),
-        recipe=lambda cell: _recipe(name, cell),
-    )
-
-
-def _train_by_photographs(cell: Cell) -> Train:
-    """Trains a device's model with its photographs' share of all devices' steps."""
-    num_devices = len(cell.recipe.system.devices)
-    per_photograph = cell.recipe.train.num_steps * num_devices / len(cell.scene.training.cameras)
-
-    def train(task: DeviceTask, views: TrainingViews, reporter: Reporter) -> DeviceModel:
-        num_steps = max(1, round(per_photograph * len(views)))
-        return cell.cache.train(replace(task, train=replace(task.train, num_steps=num_steps)), views, reporter)
-
-    return train
+    return METHODS["even" if name == "even" else "ours"]
 
 
 def _times(cell: Cell, recipe: Recipe) -> list[DeviceTime]:
-    models = cell.train_devices(recipe, _train_by_photographs(cell))
+    models = cell.train_devices(recipe)
     return [
         DeviceTime(
             device=device.id,

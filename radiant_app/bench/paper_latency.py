@@ -112,9 +112,9 @@ def latency_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     """Every method on both systems; a quick one on the first, with two plans."""
     names = [*SYSTEMS][:1] if quick else [*SYSTEMS]
     wanted = [(name, seed) for name in names for seed in seeds]
-    costs = {key: _measure_costs(arms, *key) for key in track_items(wanted, "bench paper, costs of the systems")}
-    cells = {key: _cell(arms, fitted_costs(fits), *key) for key, fits in costs.items()}
-    tried = [(key, cell, arm) for key, cell in cells.items() for arm in (_plan_arms(quick) if quick else _all_arms())]
+    costs = {key: measure_costs(arms, *key) for key in track_items(wanted, "bench paper, costs of the systems")}
+    cells = {key: system_cell(arms, fitted_costs(fits), *key) for key, fits in costs.items()}
+    tried = [(key, cell, arm) for key, cell in cells.items() for arm in (plan_arms(quick) if quick else _all_arms())]
     done: list[tuple[ArmRow, LatencyRow]] = []
     missing: list[str] = []
     for (system, _), cell, arm in track_items(tried, "bench paper, latency"):
@@ -140,7 +140,8 @@ def latency_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     )
 
 
-def _plan_arms(quick: bool) -> list[Arm]:
+def plan_arms(quick: bool) -> list[Arm]:
+    """Our joining by every plan, by the exact and the even one alone where `quick`."""
     plans: Sequence[PlanMethod] = QUICK_PLANS if quick else get_args(PlanMethod)
     return [Arm(name=f"{plan} plan", make=join, recipe=lambda cell, plan=plan: cell.planned(plan)) for plan in plans]
 
@@ -149,19 +150,20 @@ def _all_arms() -> list[Arm]:
     paper = Arm(
         name="paper plan and joining", make=join, recipe=lambda cell: replace(cell.planned("paper"), aggregate=aggregate_preset("paper"))
     )
-    return [*_plan_arms(quick=False), paper, Arm(name=SERVER, make=join_at_server, recipe=lambda cell: cell.planned("even"))]
+    return [*plan_arms(quick=False), paper, Arm(name=SERVER, make=join_at_server, recipe=lambda cell: cell.planned("even"))]
 
 
-def _cell(arms: Arms, costs: Costs, name: str, seed: int) -> Cell:
+def system_cell(arms: Arms, costs: Costs, name: str, seed: int) -> Cell:
+    """The scene on one of the paper's systems, with these costs."""
     system = load_system(Path(radiant_app.__file__).parent / "systems" / f"{name}.toml")
     return arms.system_cell(costs.of(system), name, seed)
 
 
-def _measure_costs(arms: Arms, name: str, seed: int) -> dict[str, FittedCurve]:
+def measure_costs(arms: Arms, name: str, seed: int) -> dict[str, FittedCurve]:
     """Curves at speed 1, fitted to the nodes of two plans that need to know none."""
-    cell = _cell(arms, IN_PROPORTION, name, seed)
+    cell = system_cell(arms, IN_PROPORTION, name, seed)
     samples: dict[str, list[tuple[int, float]]] = {"train_s": [], "model_bytes": [], "aggregate_s": [], "alone_s": []}
-    for arm in _plan_arms(quick=True):
+    for arm in plan_arms(quick=True):
         recipe, works = arm.recipe(cell), {work.stage: work for work in arms.row(cell, arm).nodes}
         for plan in recipe.edge_plans:
             counts = [len(plan.cameras_of(device)) for device in plan.device_ids]

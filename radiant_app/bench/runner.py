@@ -77,6 +77,7 @@ def _measure_training(options: BenchOptions) -> Sequence[Metric]:
 def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
     from radiant_app.bench.cells import layout_of
     from radiant_app.bench.methods import MethodBench, bench_methods, curves_of, methods_table
+    from radiant_app.bench.rivals import FIELD_STEPS, QUICK_FIELD_STEPS
 
     assert options.scene is not None and options.out is not None, "checked with the options"
     bench = MethodBench(
@@ -91,6 +92,7 @@ def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
         cut_by=options.cut_by,
         max_gaussians=options.max_gaussians,
         off_path=options.off_path,
+        field_steps=options.field_steps or (QUICK_FIELD_STEPS if options.quick else FIELD_STEPS),
     )
     rows, metrics = bench_methods(bench)
     typer.echo(methods_table(rows))
@@ -102,6 +104,8 @@ def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
 
 def _measure_paper(options: BenchOptions) -> Sequence[Metric]:
     from radiant_app.bench.paper import PaperBench, bench_paper
+    from radiant_app.bench.rivals import FIELD_STEPS, QUICK_FIELD_STEPS
+    from radiant_core.evaluate.lpips import load_lpips
 
     assert options.scene is not None and options.out is not None, "checked with the options"
     bench = PaperBench(
@@ -110,8 +114,10 @@ def _measure_paper(options: BenchOptions) -> Sequence[Metric]:
         parts=options.methods,
         num_seeds=options.num_seeds or 1,
         long_side_px=options.long_side_px or (96 if options.quick else 384),
-        num_steps=30 if options.quick else 500,
+        num_steps=options.num_steps or (30 if options.quick else 500),
         quick=options.quick,
+        field_steps=options.field_steps or (QUICK_FIELD_STEPS if options.quick else FIELD_STEPS),
+        lpips=None if options.lpips_weights is None else load_lpips(options.lpips_weights, options.lpips_network),
     )
     metrics = bench_paper(bench)
     typer.echo(f"written: {options.out / 'paper.md'}")

@@ -57,6 +57,7 @@ def measure_cells(cells: Sequence[Cell]) -> Iterator[SeamRow]:
         for name in ARMS:
             of = cells[0] if name == UNCUT else cell
             made = METHODS[name].make(of, METHODS[name].recipe(of))
+            assert made.splats is not None, "all of them are of Gaussians"
             yield SeamRow(cell=cell.name, arm=name, excess=model_excess(made.splats, cell))
 
 

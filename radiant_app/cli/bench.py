@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from radiant_app.bench.options import BenchName, BenchOptions, HoldOut
-from radiant_app.cli.option_types import BenchPlot, BenchScene, LongSide
+from radiant_app.cli.option_types import BenchPlot, BenchScene, LongSide, LpipsNet, LpipsWeights
 from radiant_core.choices import CutBy
 
 
@@ -26,7 +26,10 @@ def bench(
     hold_out: Annotated[HoldOut, typer.Option(help="train: every eighth photograph, or a whole flight line.")] = "interleaved",
     off_path: Annotated[Path | None, typer.Option(help="train, methods: folder of views never flown, scored as well.")] = None,
     long_side_px: LongSide = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="methods: steps of a device, the mean of all; 500 without it.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="methods, paper: steps of a device, the mean of all; 500 without it.")] = None,
+    field_steps: Annotated[int | None, typer.Option(min=1, help="methods, paper: steps of a radiance field; 1,000 without it.")] = None,
+    lpips_weights: LpipsWeights = None,
+    lpips_net: LpipsNet = "vgg",
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
     plot: BenchPlot = None,
     method: Annotated[
@@ -56,6 +59,9 @@ def bench(
         off_path=off_path,
         long_side_px=long_side_px,
         num_steps=steps,
+        field_steps=field_steps,
+        lpips_weights=lpips_weights,
+        lpips_network=lpips_net,
         ablations=ablations,
         plot=plot,
         methods=tuple(method or ()),

@@ -13,6 +13,7 @@ from rich.console import Console
 from radiant_app.bench.cells import Layout, layout_of, random_sites
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
 from radiant_app.bench.options import BenchOptions
+from radiant_app.bench.rivals import RIVALS
 from radiant_app.bench.runner import run_bench
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
@@ -81,6 +82,31 @@ def test_rivals_train_and_join_on_the_same_work(bench: MethodBench) -> None:
     assert made["vastgaussian"].training_px > 0 and made["even"].num_gaussians > 100
 
 
+def test_fields_and_federated_rivals_are_made_when_they_are_named(bench: MethodBench) -> None:
+    named = replace(bench, methods=("mega-nerf", "fednerf", "f3dgs"), field_steps=6)
+    rows, metrics = bench_methods(named)
+    made = {row.arm: row for row in rows}
+    assert list(made) == ["centralised", "mega-nerf", "fednerf", "f3dgs"]
+    assert all(len(row.psnr_db) == 2 and np.isfinite(row.psnr_db).all() for row in rows)
+    # Mega: two fields of 16 tables of 2^17 pairs, and their networks; one field for FedNeRF.
+    assert made["mega-nerf"].num_parameters == 2 * made["fednerf"].num_parameters > 4e6 and made["mega-nerf"].num_gaussians == 0
+    assert made["mega-nerf"].training_px == 6 * 2048 and made["f3dgs"].num_gaussians > 100
+    assert len(made["fednerf"].rounds) == 3 and made["fednerf"].rounds[0].psnr_db is None
+    # Two clients send a field, and a number for each entry of its grid, in 4 bytes each.
+    assert made["fednerf"].rounds[0].sent_bytes == 2 * 4 * (made["fednerf"].num_parameters + 16 * 2**17)
+    assert len(made["f3dgs"].rounds) == 5 and made["f3dgs"].rounds[-1].psnr_db == pytest.approx(made["f3dgs"].mean_psnr_db, abs=1e-3)
+    table = methods_table(rows)
+    assert "numbers |" in table and "| | f3dgs, round 5 |" in table and "MB sent" in table
+    assert set(curves_of(rows)) == {"centralised", "f3dgs"}
+    assert "methods.scene.mega-nerf.num_parameters" in {metric.key for metric in metrics}
+    stamps = {path: path.stat().st_mtime_ns for path in (bench.out / "joined").iterdir()}
+    assert bench_methods(replace(named, max_gaussians=200))[0][1] == made["mega-nerf"]
+    assert bench_methods(named)[0] == rows
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
+    longer = bench_methods(replace(named, methods=("mega-nerf",), field_steps=4))[0][1]
+    assert longer.training_px == 4 * 2048
+
+
 def test_a_layout_is_edges_times_devices() -> None:
     assert layout_of("3x2") == Layout(num_edges=3, num_devices=2) and str(layout_of("3x2")) == "3x2"
     three = layout_of("3x2")
@@ -106,7 +132,7 @@ def test_random_sites_are_apart_inside_the_hull_and_make_other_plans() -> None:
 
 
 def test_unknown_methods_are_named(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match=f"'magic' is unknown: use {', '.join(METHODS)}"):
+    with pytest.raises(BadInput, match=f"'magic' is unknown: use {', '.join((*METHODS, *RIVALS))}"):
         MethodBench(scene=tmp_path, out=tmp_path, methods=("ours", "magic"))
     with pytest.raises(BadInput, match=r"radiant sfm"):
         bench_methods(MethodBench(scene=tmp_path, out=tmp_path / "out"))

@@ -11,19 +11,23 @@ import pytest
 from rich.console import Console
 from shapely import LineString, Polygon
 
+from radiant_app.bench import paper_table
 from radiant_app.bench.arms import load_arms
 from radiant_app.bench.cells import Layout, bench_settings
 from radiant_app.bench.methods import METHODS, epochs_arm
 from radiant_app.bench.options import BenchOptions
-from radiant_app.bench.paper import PAGE_ORDER, PARTS, PaperBench, bench_paper
+from radiant_app.bench.paper import BY_NAME, PAGE_ORDER, PARTS, PaperBench, bench_paper
 from radiant_app.bench.paper_parts import _worst_window, border_length_m
+from radiant_app.bench.published import MILL_19
 from radiant_app.bench.runner import run_bench
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.lpips import load_lpips
 from radiant_core.io.run_store import read_json
 from radiant_core.render.rendered_view import render_views
+from tests.app.alex_weights import write_alex_weights
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +45,10 @@ def test_a_page_of_every_part_is_made_once_and_kept(scene: Path, tmp_path: Path)
     metrics = bench_paper(bench)
     page = (bench.out / "paper.md").read_text()
     record = read_json(bench.out / "paper.json")
-    assert page.count("\n## ") == len(PAGE_ORDER) == len(record["parts"]) and "Scene scene: 10 photographs to train on, 2 held out" in page
+    assert (
+        page.count("\n## ") == len(PAGE_ORDER) - len(BY_NAME) == len(record["parts"])
+        and "Scene scene: 10 photographs to train on, 2 held out" in page
+    )
     for name in ("main", "regions", "epochs", "balance", "border", "costs", "convergence", "partitions"):
         assert f"({name}.png)" in page and (bench.out / f"{name}.png").stat().st_size > 5_000
     assert "Band and interior are insufficient: borders lie in" in page
@@ -63,6 +70,41 @@ def test_a_page_of_every_part_is_made_once_and_kept(scene: Path, tmp_path: Path)
     assert again == {key: value for key, value in found.items() if ".balance." in key}
     assert (bench.out / "paper.md").read_text().count("\n## ") == 1
     assert stamps == {path: path.stat().st_mtime_ns for folder in ("models", "joined") for path in (bench.out / folder).iterdir()}
+
+
+def test_the_main_table_is_made_row_by_row_and_no_row_twice(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = paper_table.table_methods(2)
+    assert [method.name.removesuffix("-style") for method in every] == [*MILL_19, "F3DGS"]
+    some = ("3DGS", "Mega-NeRF-style", "Fed3DGS", "Even, system 1", "F3DGS-style")
+    monkeypatch.setattr(paper_table, "table_methods", lambda steps: [method for method in every if method.name in some])
+    bench = PaperBench(scene=scene, out=tmp_path / "out", parts=("table2",), long_side_px=48, num_steps=8, quick=True, field_steps=2)
+    found = {metric.key: metric.value for metric in bench_paper(bench)}
+    rows = {row["method"]: row for row in read_json(bench.out / "paper.json")["parts"]["table2"]["figures"]["table"]}
+    assert tuple(rows) == some and all(np.isfinite(row["psnr_db"]) and row["lpips"] is None for row in rows.values())
+    trained = load_arms(scene, bench.out, Layout(num_edges=2, num_devices=1), bench_settings(48, 8)).scene.training.cameras.names
+    photographs = sum((scene.parent / "hamlet" / "images" / name).stat().st_size for name in trained)
+    assert rows["3DGS"]["sent_bytes"] == rows["Mega-NeRF-style"]["sent_bytes"] == photographs > 0
+    assert rows["Mega-NeRF-style"]["num_gaussians"] == 0 < rows["Mega-NeRF-style"]["num_parameters"]
+    emulated = {name for name, row in rows.items() if row["scene_s"] is not None}
+    assert emulated == {"Fed3DGS", "Even, system 1"} and rows["Even, system 1"]["privacy"] and not rows["Fed3DGS"]["privacy"]
+    page = (bench.out / "table2.md").read_text()
+    assert "not made yet" not in page and "give --lpips-weights" in page and "| the paper, Mill 19 |" in page
+    assert found["paper.scene.table2.Mega-NeRF-style.psnr_db"] == rows["Mega-NeRF-style"]["psnr_db"]
+    stamps = {path: path.stat().st_mtime_ns for folder in ("models", "joined") for path in (bench.out / folder).iterdir()}
+    bench_paper(replace(bench, lpips=load_lpips(write_alex_weights(tmp_path / "alex.safetensors"), "alex")))
+    scored = {row["method"]: row for row in read_json(bench.out / "paper.json")["parts"]["table2"]["figures"]["table"]}
+    assert all(row["lpips"] > 0 for row in scored.values())
+    assert {name: {**row, "lpips": None} for name, row in scored.items()} == rows
+    again = {path: path.stat().st_mtime_ns for folder in ("models", "joined") for path in (bench.out / folder).iterdir()}
+    assert {path.name for path in again if again[path] != stamps.get(path)} == {path.name for path in again if "perceptual" in path.name}
+
+
+def test_a_row_that_is_not_made_stands_there_as_not_made(scene: Path, tmp_path: Path) -> None:
+    arms = load_arms(scene, tmp_path, Layout(num_edges=2, num_devices=1), bench_settings(48, 8))
+    lines = paper_table.table_lines(arms, paper_table.table_methods(1), {})
+    assert sum("not made yet" in line for line in lines) == 13
+    assert "| hierarchical | Radiant, system 2 | not made yet | – | – | – | – | – | – | – | yes | yes |" in lines
+    assert "| FedNeRF | 20.12, –, – | 17.51, –, – |" in lines
 
 
 def test_kept_figures_are_those_of_the_kept_model(scene: Path, tmp_path: Path) -> None:

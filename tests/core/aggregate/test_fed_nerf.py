@@ -57,13 +57,13 @@ def test_use_is_the_blended_share_of_each_entry(clients: list[PixelRays]) -> Non
 
 
 def test_rounds_join_two_halves_and_count_what_goes_up(clients: list[PixelRays]) -> None:
-    config = FedConfig(num_rounds=2, align_steps=2, num_probes=300)
-    fitted = fit_fed(clients, SIZES, replace(FIT, num_steps=80), config)
+    config = FedConfig(num_rounds=2, num_probes=300)
+    fitted = fit_fed(clients, SIZES, replace(FIT, num_steps=48), config)
     assert fitted.num_rounds == 2 and len(fitted.moves) == 2
     numbers = num_parameters(fitted.field) + 6 * 2**10
     assert fitted.sent_bytes_a_round == 2 * 4 * numbers
     assert all(0 < float(move.abs().max()) < 0.01 for move in fitted.moves)
-    unaligned = fit_fed(clients, SIZES, replace(FIT, num_steps=8), replace(config, align_steps=0))
+    unaligned = fit_fed(clients, SIZES, replace(FIT, num_steps=8), replace(config, align_share=0.0))
     assert all((move == 0).all() for move in unaligned.moves)
     assert not torch.equal(fitted.field.get_parameter(TABLE), unaligned.field.get_parameter(TABLE))
 
@@ -71,6 +71,6 @@ def test_rounds_join_two_halves_and_count_what_goes_up(clients: list[PixelRays])
 def test_what_is_wrong_is_named() -> None:
     with pytest.raises(BadInput, match="no client"):
         fit_fed([], SIZES, FIT, FedConfig())
-    for wrong in ({"num_rounds": 0}, {"align_steps": -1}, {"align_rate": float("inf")}):
+    for wrong in ({"num_rounds": 0}, {"align_share": 1.0}, {"align_rate": float("inf")}):
         with pytest.raises(BadInput, match="FedNeRF was given"):
             FedConfig(**wrong)

@@ -96,7 +96,7 @@ def test_each_place_has_one_expert_and_its_output_times_the_gate() -> None:
     with torch.no_grad():
         output, penalty = network.eval()(features)
         gates, chosen = torch.softmax(network.gate(features), dim=1).max(dim=1)
-        every = torch.stack([expert(features) for expert in network.experts], dim=1)
+        every = torch.stack([expert(features) for expert in network.experts.children()], dim=1)
         wanted = gates[:, None] * every[torch.arange(400), chosen]
     torch.testing.assert_close(output, wanted)
     assert float(penalty) == 0 and len(torch.unique(chosen)) > 3

@@ -13,7 +13,7 @@ looked at it.
 There is no public code: this is from the abstract (Suzuki 2023, arXiv 2309.06030) alone, which says
 that the aggregation of federated learning is fitted to NeRF so that it can be updated locally, and
 that clients' noisy global poses are aligned before they are aggregated. The measure of use, the
-rounds and the steps of aligning are chosen here. It is not the FedNeRF of arXiv 2305.01163.
+rounds and the share of aligning are chosen here. It is not the FedNeRF of arXiv 2305.01163.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ class FedConfig:
     """Rounds, aligning and averaging."""
 
     num_rounds: int = 3
-    align_steps: int = 8
-    """Steps of a client's alignment in each round but the first; 0 leaves poses as they are."""
+    align_share: float = 0.25
+    """Share of a client's steps in each round but the first that align it; 0: none."""
     align_rate: float = 1e-3
     """Adam's rate of the move, in radians and radii."""
-    num_probes: int = 4096
+    num_probes: int = 2048
     """Rays of which a client measures what it uses."""
 
     def __post_init__(self) -> None:
-        if min(self.num_rounds, self.num_probes) < 1 or self.align_steps < 0 or not 0 < self.align_rate < np.inf:
-            raise BadInput(f"FedNeRF was given {self}: expected rounds and probes of at least 1, align_steps of 0 or more, a rate above 0.")
+        if min(self.num_rounds, self.num_probes) < 1 or not (0 <= self.align_share < 1 and 0 < self.align_rate < np.inf):
+            raise BadInput(f"FedNeRF was given {self}: expected rounds and probes of at least 1, 0 ≤ align_share < 1, a rate above 0.")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,8 +71,8 @@ class FedFit:
 def fit_fed(
     clients: Sequence[PixelRays], sizes: FieldConfig, fit: FitFieldConfig, config: FedConfig, options: FitFieldOptions = PLAIN
 ) -> FedFit:
-    """Train on all clients' pixels, `fit.num_steps` of all clients and rounds together. BadInput
-    without a client."""
+    """Train on all clients' pixels, `fit.num_steps` of all clients and rounds together, aligning
+    among them. BadInput without a client."""
     if not clients:
         raise BadInput("FedNeRF was given no client: give the pixels of at least one device.")
     server, moves = make_field(sizes, fit.seed), [SharedMove() for _ in clients]
@@ -81,9 +81,10 @@ def fit_fed(
         sent: list[RadianceField] = []
         used: list[Tensor] = []
         for k, pixels in enumerate(clients):
-            own = replace(fit, num_steps=num_steps, seed=fit.seed + k)
-            if number and config.align_steps:
-                align_poses(server, pixels, moves[k], own, config)
+            num_aligning = round(config.align_share * num_steps) if number else 0
+            own = replace(fit, num_steps=num_steps - num_aligning, seed=fit.seed + k)
+            if num_aligning:
+                align_poses(server, pixels, moves[k], replace(own, num_steps=num_aligning), config.align_rate)
             local = deepcopy(server)
             fit_field(local, pixels, own, replace(options, moved=_fixed(moves[k]), first_step=number * num_steps))
             sent.append(local)
@@ -95,11 +96,10 @@ def fit_fed(
     return FedFit(field=server, moves=values, sent_bytes_a_round=sent_bytes, num_rounds=config.num_rounds)
 
 
-def align_poses(field: RadianceField, pixels: PixelRays, move: SharedMove, fit: FitFieldConfig, config: FedConfig) -> None:
+def align_poses(field: RadianceField, pixels: PixelRays, move: SharedMove, fit: FitFieldConfig, rate: float) -> None:
     """Fit a client's `move`, in place, to what `field` shows; the field stays."""
     fixed = deepcopy(field).requires_grad_(False)
-    steps = replace(fit, num_steps=config.align_steps, seed=fit.seed + 1)
-    fit_field(fixed, pixels, steps, FitFieldOptions(moved=move, beside=((move.values, config.align_rate),)))
+    fit_field(fixed, pixels, replace(fit, seed=fit.seed + 1), FitFieldOptions(moved=move, beside=((move.values, rate),)))
 
 
 def entries_used(field: RadianceField, pixels: PixelRays, move: SharedMove, fit: FitFieldConfig, num_rays: int) -> Tensor:

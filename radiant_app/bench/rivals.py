@@ -1,0 +1,175 @@
+"""Rivals of `radiant bench methods` and of the paper's main table, made when they are named.
+
+    field         one small radiance field of all photographs
+    gp-nerf       the same with three dense planes beside the hash grid
+    switch-nerf   the same with a gate and eight experts
+    drone-nerf    blocks of the layout, poses refined, fused
+    mega-nerf     cells of the layout, joined by inverse distance
+    fednerf       federated averaging of the devices' fields, even counts of photographs
+    f3dgs         federated averaging of Gaussians on a scaffold, even counts of photographs
+
+Each is "-style": its module says what differs from the publication. All fields have the same size
+and take the same steps in all; f3dgs takes as many steps per device as the devices' trainings. CPU
+seconds and training pixels are of the whole training: nothing is shared with other rows.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from radiant_app.bench.arms import Arm, Made, Round
+from radiant_app.bench.cells import Cell
+from radiant_core.aggregate.baselines.drone_nerf import DroneConfig, fit_drone
+from radiant_core.aggregate.baselines.f3dgs import F3dgsConfig, f3dgs
+from radiant_core.aggregate.baselines.fed_nerf import FedConfig, fit_fed
+from radiant_core.aggregate.baselines.gp_nerf import PlaneConfig, make_gp_field
+from radiant_core.aggregate.baselines.mega_nerf import MegaConfig, fit_mega
+from radiant_core.aggregate.baselines.switch_nerf import SwitchConfig, make_switch_field
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.fields.bounds import FieldBounds
+from radiant_core.fields.field import Field, FieldConfig, RadianceField, make_field, num_parameters
+from radiant_core.fields.fit import FitFieldConfig, fit_field
+from radiant_core.fields.rays import PixelRays
+from radiant_core.fields.render import render_image
+from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.numerics import FloatArray
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats
+from radiant_core.train.initialize import first_splats
+from radiant_core.train.trainer import FitOptions
+from radiant_core.train.views import TrainingViews
+
+FIELD_STEPS, QUICK_FIELD_STEPS = 1_000, 30
+"""Of 2,048 rays each: some ten minutes of one core."""
+F3DGS_ROUNDS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldSettings:
+    """Size and length of every field: part of its key in the cache."""
+
+    num_steps: int = FIELD_STEPS
+    sizes: FieldConfig = field(default_factory=FieldConfig)
+    fit: FitFieldConfig = field(default_factory=FitFieldConfig)
+
+    def __post_init__(self) -> None:
+        if self.num_steps < 1:
+            raise BadInput(f"a field was given {self.num_steps} steps, expected at least 1.")
+
+    def of(self, recipe: Recipe) -> FitFieldConfig:
+        """With the steps, and the seed of a recipe."""
+        return replace(self.fit, num_steps=self.num_steps, seed=recipe.train.seed)
+
+
+Fitted = tuple[Field, int, tuple[Round, ...]]
+"""A field, its number of parameters, and its rounds."""
+RIVALS = ("field", "gp-nerf", "switch-nerf", "drone-nerf", "mega-nerf", "fednerf", "f3dgs")
+
+
+def rival_arms(settings: FieldSettings) -> Mapping[str, Arm]:
+    """All of them by name."""
+    fits: Mapping[str, Callable[[Cell, Recipe, FieldSettings, PixelRays], Fitted]] = {
+        "field": partial(_fit_whole, make_field),
+        "gp-nerf": partial(_fit_whole, lambda sizes, seed: make_gp_field(sizes, PlaneConfig(), seed)),
+        "switch-nerf": partial(_fit_whole, lambda sizes, seed: make_switch_field(sizes, SwitchConfig(), seed)),
+        "drone-nerf": _fit_drone,
+        "mega-nerf": _fit_mega,
+        "fednerf": _fit_fednerf,
+    }
+    arms = {
+        name: Arm(name=name, make=partial(_make_field, fit, settings), recipe=_recipe_of(name), settings=settings, of_gaussians=False)
+        for name, fit in fits.items()
+    }
+    return {**arms, "f3dgs": Arm(name="f3dgs", make=_make_f3dgs, recipe=lambda cell: cell.even)}
+
+
+def _recipe_of(name: str) -> Callable[[Cell], Recipe]:
+    """The devices' photographs count for federated learning alone."""
+    return (lambda cell: cell.even) if name == "fednerf" else (lambda cell: cell.recipe)
+
+
+def _make_field(fit: Callable[..., Fitted], settings: FieldSettings, cell: Cell, recipe: Recipe) -> Made:
+    pixels = PixelRays.of(cell.scene.views, FieldBounds.of(cell.scene.training))
+    begun_s = time.process_time()
+    fitted, parameters, rounds = fit(cell, recipe, settings, pixels)
+    cpu_s = time.process_time() - begun_s
+    return Made(
+        images=tuple(_pictures(fitted, cell, pixels.bounds, settings)),
+        num_parameters=parameters,
+        cpu_s=cpu_s,
+        training_px=float(settings.num_steps * settings.fit.rays_a_step),
+        rounds=rounds,
+    )
+
+
+def _pictures(fitted: Field, cell: Cell, bounds: FieldBounds, settings: FieldSettings) -> list[FloatArray]:
+    cameras = cell.scene.held_out_views.cameras
+    return [render_image(fitted, cameras, bounds, view, settings.fit.sampling) for view in range(len(cameras))]
+
+
+def _fit_whole(
+    make: Callable[[FieldConfig, int], RadianceField], cell: Cell, recipe: Recipe, settings: FieldSettings, pixels: PixelRays
+) -> Fitted:
+    del cell
+    fit = settings.of(recipe)
+    whole = make(settings.sizes, fit.seed)
+    fit_field(whole, pixels, fit)
+    return whole, num_parameters(whole), ()
+
+
+def _fit_mega(cell: Cell, recipe: Recipe, settings: FieldSettings, pixels: PixelRays) -> Fitted:
+    config = MegaConfig(columns=cell.layout.num_edges, rows=cell.layout.num_devices)
+    joined = fit_mega(pixels, settings.sizes, settings.of(recipe), config)
+    return joined, num_parameters(joined), ()
+
+
+def _fit_drone(cell: Cell, recipe: Recipe, settings: FieldSettings, pixels: PixelRays) -> Fitted:
+    config = DroneConfig(columns=cell.layout.num_edges, rows=cell.layout.num_devices)
+    fused = fit_drone(cell.scene.training, pixels, settings.sizes, settings.of(recipe), config).field
+    return fused, num_parameters(fused), ()
+
+
+def _fit_fednerf(cell: Cell, recipe: Recipe, settings: FieldSettings, pixels: PixelRays) -> Fitted:
+    clients = [pixels.of_views(rows) for rows in _photographs_of_devices(recipe)]
+    fitted = fit_fed(clients, settings.sizes, settings.of(recipe), FedConfig())
+    rounds = tuple(Round(sent_bytes=fitted.sent_bytes_a_round) for _ in range(fitted.num_rounds))
+    return fitted.field, num_parameters(fitted.field), rounds
+
+
+def _make_f3dgs(cell: Cell, recipe: Recipe) -> Made:
+    scene, views = cell.scene.training, cell.scene.views
+    rows = _photographs_of_devices(recipe)
+    clients = [views.select(own) for own in rows]
+    config = F3dgsConfig(num_rounds=F3DGS_ROUNDS, num_steps=max(1, round(recipe.train.num_steps / F3DGS_ROUNDS)))
+    begun_s = time.process_time()
+    scaffold, _ = first_splats(scene, views, recipe.train)
+    scores: list[float] = []
+    scoring_s = [0.0]
+
+    def score(number: int, splats: Splats) -> None:
+        del number
+        at_s = time.process_time()
+        scores.append(_mean_psnr_db(splats, cell.scene.held_out_views))
+        scoring_s[0] += time.process_time() - at_s
+
+    result = f3dgs(scaffold, clients, recipe.train, config, FitOptions(backend=recipe.backend), score)
+    cpu_s = time.process_time() - begun_s - scoring_s[0]
+    rounds = tuple(Round(sent_bytes=result.sent_bytes_a_round, psnr_db=psnr) for psnr in scores)
+    return Made(splats=result.splats, cpu_s=cpu_s, training_px=float(result.num_training_pixels), rounds=rounds)
+
+
+def _mean_psnr_db(splats: Splats, held_out: TrainingViews) -> float:
+    pairs = zip(render_views(splats, held_out.cameras), held_out.images, strict=True)
+    return float(np.mean([psnr_db(view.image, image / 255) for view, image in pairs]))
+
+
+def _photographs_of_devices(recipe: Recipe) -> Sequence[list[int]]:
+    """Rows of the training photographs, of the devices that have any."""
+    found = [plan.cameras_of(device) for plan in recipe.edge_plans for device in plan.device_ids]
+    return [[int(row) for row in rows] for rows in found if len(rows)]
