@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+import typer
 
 from radiant_app.bench.arms import Arm, Made, Round
 from radiant_app.bench.cells import Cell
@@ -34,7 +35,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.fields.bounds import FieldBounds
 from radiant_core.fields.field import Field, FieldConfig, RadianceField, make_field, num_parameters
-from radiant_core.fields.fit import FitFieldConfig, fit_field
+from radiant_core.fields.fit import FitFieldConfig, FitFieldOptions, fit_field
 from radiant_core.fields.rays import PixelRays
 from radiant_core.fields.render import render_image
 from radiant_core.hierarchy.recipe import Recipe
@@ -42,12 +43,14 @@ from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.initialize import first_splats
+from radiant_core.train.results import TrainProgress
 from radiant_core.train.trainer import FitOptions
 from radiant_core.train.views import TrainingViews
 
 FIELD_STEPS, QUICK_FIELD_STEPS = 1_000, 30
 """Of 2,048 rays each: some ten minutes of one core."""
 F3DGS_ROUNDS = 5
+TOLD_EVERY_S = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,12 +72,27 @@ class FieldSettings:
 
 Fitted = tuple[Field, int, tuple[Round, ...]]
 """A field, its number of parameters, and its rounds."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FitTask:
+    """What a field is fitted to, and how."""
+
+    cell: Cell
+    recipe: Recipe
+    sizes: FieldConfig
+    fit: FitFieldConfig
+    pixels: PixelRays
+    options: FitFieldOptions
+
+
+Fit = Callable[[FitTask], Fitted]
 RIVALS = ("field", "gp-nerf", "switch-nerf", "drone-nerf", "mega-nerf", "fednerf", "f3dgs")
 
 
 def rival_arms(settings: FieldSettings) -> Mapping[str, Arm]:
     """All of them by name."""
-    fits: Mapping[str, Callable[[Cell, Recipe, FieldSettings, PixelRays], Fitted]] = {
+    fits: Mapping[str, Fit] = {
         "field": partial(_fit_whole, make_field),
         "gp-nerf": partial(_fit_whole, lambda sizes, seed: make_gp_field(sizes, PlaneConfig(), seed)),
         "switch-nerf": partial(_fit_whole, lambda sizes, seed: make_switch_field(sizes, SwitchConfig(), seed)),
@@ -83,7 +101,7 @@ def rival_arms(settings: FieldSettings) -> Mapping[str, Arm]:
         "fednerf": _fit_fednerf,
     }
     arms = {
-        name: Arm(name=name, make=partial(_make_field, fit, settings), recipe=_recipe_of(name), settings=settings, of_gaussians=False)
+        name: Arm(name=name, make=partial(_make_field, name, fit, settings), recipe=_recipe_of(name), settings=settings, of_gaussians=False)
         for name, fit in fits.items()
     }
     return {**arms, "f3dgs": Arm(name="f3dgs", make=_make_f3dgs, recipe=lambda cell: cell.even)}
@@ -94,13 +112,15 @@ def _recipe_of(name: str) -> Callable[[Cell], Recipe]:
     return (lambda cell: cell.even) if name == "fednerf" else (lambda cell: cell.recipe)
 
 
-def _make_field(fit: Callable[..., Fitted], settings: FieldSettings, cell: Cell, recipe: Recipe) -> Made:
+def _make_field(name: str, fit: Fit, settings: FieldSettings, cell: Cell, recipe: Recipe) -> Made:
     pixels = PixelRays.of(cell.scene.views, FieldBounds.of(cell.scene.training))
+    options = FitFieldOptions(report=partial(_tell, name), report_every_s=TOLD_EVERY_S)
+    task = FitTask(cell=cell, recipe=recipe, sizes=settings.sizes, fit=settings.of(recipe), pixels=pixels, options=options)
     begun_s = time.process_time()
-    fitted, parameters, rounds = fit(cell, recipe, settings, pixels)
+    fitted, parameters, rounds = fit(task)
     cpu_s = time.process_time() - begun_s
     return Made(
-        images=tuple(_pictures(fitted, cell, pixels.bounds, settings)),
+        images=tuple(_pictures(fitted, task)),
         num_parameters=parameters,
         cpu_s=cpu_s,
         training_px=float(settings.num_steps * settings.fit.rays_a_step),
@@ -108,36 +128,38 @@ def _make_field(fit: Callable[..., Fitted], settings: FieldSettings, cell: Cell,
     )
 
 
-def _pictures(fitted: Field, cell: Cell, bounds: FieldBounds, settings: FieldSettings) -> list[FloatArray]:
-    cameras = cell.scene.held_out_views.cameras
-    return [render_image(fitted, cameras, bounds, view, settings.fit.sampling) for view in range(len(cameras))]
+def _tell(name: str, progress: TrainProgress) -> None:
+    # A line, since the bar of the rows may be drawn below it.
+    if progress.step < progress.num_steps:
+        typer.echo(f"{name}: step {progress.step} of {progress.num_steps}, loss {progress.loss:.4f}", err=True)
 
 
-def _fit_whole(
-    make: Callable[[FieldConfig, int], RadianceField], cell: Cell, recipe: Recipe, settings: FieldSettings, pixels: PixelRays
-) -> Fitted:
-    del cell
-    fit = settings.of(recipe)
-    whole = make(settings.sizes, fit.seed)
-    fit_field(whole, pixels, fit)
+def _pictures(fitted: Field, task: FitTask) -> list[FloatArray]:
+    cameras = task.cell.scene.held_out_views.cameras
+    return [render_image(fitted, cameras, task.pixels.bounds, view, task.fit.sampling) for view in range(len(cameras))]
+
+
+def _fit_whole(make: Callable[[FieldConfig, int], RadianceField], task: FitTask) -> Fitted:
+    whole = make(task.sizes, task.fit.seed)
+    fit_field(whole, task.pixels, task.fit, task.options)
     return whole, num_parameters(whole), ()
 
 
-def _fit_mega(cell: Cell, recipe: Recipe, settings: FieldSettings, pixels: PixelRays) -> Fitted:
-    config = MegaConfig(columns=cell.layout.num_edges, rows=cell.layout.num_devices)
-    joined = fit_mega(pixels, settings.sizes, settings.of(recipe), config)
+def _fit_mega(task: FitTask) -> Fitted:
+    config = MegaConfig(columns=task.cell.layout.num_edges, rows=task.cell.layout.num_devices)
+    joined = fit_mega(task.pixels, task.sizes, task.fit, config, task.options)
     return joined, num_parameters(joined), ()
 
 
-def _fit_drone(cell: Cell, recipe: Recipe, settings: FieldSettings, pixels: PixelRays) -> Fitted:
-    config = DroneConfig(columns=cell.layout.num_edges, rows=cell.layout.num_devices)
-    fused = fit_drone(cell.scene.training, pixels, settings.sizes, settings.of(recipe), config).field
+def _fit_drone(task: FitTask) -> Fitted:
+    config = DroneConfig(columns=task.cell.layout.num_edges, rows=task.cell.layout.num_devices)
+    fused = fit_drone(task.cell.scene.training, task.pixels, task.sizes, task.fit, config, task.options).field
     return fused, num_parameters(fused), ()
 
 
-def _fit_fednerf(cell: Cell, recipe: Recipe, settings: FieldSettings, pixels: PixelRays) -> Fitted:
-    clients = [pixels.of_views(rows) for rows in _photographs_of_devices(recipe)]
-    fitted = fit_fed(clients, settings.sizes, settings.of(recipe), FedConfig())
+def _fit_fednerf(task: FitTask) -> Fitted:
+    clients = [task.pixels.of_views(rows) for rows in _photographs_of_devices(task.recipe)]
+    fitted = fit_fed(clients, task.sizes, task.fit, FedConfig(), task.options)
     rounds = tuple(Round(sent_bytes=fitted.sent_bytes_a_round) for _ in range(fitted.num_rounds))
     return fitted.field, num_parameters(fitted.field), rounds
 

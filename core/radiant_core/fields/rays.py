@@ -79,7 +79,7 @@ class PixelRays:
 
     cameras: Cameras
     bounds: FieldBounds
-    pixels: NDArray[np.int64]
+    pixels: NDArray[np.int32]
     """(Q,3) view, column and row."""
     colors: NDArray[np.uint8]
     """(Q,3)."""
@@ -104,7 +104,7 @@ class PixelRays:
 
     def batch(self, rows: NDArray[np.int64]) -> tuple[Rays, Tensor]:
         """Rays and colours (R,3) in 0..1 of the pixels at `rows` (R,)."""
-        chosen = self.pixels[rows]
+        chosen = self.pixels[rows].astype(np.int64)
         rays = rays_of(self.cameras, self.bounds, chosen[:, 0], chosen[:, 1:])
         return rays, torch.from_numpy(self.colors[rows].astype(np.float32) / 255)
 
@@ -117,8 +117,8 @@ class PixelRays:
         return self.select(np.isin(self.pixels[:, 0], np.asarray(views)))
 
 
-def _counting_pixels(views: TrainingViews, view: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+def _counting_pixels(views: TrainingViews, view: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
     image = np.asarray(views.images[view])
     counts = np.ones(image.shape[:2], bool) if views.weights is None else np.asarray(views.weights[view]) >= MIN_WEIGHT
     rows, columns = np.nonzero(counts)
-    return np.column_stack([np.full(len(rows), view), columns, rows]).astype(np.int64), image[rows, columns]
+    return np.column_stack([np.full(len(rows), view), columns, rows]).astype(np.int32), image[rows, columns]

@@ -15,6 +15,7 @@ from radiant_core.aggregate.baselines.mega_nerf import (
     fit_mega,
     inverse_distance_weights,
     mega_centroids,
+    pixels_of_cells,
     rays_of_cells,
 )
 from radiant_core.aggregate.baselines.switch_nerf import SwitchConfig, SwitchNetwork, make_switch_field
@@ -53,6 +54,8 @@ def test_a_ray_is_of_every_cell_that_it_passes_within_the_margin(pixels: PixelRa
     assert middle.any(dim=1).all() and (middle.sum(dim=1) > 1).any() and (middle.sum(dim=1) == 1).any()
     wider = rays_of_cells(rays_of_image(pixels.cameras, pixels.bounds, 4), centroids, 2.0)
     assert (wider | ~middle).all() and wider.sum() > middle.sum()
+    every = pixels_of_cells(pixels, centroids, 1.15)
+    assert np.array_equal(every[4 * 432 : 5 * 432], middle.numpy()) and len(every) == len(pixels)
     # A plain twin, place by place.
     rays = rays_of_image(pixels.cameras, pixels.bounds, 4)
     for row in (0, 200, 431):
@@ -124,8 +127,8 @@ def test_the_balance_loss_is_least_where_experts_share_evenly() -> None:
     counts = torch.bincount(shares.argmax(dim=1), minlength=8) / 400
     assert float(penalty.detach()) == pytest.approx(8 * float((counts * shares.mean(dim=0)).sum().detach()), rel=1e-5)
     penalty.backward()
-    gradient = network.gate[0].weight.grad
-    assert gradient is not None and gradient.abs().max() > 0
+    gradient = network.get_parameter("gate.0.weight").grad
+    assert gradient is not None and float(gradient.abs().max()) > 0
     lazy, _ = switch_network(balance=0.0)
     assert float(lazy.train()(features)[1].detach()) == 0
 

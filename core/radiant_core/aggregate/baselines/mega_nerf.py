@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from radiant_core.cameras import Cameras
@@ -32,7 +33,7 @@ from radiant_core.fields.rays import PixelRays, Rays
 
 PLACES_A_RAY = 16
 """Where a ray's distances are compared, evenly from near to far: it is straight."""
-RAYS_AT_ONCE = 65_536
+RAYS_AT_ONCE = 16_384
 MIN_DISTANCE = 1e-6
 
 
@@ -103,22 +104,24 @@ def inverse_distance_weights(places: Tensor, centroids: Tensor, margin: float) -
 
 def rays_of_cells(rays: Rays, centroids: Tensor, margin: float) -> Tensor:
     """(R,K) bool: which rays belong to which cells; each to one at least."""
-    parts = []
-    shares = torch.linspace(0, 1, PLACES_A_RAY)
-    for start in range(0, len(rays), RAYS_AT_ONCE):
-        own = rays.select(slice(start, start + RAYS_AT_ONCE))
-        distances = own.near[:, None] + (own.far - own.near)[:, None] * shares
-        places = own.origins[:, None] + distances[..., None] * own.directions[:, None]
-        apart = _distances(places.reshape(-1, 3), centroids).view(len(own), PLACES_A_RAY, -1)
-        parts.append((apart / apart.amin(dim=2, keepdim=True)).amin(dim=1) <= margin)
-    return torch.cat(parts)
+    distances = rays.near[:, None] + (rays.far - rays.near)[:, None] * torch.linspace(0, 1, PLACES_A_RAY)
+    places = rays.origins[:, None] + distances[..., None] * rays.directions[:, None]
+    apart = _distances(places.reshape(-1, 3), centroids).view(len(rays), PLACES_A_RAY, -1)
+    return (apart / apart.amin(dim=2, keepdim=True)).amin(dim=1) <= margin
+
+
+def pixels_of_cells(pixels: PixelRays, centroids: Tensor, margin: float) -> NDArray[np.bool_]:
+    """(Q,K) the same of all pixels, some rays at a time."""
+    starts = range(0, len(pixels), RAYS_AT_ONCE)
+    batches = (pixels.batch(np.arange(start, min(start + RAYS_AT_ONCE, len(pixels))))[0] for start in starts)
+    return np.concatenate([rays_of_cells(rays, centroids, margin).numpy() for rays in batches])
 
 
 def fit_mega(pixels: PixelRays, sizes: FieldConfig, fit: FitFieldConfig, config: MegaConfig, options: FitFieldOptions = PLAIN) -> MegaField:
     """Train the cells one after another with an equal share of the steps, and join them. BadInput
     where a cell has no ray."""
     centroids = mega_centroids(pixels.cameras, pixels.bounds, config)
-    owned = rays_of_cells(pixels.batch(np.arange(len(pixels)))[0], centroids, config.margin).numpy()
+    owned = pixels_of_cells(pixels, centroids, config.margin)
     cells = []
     for k in range(len(centroids)):
         if not owned[:, k].any():
