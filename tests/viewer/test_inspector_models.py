@@ -152,8 +152,8 @@ def test_a_ply_from_elsewhere_is_shown_and_a_broken_one_refused(tmp_path: Path) 
     subject = load_subject(tmp_path / "model.ply")
     assert subject.run is None
     assert [layer.name for layer in subject.layers] == ["Gaussians"]
-    assert subject.splats is not None
-    save_ply(tmp_path / "empty.ply", subject.splats.select(np.zeros(0, np.int64)))
+    assert subject.model is not None
+    save_ply(tmp_path / "empty.ply", subject.model.splats.select(np.zeros(0, np.int64)))
     (tmp_path / "broken.ply").write_bytes((tmp_path / "model.ply").read_bytes()[:-7])
     for name in ("empty.ply", "broken.ply", "none.ply"):
         with pytest.raises(BadInput, match=name):

@@ -58,7 +58,7 @@ class HeightMap:
         """Heights and σ (P,) of the cells that places (P,2) fall into; NaN outside and where
         unknown."""
         cells = np.floor(self.grid.cells_of(np.asarray(places, np.float64)))
-        inside = ((cells >= 0) & (cells < np.array(self.grid.shape))).all(axis=1)
+        inside = np.all((cells >= 0) & (cells < np.array(self.grid.shape)), axis=1)
         rows, columns = np.where(inside[:, None], cells, 0).astype(np.int64).T
         return np.where(inside, self.heights[rows, columns], np.nan), np.where(inside, self.sigma[rows, columns], np.nan).astype(np.float64)
 
@@ -136,7 +136,7 @@ def push_pull(values: NDArray[np.float32], known: NDArray[np.bool_], floor: int 
     averaged even where known."""
     weight = known.astype(np.float32)
     sums = values * weight
-    pyramid = [(sums, weight)]
+    pyramid: list[tuple[NDArray[np.floating], NDArray[np.floating]]] = [(sums, weight)]
     while max(pyramid[-1][0].shape) > 1:
         halves = [_halved(layer) for layer in pyramid[-1]]
         # Weights are capped: one well known corner does not outvote its square.

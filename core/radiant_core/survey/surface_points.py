@@ -27,7 +27,7 @@ from radiant_core.train.dense.depth_planes import DepthPlanes
 from radiant_core.train.dense.fuse import DensePoints, agreed_points
 from radiant_core.train.dense.points import NUM_CHECKED, depth_maps, smaller_views
 from radiant_core.train.dense.sources import choose_sources
-from radiant_core.train.views import TrainingViews
+from radiant_core.train.views import Images, TrainingViews
 
 STRIDE_PX = 2
 MAX_DEPTH = 3.0
@@ -91,7 +91,7 @@ def _agreed(
     maps: list[DepthPlanes | None],
     cameras: Cameras,
     partners: Sequence[NDArray[np.int64]],
-    images: Sequence[NDArray[np.uint8]],
+    images: Images | Sequence[NDArray[np.uint8]],
     report: Report,
 ) -> Iterator[DensePoints]:
     if not any(len(others) > 1 for others in partners):
