@@ -34,7 +34,7 @@ class SfmConfig:
     """With GPS, each photograph is matched with this many nearest ones."""
     matching: Matching = "auto"
     """Which pairs are matched: auto, spatial (GPS neighbours) or exhaustive (all)."""
-    num_partners: int = 10
+    num_partners: int = 14
     """With `effort` auto each photograph is matched in full with so many candidates that have most
     in common in a preview; 0: with all."""
     effort: Effort = "auto"

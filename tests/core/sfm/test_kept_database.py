@@ -135,10 +135,18 @@ def test_what_colmap_fails_on_with_a_full_disk_is_kept(tmp_path: Path, monkeypat
     assert (tmp_path / RECORD_NAME).exists()
 
 
-def test_images_that_were_undistorted_onto_a_full_disk_are_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_that_were_undistorted_onto_a_full_disk_are_not_believed(
+    hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=4096))
     monkeypatch.setattr(sfm_undistort, "call_colmap", lambda *arguments, **options: None)
     with pytest.raises(CannotWrite, match="is full"):
-        sfm_undistort.undistort(tmp_path, tmp_path, tmp_path, 1, lambda progress: None)
+        sfm_undistort.undistort(hamlet / "known", hamlet / "images", tmp_path, 1, lambda progress: None)
     assert not (tmp_path / "undistorted").exists()
+
+
+def test_a_photograph_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "folder").write_text("a file where a folder is needed")
+    with pytest.raises(CannotWrite, match=r"cannot write .*a\.jpg: .*: free space"):
+        sfm_undistort._write(tmp_path / "folder" / "a.jpg", b"")

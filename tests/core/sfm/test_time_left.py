@@ -78,10 +78,10 @@ def test_photographs_of_no_size_and_empty_phases_divide_by_nothing() -> None:
 
 # Photographs, their size, and measured CPU seconds of one thread (docs/experiments/sfm.md).
 MEASURED = {
-    "brighton": (18, (1152, 648), (5.0, 0.0, 3.1, 0.8, 0.3, 1.2)),
-    "caliterra": (75, (1152, 768), (18.1, 0.2, 11.7, 17.4, 6.4, 6.2)),
-    "lewis": (55, (1152, 864), (20.4, 0.2, 17.8, 12.2, 2.3, 4.5)),
-    "town": (60, (640, 480), (8.4, 0.2, 10.5, 8.2, 3.2, 1.7)),
+    "brighton": (18, (1152, 648), (5.3, 0.0, 1.9, 1.1, 0.6, 0.4)),
+    "caliterra": (75, (1152, 864), (21.3, 0.2, 7.4, 22.4, 7.1, 1.9)),
+    "lewis": (55, (1152, 864), (19.9, 0.2, 8.9, 12.9, 2.7, 1.4)),
+    "town": (60, (640, 480), (8.6, 0.2, 7.2, 11.9, 3.6, 0.8)),
 }
 
 

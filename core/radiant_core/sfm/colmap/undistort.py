@@ -38,10 +38,10 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
     total = len(plan.warped) + len(plan.others)
     report(SfmProgress(phase="undistorting", done=0, total=total))
     _undistort_by_colmap(plan, (model_folder, image_folder, part), num_threads)
-    _warp_all(plan, image_folder, part / "images", num_threads, lambda done: report(_progress(len(plan.others) + done, total)))
-    _name_for_stereo(part / "stereo", (*plan.warped, *plan.others))
     # COLMAP takes no notice of an image that could not be written.
     require_room(work_folder)
+    _warp_all(plan, image_folder, part / "images", num_threads, lambda done: report(_progress(len(plan.others) + done, total)))
+    _name_for_stereo(part / "stereo", (*plan.warped, *plan.others))
     part.rename(final)
     report(_progress(total, total))
     return Undistorted(model_folder=final / "sparse", image_folder=final / "images")
@@ -91,12 +91,7 @@ def _undistort_by_colmap(plan: _Plan, places: tuple[Path, Path, Path], num_threa
 def _warp_all(plan: _Plan, image_folder: Path, to_folder: Path, num_threads: int, on_done: Callable[[int], None]) -> None:
     def work(name: str) -> None:
         jpeg = warp_jpeg(image_folder / name, *plan.warped[name], JPEG_QUALITY)
-        path = to_folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            path.write_bytes(jpeg)
-        except OSError as error:
-            raise CannotWrite(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
+        _write(to_folder / name, jpeg)
 
     with single_opencv_thread():
         for done, _ in enumerate(in_order(work, tuple(plan.warped), num_threads), 1):
@@ -106,8 +101,17 @@ def _warp_all(plan: _Plan, image_folder: Path, to_folder: Path, num_threads: int
 def _name_for_stereo(folder: Path, names: Iterable[str]) -> None:
     """List all photographs where COLMAP's dense stereo looks for them, as COLMAP itself does."""
     names = sorted(names)
-    (folder / "fusion.cfg").write_text("".join(f"{name}\n" for name in names))
-    (folder / "patch-match.cfg").write_text("".join(f"{name}\n__auto__, 20\n" for name in names))
+    _write(folder / "fusion.cfg", "".join(f"{name}\n" for name in names).encode())
+    _write(folder / "patch-match.cfg", "".join(f"{name}\n__auto__, 20\n" for name in names).encode())
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file of a folder that counts only when complete."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    except OSError as error:
+        raise CannotWrite(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
 
 
 def fit_model(model_folder: Path, world_from_model: Sim3, cameras: Cameras) -> None:
