@@ -140,8 +140,8 @@ class Errands:
 
     def run(self) -> None:
         """Ask and work until `ended`; BadInput where the node above refuses this one."""
-        self.line.enter()
         try:
+            self.line.enter()
             while not self.ended.is_set():
                 wait_s = self._round()
                 self.ended.wait(min(max(wait_s, MIN_POLL_S), MAX_POLL_S))
