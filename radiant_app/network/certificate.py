@@ -23,7 +23,8 @@ from radiant_core.io.transport.signing import KEY_NAME, load_signing_key
 
 CERTIFICATE_NAME = "certificate.pem"
 MAX_CERTIFICATE_BYTES = 4096
-_ALWAYS = (datetime.datetime(2000, 1, 1), datetime.datetime(9999, 12, 31, 23, 59, 59))
+_ALWAYS = (datetime.datetime(1950, 1, 1), datetime.datetime(9999, 12, 31, 23, 59, 59))
+"""From before 1970, where a machine begins whose clock has no battery, on."""
 
 
 def make_certificate(key: Ed25519PrivateKey) -> bytes:

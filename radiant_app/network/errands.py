@@ -29,6 +29,8 @@ from radiant_core.io.transport.delivery import describe_files
 from radiant_core.io.transport.envelope import Envelope, open_envelope
 
 ASKED_NAME = "asked.json"
+FINISHED_SCENE = "inbox/scene.ply"
+"""In the folder of a score task."""
 MIN_POLL_S, MAX_POLL_S = 0.05, 10.0
 MAX_EVENT_BYTES = 1 << 20
 """Of all events of one poll, as JSON has them."""
@@ -140,8 +142,8 @@ class Errands:
 
     def run(self) -> None:
         """Ask and work until `ended`; BadInput where the node above refuses this one."""
-        self.line.enter()
         try:
+            self.line.enter()
             while not self.ended.is_set():
                 wait_s = self._round()
                 self.ended.wait(min(max(wait_s, MIN_POLL_S), MAX_POLL_S))
@@ -163,6 +165,7 @@ class Errands:
             # A hub that lost what it had, by a power cut or an old copy, asks once more.
             current.sent = current.sent and verdict.get("state") not in ("offered", "taken")
             if verdict.get("state") in ("accepted", "refused", "withdrawn"):
+                self._say_scene(current, str(verdict["state"]))
                 self._say_verdict(current, str(verdict["state"]), str(verdict.get("reason", "")))
                 self._drop()
         offered = answer.get("task")
@@ -277,6 +280,12 @@ class Errands:
 
     def _say_verdict(self, errand: _Errand, state: str, reason: str) -> None:
         self.say(f"{errand.envelope.stage}: {state}{f', {reason}' if reason else '.'}")
+
+    def _say_scene(self, errand: _Errand, state: str) -> None:
+        """Where the finished scene lies, which came to be scored."""
+        scene = self.performer.place(errand.envelope) / FINISHED_SCENE
+        if errand.envelope.kind == "score" and state == "accepted" and scene.is_file():
+            self.say(f"the finished scene is {scene}.")
 
     def _drop(self) -> None:
         if self.current is not None and self.current.work is not None:

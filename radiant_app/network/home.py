@@ -16,6 +16,8 @@ import json
 import os
 import re
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -127,9 +129,18 @@ class Home:
             raise BadInput(f"{self.folder} says not where this machine is reached: radiant node init --url https://HOST:PORT.")
         return Listening(**record)
 
-    def lock(self) -> RunLock:
+    @contextmanager
+    def lock(self) -> Iterator[None]:
         """Held by the one process that acts for the node; BadInput where another one does."""
-        return RunLock(self.folder)
+        lock = RunLock(self.folder)
+        try:
+            lock.__enter__()
+        except BadInput:
+            raise BadInput(f"{self.node} is at work already, in another process with {self.folder}: end that one first.") from None
+        try:
+            yield
+        finally:
+            lock.__exit__()
 
     def reserve_counters(self) -> tuple[int, int]:
         """The first counter that was never used, and the first one beyond those reserved now."""

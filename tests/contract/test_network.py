@@ -105,6 +105,7 @@ def test_progress_is_told_for_every_device(runs: Runs) -> None:
     assert feeds_of(runs.here.folder).progress().machines == ()
     lines = commands.status_lines(commands.status(runs.nodes.home("north-1")))
     assert any("finished scene" in line for line in lines)
+    assert sum("the finished scene is " in line for line in runs.nodes.said) == len(DEVICES)
 
 
 def test_the_cloud_has_no_pose_and_nobody_a_name_of_a_photograph(runs: Runs) -> None:
