@@ -29,3 +29,5 @@ View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """What the picture of a run shows."""
 LightMode = Literal["auto", "none", "always"]
 """auto: the light of photographs is modelled where it differs; none, always: never or anyhow."""
+Heights = Literal["takeoff", "absolute"]
+"""Of flight lists. takeoff: above where the drone took off; absolute: above the sea or the ellipsoid."""
