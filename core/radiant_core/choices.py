@@ -34,3 +34,5 @@ Viewer = Literal["radiant", "open3d"]
 """radiant: our own window and pictures; open3d: Open3D's, with the same layers."""
 LightMode = Literal["auto", "none", "always"]
 """auto: the light of photographs is modelled where it differs; none, always: never or anyhow."""
+Heights = Literal["takeoff", "absolute"]
+"""Of flight lists. takeoff: above where the drone took off; absolute: above the sea or the ellipsoid."""

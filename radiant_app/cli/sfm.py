@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from radiant_app.cli import option_types as options
 from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, MatchingOption, Out, UpOption
 from radiant_app.report.tables import finish, print_scene
 
@@ -19,6 +20,10 @@ def sfm(
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
+    north: options.NorthOption = None,
+    gcp: options.GcpOption = None,
+    gcp_accuracy: options.GcpAccuracyOption = None,
+    check_points: options.CheckPointsOption = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on in --out: features and matches are kept.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -27,9 +32,12 @@ def sfm(
 
     with show_starting():
         from radiant_app.commands import steps as commands
+        from radiant_app.config.run_config import SfmOptions
 
-    placement = {"up": up or "auto", "distance": distance, "height_m": height}
-    result = commands.sfm(source, out, matching, terminal_display(), masks, placement, resume=resume)
+    placed = SfmOptions(
+        up=up, distance=distance, height_m=height, north=north, gcp=gcp, gcp_accuracy=gcp_accuracy, check_points=check_points
+    )
+    result = commands.sfm(source, out, matching, terminal_display(), masks, placed.placement, resume=resume)
     if as_json:
         finish(result, as_json)
     else:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from radiant_app.commands.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
+from radiant_app.commands.plan_flight import FlightRequest, flight_rows, lines_text, write_routes
 from radiant_app.commands.plan_pictures import (
     ENDINGS,
     GANTT,
@@ -52,7 +53,7 @@ from radiant_core.choices import CutBy, PlanMethod
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.georef.crs import Crs, parse_crs
+from radiant_core.georef.crs import parse_crs
 from radiant_core.georef.features import crs_member
 from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
@@ -62,6 +63,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.flight.whole_lines import keep_lines
 from radiant_core.plan.looks import camera_looks
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.paper_config import PaperConfig
@@ -117,6 +119,8 @@ class PlanRequest:
     """What is known of cameras and ground, and which buffer captures are wanted."""
     crs: str | None = None
     """System of the regions' file; None: longitude and latitude."""
+    flight: FlightRequest = field(default_factory=FlightRequest)
+    """How devices fly waypoints, and which lists are wanted beside CSV."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,7 +186,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     pictures[GANTT] = plan_gantt(made.system, made.edges)
     pictures[MAP] = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    _write(request.out, made, content, pictures)
+    _write(request, made, content, pictures)
     return {**_summary(request.out, made, ()), **content.summary()}
 
 
@@ -192,17 +196,24 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     waypoints = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m
     made = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
+    lines = None
+    if request.flight.whole_lines is not None:
+        lines = keep_lines(positions[:, :2], made.cloud, made.edges, made.system, request.flight.whole_lines)
+        made = replace(made, cloud=lines.cloud, edges=lines.edges)
     content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
     pictures = side_pictures(made.cloud.places_of(positions[:, :2]), "m", made.cloud, made.compared, made.curve)
     pictures[GANTT] = plan_gantt(made.system, made.edges)
     pictures[MAP] = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    _write(request.out, made, content, pictures, waypoints, None if request.crs is None else parse_crs(request.crs))
+    flown = _write(request, made, content, pictures, waypoints)
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
     above_sea = waypoints.altitude_known and waypoints.heights_m is None
     warnings = (*found.warnings, NO_HEIGHTS) if above_sea else found.warnings
-    return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **written}
+    flying: dict[str, Any] = {} if lines is None else {"flight_lines": lines_text(lines)}
+    flying |= {} if flown is None else {"flight_heights": flown}
+    flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone)
+    return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **flying, **written}
 
 
 def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
@@ -213,10 +224,13 @@ def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
 
 
 def _write(
-    out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None, crs: Crs | None = None
-) -> None:
+    request: PlanRequest, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None
+) -> str | None:
+    """Write the plan and what goes beside it; what heights in flight lists count from."""
     from radiant_viewer.pictures.images import save_png
 
+    out, flown = request.out, None
+    crs = None if request.crs is None else parse_crs(request.crs)
     with write_folder_atomically(out.parent) as folder:
         for ending, picture in pictures.items():
             save_png(beside(folder / out.name, ending), picture)
@@ -225,10 +239,12 @@ def _write(
             lists = beside(folder / out.name, LISTS)
             lists.mkdir()
             save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
+            flown = write_routes(lists, made.edges, waypoints, request.flight)
             save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers, crs)
         save_plan(
             folder / out.name, made.cloud, made.edges, waypoints, slack_curve=made.curve, warnings=made.warnings, content=content.record()
         )
+    return flown
 
 
 def _positions_of(source: Path, report: Report) -> FoundWaypoints:

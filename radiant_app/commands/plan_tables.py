@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from radiant_app.commands.plan_content import border_table
+from radiant_app.commands.plan_flight import flight_table
 from radiant_core.plan.baselines import ComparedPlan
 
 
@@ -22,8 +23,9 @@ def method_row(row: ComparedPlan) -> dict[str, Any]:
 
 
 def plan_tables(result: dict[str, Any]) -> list[str]:
-    """The tables of `--compare`, `--slack-curve` and the borders that `result` has, as text."""
-    tables = (("methods", method_table), ("slack_curve", slack_table), ("borders", border_table))
+    """The tables of `--compare`, `--slack-curve`, the borders and flights that `result` has, as
+    text."""
+    tables = (("methods", method_table), ("slack_curve", slack_table), ("borders", border_table), ("flight", flight_table))
     return [aligned(result[name]) for name, aligned in tables if result.get(name)]
 
 

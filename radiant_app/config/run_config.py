@@ -97,17 +97,36 @@ class SfmOptions:
     height_m: Annotated[float | None, Option(name="--height")] = None
     """Metres of the cameras over the ground, median: makes lengths metres. Goes before GPS."""
 
+    north: Annotated[str | None, Option(metavar="PHOTO,DEGREES")] = None
+    """Where a photograph looks, clockwise from north (of one that looks down, where its top edge
+    points), where GPS does not say."""
+    gcp: Annotated[Path | None, Option(metavar="FILE")] = None
+    """Ground control, as OpenDroneMap's gcp_list.txt: the system (EPSG:…, LOCAL), then lines of
+    east north up column row photograph name. All photographs are adjusted to it."""
+    gcp_accuracy: Annotated[str | None, Option(metavar="METRES[,METRES]", shown="0.02")] = None
+    """Standard deviation of the coordinates of ground control; two: horizontal, vertical."""
+    check_points: Annotated[str | None, Option(metavar="NAMES|every:K")] = None
+    """Points kept out of the adjustment, whose errors the report shows; in the list, the word check
+    behind a name."""
+
     @property
     def placed_by_hand(self) -> bool:
-        """Whether the user gives a direction or a length."""
-        return (self.up, self.distance, self.height_m) != (None, None, None)
+        """Whether the user gives a direction, a length or surveyed points."""
+        return (self.up, self.distance, self.height_m, self.north, self.gcp) != (None,) * 5
 
     @property
     def placement(self) -> dict[str, Any]:
         """The fields of `radiant_core.sfm.world_frame.placement.Placement`."""
-        return {"up": self.up or "auto", "distance": self.distance, "height_m": self.height_m}
+        fields = {"up": self.up or "auto", "distance": self.distance, "height_m": self.height_m, "north": self.north}
+        if self.gcp is None:
+            return fields
+        from radiant_core.georef.control_points import control_request  # numpy
+
+        return {**fields, "control": control_request(self.gcp, self.gcp_accuracy, self.check_points)}
 
     def __post_init__(self) -> None:
+        if self.gcp is None and (self.gcp_accuracy, self.check_points) != (None, None):
+            raise BadInput("--gcp-accuracy and --check-points are of ground control: give its list with --gcp.")
         if self.placed_by_hand:
             from radiant_core.sfm.world_frame.placement import Placement  # numpy
 
@@ -323,9 +342,9 @@ class RunConfig:
         if self.frames != "shared" and self.sfm.masks is not None:
             raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
-            reason = "--up, --distance and --height turn and scale one scene"
+            reason = "--up, --north, --distance, --height and --gcp place one scene"
             raise BadInput(f"{reason}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
-        for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.plan.file, self.evaluate.lpips_weights):
+        for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.sfm.gcp, self.plan.file, self.evaluate.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")
 

@@ -16,6 +16,7 @@ from radiant_app.events import UPLINK
 from radiant_app.files.run_folder import Manifest, software_versions
 from radiant_app.files.system_file import load_system
 from radiant_app.report.gaps import gaps_of
+from radiant_app.report.ground_control import survey_lines, survey_of_run, survey_rows
 from radiant_app.report.hero import NUM_SIDES, SIZE_WH, framed_box
 from radiant_app.report.pace import clock_text
 from radiant_app.report.survey import Survey, survey_of
@@ -83,6 +84,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         duration=clock_text(manifest.ended_s) + (" min" if manifest.ended_s < 3600 else " h"),
         manifest=manifest,
         metrics=metrics,
+        ground_control=None if (found := survey_of_run(run)) is None else (survey_lines(found), survey_rows(found)),
         unscored=describe_unscored(metrics),
         pooled=metrics.get("pooled", True),
         planned_by_raster=(run / STAGE / "task.json").is_file(),

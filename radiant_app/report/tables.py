@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from radiant_app.report.ground_control import survey_lines
 from radiant_app.report.verdict import verdict_of
 
 if TYPE_CHECKING:
@@ -63,7 +64,11 @@ def print_scene(result: Mapping[str, Any]) -> None:
     typer.echo(f"photographs: {result['cameras']} of {result['cameras'] + len(result['unregistered'])} placed")
     typer.echo(f"points: {result['points']:,}")
     residual_m = result["gps_residual_m"]
-    typer.echo(f"frame: {result['frame']}" + ("" if residual_m is None else f", median distance to GPS {residual_m:.2f} m"))
+    survey = result.get("ground_control")
+    of = "median distance to GPS" if survey is None else "RMS to camera positions, per axis,"
+    typer.echo(f"frame: {result['frame']}" + ("" if residual_m is None else f", {of} {residual_m:.2f} m"))
+    for line in () if survey is None else survey_lines(survey):
+        typer.echo(line)
     if result["warnings"] != "none":
         typer.echo(f"warnings: {result['warnings']}")
     folder = quote(str(result["folder"]))

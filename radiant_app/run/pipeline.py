@@ -24,6 +24,7 @@ from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.files.system_file import even_system, load_system
 from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
+from radiant_app.report.ground_control import survey_of_run
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
@@ -44,7 +45,7 @@ from radiant_app.run.stages import (
 )
 from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
-from radiant_app.workers.sources import detect_source
+from radiant_app.workers.sources import SURVEY, detect_source
 from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
@@ -239,6 +240,8 @@ def _write_metrics(config: RunConfig, manifest: Manifest, cloud_plan: CloudPlan,
     prediction = prediction_of(run, manifest, load_plan(run / "plan.json")[1])
     peaks = {**manifest.peak_bytes, "run": peak_bytes()}
     promises = promises_of(config, pooled=result.get("pooled", True))
+    if (survey := survey_of_run(run)) is not None:
+        more = {SURVEY: survey, **more}
     metrics = {**result, "seconds": seconds, "peak_bytes": peaks, **planned, "prediction": prediction, "promises": promises, **more}
     write_json(run / "metrics.json", metrics)
     return metrics

@@ -17,6 +17,8 @@ from radiant_core.sfm.world_frame.placement import Placement
 if TYPE_CHECKING:
     from radiant_core.light.captures import Captures
 
+SURVEY = "ground_control"
+"""What result.json and metrics.json name the fit to surveyed points and positions by."""
 SourceKind = Literal["photographs", "colmap", "mill19"]
 
 
@@ -59,7 +61,9 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
         return scene_from_colmap(model, images, folder, report, masks, task.placement)
     if kind == "mill19":
         if task.placement != Placement():
-            raise BadInput(f"{images} brings its own frame, which is used as it is: leave out --up, --distance and --height.")
+            raise BadInput(
+                f"{images} brings its own frame, which is used as it is: leave out --up, --north, --distance, --height and --gcp."
+            )
         return scene_from_mill19(images, folder, report, masks=masks)
     return reconstruct(images, folder, task.sfm, report, masks, task.placement)
 
@@ -67,7 +71,8 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
 def sfm_record(result: SfmResult, folder: Path) -> dict[str, Any]:
     """The content of result.json: the photographs' and masks' places, photographs without pose."""
     masks = {} if result.masks_folder is None else {"masks": portable_path(result.masks_folder, folder)}
-    return {"images": portable_path(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks}
+    survey = {} if result.survey is None else {SURVEY: result.survey}
+    return {"images": portable_path(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks, **survey}
 
 
 def portable_path(images: Path, folder: Path) -> str:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from radiant_core.choices import Matching
 from radiant_core.decisions import Decision
@@ -121,3 +121,5 @@ class SfmResult:
     """Of `reconstruct`: the same with numbers for names, for receivers that must not learn them."""
     masks_folder: Path | None = None
     """Masks of the undistorted photographs (`radiant_core.io.photos.masks`); None without any."""
+    survey: dict[str, Any] | None = None
+    """What was adjusted to, and how well it fits (`control.place.survey_record`); None without."""

@@ -15,11 +15,14 @@ from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.sfm.attempts import PhotographSet, find_poses
+from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
 from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmResult, number_phases, with_preview
+from radiant_core.sfm.control.place import place_surveyed, survey_record
+from radiant_core.sfm.control.survey import Surveyed, adjust_to_survey
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.known_poses import triangulate
@@ -27,7 +30,7 @@ from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undis
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.placement import Placement
-from radiant_core.sfm.world_frame.world import UNPLACED, scene_in_world
+from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_in_world
 
 PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "undistorting")
 
@@ -56,11 +59,13 @@ def reconstruct(
     (work_folder / "sparse").mkdir()
     if config.two_view_points:
         triangulate(mapped.model, attempt.database, photo_folder, work_folder / "sparse", attempt.config)
-    refine(mapped.model, config, report).write_binary(work_folder / "sparse")
+    refined = refine(mapped.model, config, report)
+    surveyed = adjust_to_survey(refined, photographs, placement.parsed_control(), report)
+    refined.write_binary(work_folder / "sparse")
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
-    placed = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed, placement)
+    placed = _placed(read_model(undistorted.model_folder), surveyed, photographs, config.seed, placement)
     scene, repeats = without_repeats(placed.scene, undistorted.image_folder)
     for folder in (work_folder / "sparse", undistorted.model_folder):
         fit_model(folder, placed.world_from_model, scene.cameras)
@@ -88,7 +93,14 @@ def reconstruct(
             *placed.warnings,
         ),
         masks_folder=masks,
+        survey=None if surveyed is None else survey_record(surveyed),
     )
+
+
+def _placed(
+    model: ColmapModel, surveyed: Surveyed | None, photographs: tuple[Photograph, ...], seed: int, placement: Placement
+) -> PlacedScene:
+    return scene_in_world(model, photographs, seed, placement) if surveyed is None else place_surveyed(model, surveyed)
 
 
 def scene_from_colmap(
@@ -113,6 +125,11 @@ def scene_from_colmap(
     images_to_use = image_folder
     if masks is not None or not pinhole:
         start_clean(work_folder)
+    surveyed = None
+    if placement.control is not None:
+        start_clean(work_folder)
+        model_folder, surveyed = _adjusted_copy(model_folder, work_folder / "adjusted", listing.photographs, placement, report)
+        model = read_model(model_folder)
     given = take_masks(masks, listing.photographs, work_folder)
     if pinhole:
         masks = keep_masks(given, work_folder)
@@ -123,7 +140,7 @@ def scene_from_colmap(
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
-    placed = scene_in_world(model, listing.photographs, 0, placement)
+    placed = _placed(model, surveyed, listing.photographs, 0, placement)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     if not pinhole:
         # What was given stays as it is; sparse/ is there where COLMAP could not read it as it was.
@@ -138,7 +155,22 @@ def scene_from_colmap(
         decisions=(*placed.decisions, *masks_decision(scene, masks)),
         warnings=(*warn_of_unused(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
         masks_folder=masks,
+        survey=None if surveyed is None else survey_record(surveyed),
     )
+
+
+def _adjusted_copy(
+    model_folder: Path, folder: Path, photographs: tuple[Photograph, ...], placement: Placement, report: Report
+) -> tuple[Path, Surveyed | None]:
+    """A copy of a given model without the images that are left out, adjusted to ground control."""
+    names = {photo.name for photo in photographs}
+    model = pycolmap.Reconstruction(model_folder)
+    for image in [image for image in model.images.values() if image.has_pose and image.name not in names]:
+        model.deregister_frame(image.frame_id)
+    surveyed = adjust_to_survey(model, photographs, placement.parsed_control(), report)
+    folder.mkdir(parents=True)
+    model.write_binary(folder)
+    return folder, surveyed
 
 
 def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Path) -> None:

@@ -171,3 +171,30 @@ def test_photographs_that_look_to_all_sides_or_lie_in_one_place_fix_nothing() ->
         Placement(distance="000.jpg,001.jpg,3").scale(around, points, np.zeros((0, 2), np.int64))
     with pytest.raises(BadInput, match="not above"):
         Placement(height_m=3.0).scale(around, points, np.zeros((0, 2), np.int64))
+
+
+def test_north_is_where_a_photograph_looks() -> None:
+    cameras, points = site(pitch_deg=30.0)
+    model, photos = in_any_frame(cameras, points, np.random.default_rng(1)), photographs_at(cameras.names, None)
+    looks = cameras.cam_from_world[0, 2, :2]
+    heading_deg = float(np.degrees(np.arctan2(looks[0], looks[1])))
+    placement = Placement(distance=f"000.jpg,001.jpg,{apart(cameras)}", north=f"000.jpg,{heading_deg:.9f}")
+    scene, decisions, _ = in_world(model, photos, placement)
+    assert "north" in [decision.topic for decision in decisions if decision.forced]
+    turned = scene.cameras.cam_from_world[0, 2, :2]
+    assert np.degrees(np.arctan2(turned[0], turned[1])) == pytest.approx(heading_deg, abs=1e-6)
+    # Up is estimated, so directions agree to its error and not to rounding.
+    between = (np.diff(cameras.centers, axis=0), np.diff(scene.cameras.centers, axis=0))
+    assert np.abs(between[0][:, :2] - between[1][:, :2]).max() < 0.1 * np.abs(between[0]).max()
+
+
+def test_north_beside_gps_and_of_nothing_is_refused() -> None:
+    cameras, points = site()
+    model = in_any_frame(cameras, points, np.random.default_rng(1))
+    with pytest.raises(BadInput, match="GPS says where north is"):
+        in_world(model, photographs_at(cameras.names, cameras.centers), Placement(north="000.jpg,10"))
+    with pytest.raises(BadInput, match="--north names 'lost.jpg'"):
+        in_world(model, photographs_at(cameras.names, None), Placement(north="lost.jpg,10"))
+    for text in ("000.jpg", "000.jpg,north", ",10", "000.jpg,nan", "000.jpg,721"):
+        with pytest.raises(BadInput, match="--north is"):
+            Placement(north=text)

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
+from radiant_core.io.photos.xmp import VERTICAL_SHARE, xmp_sigma_m
 from radiant_core.numerics import FloatArray
 
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -35,6 +36,8 @@ EXPOSURE_TIME, F_NUMBER, ISO_SPEED, TAKEN, TAKEN_FRACTION = 0x829A, 0x829D, 0x88
 MAX_VALUE_BYTES = 1024
 """Of one tag: none that is read here needs more, and a directory may name thousands of 64 KiB, all
 of the same bytes."""
+GPS_ERROR = 0x1F
+_XMP = b"http://ns.adobe.com/xap/1.0/\0"
 LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = range(1, 7)
 
 
@@ -49,6 +52,8 @@ class ExifFacts:
     """Degrees north and east, metres (NaN: no altitude); None without a place on the globe."""
     taken_s: float | None = None
     """When it was taken, in seconds of the camera's clock."""
+    position_sigma_m: tuple[float, float, float] | None = None
+    """Standard deviations of the position east, north, up, where the receiver says."""
     log2_exposure: float | None = None
     """log₂(t ISO / N²): how bright the camera makes a scene, in stops."""
 
@@ -65,17 +70,21 @@ class JpegFacts:
 def read_jpeg_facts(data: bytes) -> JpegFacts:
     """Size, wholeness and EXIF of the JPEG `data`; never raises, whatever the bytes are."""
     size_wh, exif, scan_offset = None, None, None
+    sigma_m: tuple[float, float, float] | None = None
     for marker, start, end in _segments(data):
         if marker in _START_OF_FRAME and end - start >= 5:
             height, width = struct.unpack_from(">HH", data, start + 1)
             size_wh = (width, height) if width and height else None
         elif marker == _APP1 and exif is None and data[start : start + 6] == _EXIF_SIGNATURE:
             exif = read_exif(data[start + 6 : end])
+        elif marker == _APP1 and data.startswith(_XMP, start):
+            sigma_m = xmp_sigma_m(data[start + len(_XMP) : end]) or sigma_m
         elif marker == _START_OF_SCAN:
             scan_offset = end
     # In a scan 0xFF is followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
     whole = scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
-    return JpegFacts(size_wh=size_wh, whole=whole, exif=exif or ExifFacts())
+    exif = exif or ExifFacts()
+    return JpegFacts(size_wh=size_wh, whole=whole, exif=exif if sigma_m is None else replace(exif, position_sigma_m=sigma_m))
 
 
 def kept_segments(data: bytes) -> bytes:
@@ -137,14 +146,20 @@ def read_exif(tiff: bytes) -> ExifFacts:
     main = _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
     details = _directory(tiff, order, _number(main.get(EXIF_POINTER)))
     focal_mm = _number(details.get(FOCAL_LENGTH))
+    gps = _directory(tiff, order, _number(main.get(GPS_POINTER)))
     return ExifFacts(
         make=_text(main.get(MAKE)),
         model=_text(main.get(MODEL)),
         focal_mm=focal_mm if focal_mm is not None and focal_mm > 0 else None,
-        lat_lon_alt=_position(_directory(tiff, order, _number(main.get(GPS_POINTER)))),
+        lat_lon_alt=_position(gps),
+        position_sigma_m=_sigma_of(_number(gps.get(GPS_ERROR))),
         taken_s=_seconds(_text(details.get(TAKEN)), _text(details.get(TAKEN_FRACTION))),
         log2_exposure=_log2_exposure(*(_number(details.get(tag)) for tag in (EXPOSURE_TIME, F_NUMBER, ISO_SPEED))),
     )
+
+
+def _sigma_of(error_m: float | None) -> tuple[float, float, float] | None:
+    return (error_m, error_m, VERTICAL_SHARE * error_m) if error_m is not None and 0 < error_m < math.inf else None
 
 
 def _seconds(taken: str, fraction: str) -> float | None:

@@ -77,6 +77,8 @@ class Photograph:
     lat_lon_alt: tuple[float, float, float] | None
     """Degrees, degrees, metres; NaN metres where GPS has no altitude, None without GPS."""
     camera: CameraKey
+    position_sigma_m: tuple[float, float, float] | None = None
+    """Standard deviations east, north, up that the receiver gives; None where it gives none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,7 +321,14 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
     if max(size_wh) > MAX_SIDE_RATIO * min(size_wh):
         return Skipped(name=name, reason=f"is a strip of {size_wh[0]} × {size_wh[1]} pixels")
     camera = CameraKey(make=exif.make, model=exif.model, focal_mm=exif.focal_mm, size_wh=size_wh)
-    return Photograph(name=name, path=path, size_wh=size_wh, lat_lon_alt=exif.lat_lon_alt, camera=camera)
+    return Photograph(
+        name=name,
+        path=path,
+        size_wh=size_wh,
+        lat_lon_alt=exif.lat_lon_alt,
+        camera=camera,
+        position_sigma_m=exif.position_sigma_m,
+    )
 
 
 def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:

@@ -1,7 +1,9 @@
-"""What a user says of the world frame: which way is up, and one known length. Once per scene.
+"""What a user says of the world frame: up, north and one known length, or surveyed points. Once per
+scene.
 
-up:   auto | ground | level | down | name of a photograph whose top edge is up | x,y,z of a model
-size: the distance of two photographs, or the cameras' median height over the ground, in metres
+up:    auto | ground | level | down | name of a photograph whose top edge is up | x,y,z of a model
+north: the direction that one photograph looks in, where GPS does not say
+size:  the distance of two photographs, or the cameras' median height over the ground, in metres
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.georef.control_points import ControlPoints, ControlRequest, parse_control
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.world_frame.up import GROUND, LEVEL, UPRIGHT, UpEstimate, estimate_up, roll_deg
 
@@ -23,6 +26,9 @@ CUES = {"ground": (GROUND,), "level": (LEVEL, UPRIGHT)}
 UP_CHOICES = (AUTO, *CUES, "down")
 UP_EXPECTED = f"{', '.join(UP_CHOICES)}, the name of a photograph, or x,y,z in the frame of a COLMAP project"
 MAX_LENGTH_M = 1e6
+MAX_HEADING_DEG = 360.0
+MIN_LEVEL_SHARE = 0.35
+"""A photograph whose direction lies more than 70° below the horizon looks down."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +43,17 @@ class Placement:
     """PHOTO,PHOTO,METRES: how far apart two photographs were taken."""
     height_m: float | None = None
     """How high the cameras were over the ground that they see, median."""
+    north: str | None = None
+    """PHOTO,DEGREES: where a photograph looks, clockwise from north; of one that looks down where
+    its top edge points."""
+    control: ControlRequest | None = None
+    """Surveyed points, which fix all of the frame."""
 
     def __post_init__(self) -> None:
+        if self.control is not None and (self.up, self.distance, self.height_m, self.north) != (AUTO, None, None, None):
+            raise BadInput("--gcp fixes up, north and scale: leave out --up, --north, --distance and --height.")
+        if self.north is not None:
+            _split_last(self.north, "--north", "PHOTO,DEGREES", MAX_HEADING_DEG)
         if self.distance is not None and self.height_m is not None:
             raise BadInput("--distance and --height both give the scale: keep one of them.")
         if self.height_m is not None and not 0 < self.height_m <= MAX_LENGTH_M:
@@ -57,6 +72,24 @@ class Placement:
             return np.array([float(part) for part in parts]) if len(parts) == 3 else None
         except ValueError:
             return None
+
+    def parsed_control(self) -> ControlPoints | None:
+        """The surveyed points, if there are any; raises as `parse_control`."""
+        return None if self.control is None else parse_control(self.control)
+
+    def turn_to_north(self, cameras: Cameras) -> FloatArray | None:
+        """The rotation (3,3) about z that turns C cameras with z up to north; None unless asked."""
+        if self.north is None:
+            return None
+        name, heading_deg = _split_last(self.north, "--north", "PHOTO,DEGREES", MAX_HEADING_DEG)
+        if name not in cameras.names:
+            raise BadInput(f"--north names {name!r}, which has no pose or is no photograph here: name another.")
+        pose = cameras.cam_from_world[cameras.names.index(name)]
+        # A photograph that looks down has its top edge where the flight went.
+        across = pose[2, :2] if np.hypot(*pose[2, :2]) > MIN_LEVEL_SHARE else -pose[1, :2]
+        turn = np.arctan2(across[1], across[0]) - np.radians(90.0 - heading_deg)
+        cosine, sine = np.cos(turn), np.sin(turn)
+        return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
     @property
     def gives_scale(self) -> bool:
@@ -138,14 +171,22 @@ class Placement:
 
 
 def _split_distance(text: str) -> tuple[str, float]:
-    names, _, metres = text.rpartition(",")
-    try:
-        length_m = float(metres)
-    except ValueError:
-        length_m = float("nan")
-    if "," not in names or not 0 < length_m <= MAX_LENGTH_M:
+    names, length_m = _split_last(text, "--distance", "PHOTO,PHOTO,METRES", MAX_LENGTH_M)
+    if "," not in names or not length_m > 0:
         raise BadInput(f"--distance is {text!r}, expected PHOTO,PHOTO,METRES with metres above 0, at most {MAX_LENGTH_M:,.0f}.")
     return names, length_m
+
+
+def _split_last(text: str, option: str, form: str, most: float) -> tuple[str, float]:
+    """What stands before the last comma, which a name may hold too, and the number behind it."""
+    name, _, number = text.rpartition(",")
+    try:
+        value = float(number)
+    except ValueError:
+        value = float("nan")
+    if not name.strip() or not abs(value) <= most:
+        raise BadInput(f"{option} is {text!r}, expected {form} with a number of at most {most:,.0f}.")
+    return name.strip(), value
 
 
 def _pose(cameras: Cameras, name: str) -> FloatArray:

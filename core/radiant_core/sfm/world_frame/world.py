@@ -16,6 +16,7 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.listing import Photograph
@@ -75,6 +76,9 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     world_from_model = metric or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
     world_from_model, scaled = _rescale(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
     frame = Frame(kind="scaled", origin_lat_lon_alt=np.zeros(3)) if scaled else UNSCALED
+    if placement.north is not None and metric is not None:
+        raise BadInput("--north is given and the photographs' GPS says where north is: leave it out.")
+    world_from_model, turned = _turn(world_from_model, cameras, placement)
     if metric is not None:
         residuals = np.linalg.norm(world_from_model.apply(cameras.centers[known]) - positions_m[known], axis=1)
         frame = Frame(
@@ -87,6 +91,7 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
         decisions=(
             *(() if by_gps else (_up_decision(up, forced),)),
             *scaled,
+            *turned,
             _frame_decision(frame, gps, up, int(known.sum()), forced=forced),
         ),
         warnings=(*heights.warnings, *warnings, *(() if by_gps or forced or up.doubt is None else (_doubt_warning(up),))),
@@ -116,6 +121,31 @@ def _rescale(world_from_model: Sim3, scene: SfmScene, placement: Placement) -> t
         forced=True,
     )
     return scaled, (decision,)
+
+
+def _turn(world_from_model: Sim3, cameras: Cameras, placement: Placement) -> tuple[Sim3, tuple[Decision, ...]]:
+    """The similarity turned about up so that north is where the user says, and the decision."""
+    level = Cameras(
+        names=cameras.names,
+        Ks=cameras.Ks,
+        cam_from_world=world_from_model.apply_to_poses(cameras.cam_from_world),
+        sizes_wh=cameras.sizes_wh,
+    )
+    turn = placement.turn_to_north(level)
+    if turn is None:
+        return world_from_model, ()
+    turned = Sim3(scale=world_from_model.scale, rotation=turn @ world_from_model.rotation, translation=turn @ world_from_model.translation)
+    angle_deg = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
+    decision = Decision(
+        stage="sfm",
+        topic="north",
+        choice="north by a photograph's direction",
+        figure=angle_deg,
+        unit="deg turned",
+        reason=f"--north {placement.north}",
+        forced=True,
+    )
+    return turned, (decision,)
 
 
 def move_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, frame: Frame) -> SfmScene:
