@@ -47,9 +47,8 @@ def main() -> None:
     source = HeightMap(grid=surface.grid, heights=surface.source.astype(np.float64), sigma=surface.sigma, source=surface.source).at(
         at[:, :2]
     )[0]
-    print(
-        f"cells of {surface.grid.cell} m, GSD {gsd:.3f} m: {(source == MEASURED).mean():.1%} measured, {np.isfinite(found).mean():.1%} known"
-    )
+    shares = f"{(source == MEASURED).mean():.1%} measured, {np.isfinite(found).mean():.1%} known"
+    print(f"cells of {surface.grid.cell} m, GSD {gsd:.3f} m: {shares}")
     for name, rows in (("measured", source == MEASURED), ("measured and filled", np.isfinite(found))):
         errors = (found - at[:, 2])[rows]
         _print(name, errors, gsd)

@@ -25,6 +25,8 @@ ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm", 
 """ply, spz, sog: a model; geojson, colmap: regions and cameras; mesh: the surface; dsm: heights of the
 surface, dtm: without buildings and trees; ortho: the scene from straight above; contours: lines of
 equal height; laz: points of the surface; glb: a textured mesh."""
+MeasureKind = Literal["distance", "height", "area", "volume", "profile"]
+"""What is measured on a surface."""
 Trajectory = Literal["orbit", "border"]
 """orbit: once around the scene; border: along a border of two edges."""
 View = Literal["regions", "cameras", "seams", "splats", "compare"]

@@ -63,7 +63,7 @@ def test_the_order_of_points_changes_nothing_and_a_shift_moves_the_raster() -> N
     one = height_map(points, GRID, GSD)
     other = height_map(points[np.random.default_rng(1).permutation(len(points))], GRID, GSD)
     np.testing.assert_allclose(one.heights, other.heights, rtol=0, atol=1e-9)
-    higher = height_map(points + [0, 0, 100.0], GRID, GSD)
+    higher = height_map(points + np.array([0, 0, 100.0]), GRID, GSD)
     # 1e-9: sums of heights about the top of their cell, not of 400 m.
     np.testing.assert_allclose(higher.heights, one.heights + 100, rtol=0, atol=1e-9)
 
