@@ -26,6 +26,8 @@ ExportFormat = Literal["ply", "spz", "sog", "lod", "geojson", "colmap", "mesh", 
 cameras; mesh: the surface; dsm: heights of the surface, dtm: without buildings and trees; ortho:
 the scene from straight above; contours: lines of equal height; laz: points of the surface; glb: a
 textured mesh."""
+MeasureKind = Literal["distance", "height", "area", "volume", "profile"]
+"""What is measured on a surface."""
 Trajectory = Literal["orbit", "border"]
 """orbit: once around the scene; border: along a border of two edges."""
 View = Literal["regions", "cameras", "seams", "splats", "compare"]

@@ -21,6 +21,7 @@ from radiant_app.cli.replan import replan_plan
 from radiant_app.cli.run import demo, run
 from radiant_app.cli.sfm import sfm
 from radiant_app.cli.streams import CannotPrint, make_streams_last
+from radiant_app.cli.survey import change, measure
 from radiant_app.cli.train import train
 from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals, stop_repeating_interrupt
 from radiant_app.quantities import size_wh_of
@@ -164,6 +165,8 @@ def inspect(
 
 
 app.command()(export)
+app.command()(change)
+app.command()(measure)
 
 
 app.command()(clean)

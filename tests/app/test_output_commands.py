@@ -111,7 +111,7 @@ def test_a_surface_model_lies_on_the_ground_of_the_town(tmp_path: Path) -> None:
     # Larger Gaussians close the ground.
     save_run(tmp_path / "run", replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
     run = tmp_path / "run"
-    said = json.loads(radiant("export", run, tmp_path / "a.tif", "--format", "dsm", "--resolution", 1, "--long-side-px", 96, "--json"))
+    said = json.loads(radiant("export", run, tmp_path / "a.tif", "--format", "dsm", "--resolution", 2, "--long-side-px", 96, "--json"))
     assert said["crs"] == "EPSG:32631"
     assert said["known"] > 0.5
     values = np.asarray(tifffile.imread(tmp_path / "a.tif"))
@@ -146,19 +146,22 @@ def test_a_surface_model_without_altitudes_says_where_its_heights_count_from(tmp
     assert {len(f["geometry"]["coordinates"]) for f in features if f["geometry"]["type"] == "Point"} == {2}
 
 
-@pytest.mark.parametrize(("ending", "sentence"), [("tif", "cells have a height"), ("ply", "of the ground at most")])
-def test_a_surface_of_which_little_is_known_is_a_warning_with_the_figure(run: Path, tmp_path: Path, ending: str, sentence: str) -> None:
+def test_a_mesh_of_which_little_is_known_is_a_warning_with_the_figure(run: Path, tmp_path: Path) -> None:
     # Gaussians 2 m apart in cells of 0.5 m: what two views agree on are specks.
-    options = ("--format", "mesh" if ending == "ply" else "dsm")
-    result = CliRunner().invoke(
-        app, ["export", str(run), str(tmp_path / f"a.{ending}"), "--resolution", "0.5", "--long-side-px", "96", "--json", *options]
-    )
+    arguments = ["export", run, tmp_path / "a.ply", "--format", "mesh", "--resolution", "0.5", "--long-side-px", "96", "--json"]
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exit_code == 0, result.output
     said = " ".join(result.stderr.split())
-    assert "warning surface: " in said and sentence in said and "--resolution" in said
-    if ending == "tif":
-        known = json.loads(result.stdout)["known"]
-        assert 0 < known < 1 / 9 and f"only {100 * known:.2g} % of" in said
+    assert "warning surface: " in said and "of the ground at most" in said and "--resolution" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("a.tif", "dsm"), ("a.tif", "dtm"), ("a.geojson", "contours"), ("a.laz", "laz"), ("a.glb", "glb")]
+)
+def test_heights_of_which_most_are_unknown_are_not_written(run: Path, tmp_path: Path, name: str, kind: str) -> None:
+    with pytest.raises(BadInput, match=r"in only .* % of the cells .* nothing is written: choose a coarser --resolution"):
+        radiant("export", run, tmp_path / name, "--format", kind, "--resolution", 0.5, "--long-side-px", 96)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_film_follows_keyframes_and_a_border(run: Path, tmp_path: Path) -> None:

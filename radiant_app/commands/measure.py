@@ -1,0 +1,172 @@
+"""`radiant measure RUN`: distances, heights, areas, volumes and profiles with their σ, kept with the
+run in survey/measures.json, beside the surface they were taken on (survey/heights.safetensors).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.commands.survey_parts import Survey, load_survey
+from radiant_app.commands.survey_surface import points_of_survey, surface_of_survey
+from radiant_app.report.progress import ProgressDisplay
+from radiant_core.errors import BadInput
+from radiant_core.io.array_file import load_arrays, stream_arrays
+from radiant_core.io.run_store import file_sha256, read_json, write_atomic, write_json
+from radiant_core.numerics import FloatArray
+from radiant_core.survey.geojson import line_feature, polygon_feature, to_geojson
+from radiant_core.survey.heights import HeightMap
+from radiant_core.survey.map_grid import MapFrame, MapGrid
+from radiant_core.survey.measures import Accuracy, Measured, MeasureKind, measure
+
+FOLDER, MEASURES, HEIGHTS = "survey", "measures.json", "heights.safetensors"
+_SCHEMA, _DTYPES = "radiant.heights", {"heights": "F64", "sigma": "F32", "source": "U8"}
+PLACE_GSD = 0.5
+"""σ of a feature in the orthophoto along each axis, in GSD: half of the edges of the town's lie
+within 0.3 px of the truth, nine of ten within 1.3 px (docs/survey.md)."""
+MAX_NAME = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasureRequest:
+    """One measure of a run, or, with kind None, only what is kept; export: .geojson or .csv."""
+
+    run: Path
+    kind: MeasureKind | None = None
+    places: str | None = None
+    name: str | None = None
+    base: float | None = None
+    resolution: float | None = None
+    remove: str | None = None
+    export: Path | None = None
+
+
+def measure_run(request: MeasureRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """Measure, keep and return the figures; without a kind, list what is kept."""
+    survey = load_survey(request.run)
+    kept = _load_kept(request.run)
+    if (request.kind is None) != (request.places is None):
+        raise BadInput("a measure needs its kind and its places: give both --kind and --at, or neither to list what is kept.")
+    if request.export is not None and request.export.suffix.lower() not in (".geojson", ".json", ".csv"):
+        raise BadInput(f"{request.export.name} is no name for measures: let it end in .geojson or .csv.")
+    if request.remove is not None:
+        if request.remove not in kept:
+            raise BadInput(f"there is no measure named {request.remove!r}: there are {', '.join(kept) or 'none'}.")
+        del kept[request.remove]
+    if request.kind is not None and request.places is not None:
+        name = _name_for(request, kept)
+        surface = surface_for_measures(survey, request.resolution, display)
+        found = measure(request.kind, parse_places(request.places), surface, accuracy_of(survey), request.base)
+        kept[name] = _record(found, survey)
+    if request.kind is not None or request.remove is not None:
+        (request.run / FOLDER).mkdir(exist_ok=True)
+        write_json(request.run / FOLDER / MEASURES, kept)
+    if request.export is not None:
+        _export(request.export, kept, survey.map_frame)
+    return {"measures": kept} if request.kind is None else {"name": name, **kept[name]}
+
+
+def parse_places(text: str) -> FloatArray:
+    """Places (P,2 or 3) of "east,north[,height] east,north[,height] …"."""
+    try:
+        rows = [[float(value) for value in place.split(",")] for place in text.split()]
+        places = np.array(rows, np.float64)
+    except ValueError:
+        places = np.zeros(0)
+    if places.ndim != 2 or places.shape[1] not in (2, 3):
+        raise BadInput(
+            f"'{text}' is no list of places: give them like \"465230.1,5246380.2 465250.7,5246377.9\", all with a height or none."
+        )
+    return places
+
+
+def accuracy_of(survey: Survey) -> Accuracy:
+    """σ of a place, and of the scale by GPS: its residual over the spread of the cameras."""
+    cameras, residual = survey.run.scene.cameras, survey.run.scene.frame.residual_m
+    spread = float(np.sqrt(np.square(cameras.centers - cameras.centers.mean(axis=0)).sum(axis=1).mean()))
+    scale = 0.0 if residual is None else residual / max(spread * np.sqrt(len(cameras)), 1e-12)
+    return Accuracy(place=PLACE_GSD * survey.ground.gsd, scale=float(scale))
+
+
+def surface_for_measures(survey: Survey, resolution: float | None, display: ProgressDisplay) -> HeightMap:
+    """The surface kept with the run, made where there is none of this scene and resolution."""
+    path = survey.run.folder / FOLDER / HEIGHTS
+    key = {"model": file_sha256(survey.run.folder / "scene.ply"), "resolution": resolution}
+    if path.is_file():
+        arrays, about = load_arrays(path, _SCHEMA, _DTYPES)
+        if about.get("key") == key:
+            grid = MapGrid(**{**about["grid"], "north_west": np.array(about["grid"]["north_west"])})
+            if all(array.shape == grid.shape for array in arrays.values()):
+                return HeightMap(grid=grid, **arrays)
+    surface = surface_of_survey(survey, points_of_survey(survey, display, 576), resolution, display)
+    grid = surface.grid
+    about = {
+        "key": key,
+        "grid": {"north_west": grid.north_west.tolist(), "cell": grid.cell, "rows": grid.rows, "columns": grid.columns, "epsg": grid.epsg},
+    }
+    path.parent.mkdir(exist_ok=True)
+    stream_arrays(path, _SCHEMA, {"heights": surface.heights, "sigma": surface.sigma, "source": surface.source}, about)
+    return surface
+
+
+def _name_for(request: MeasureRequest, kept: dict[str, Any]) -> str:
+    name = request.name or next(f"{request.kind} {number}" for number in range(1, len(kept) + 2) if f"{request.kind} {number}" not in kept)
+    if not name.isprintable() or len(name) > MAX_NAME:
+        raise BadInput(f"a name of {len(name)} characters came, expected at most {MAX_NAME} printable ones.")
+    if name in kept:
+        raise BadInput(f"there is a measure named {name!r}: choose another name, or --remove it first.")
+    return name
+
+
+def _load_kept(run: Path) -> dict[str, Any]:
+    path = run / FOLDER / MEASURES
+    kept = read_json(path) if path.is_file() else {}
+    if not isinstance(kept, dict) or not all(isinstance(row, dict) and {"kind", "places", "figures"} <= set(row) for row in kept.values()):
+        raise BadInput(f"{path} does not hold measures: move it away.")
+    return kept
+
+
+def _record(found: Measured, survey: Survey) -> dict[str, Any]:
+    unit = survey.run.unit
+    record: dict[str, Any] = {
+        "kind": found.kind,
+        "crs": survey.map_frame.crs,
+        "places": np.round(found.places, 4).tolist(),
+        "figures": {
+            figure.name: {
+                "value": round(figure.value, 4),
+                "sigma": round(figure.sigma, 4),
+                "unit": f"{unit}{('', '²', '³')[figure.power - 1]}",
+            }
+            for figure in found.figures
+        },
+        "filled": round(found.filled, 4),
+    }
+    if len(found.profile):
+        record["profile"] = [[None if not np.isfinite(value) else round(float(value), 4) for value in row] for row in found.profile]
+    return record
+
+
+def _export(path: Path, kept: dict[str, Any], map_frame: MapFrame) -> None:
+    if path.exists():
+        raise BadInput(f"{path} exists: choose another name.")
+    if path.suffix.lower() == ".csv":
+        lines = io.StringIO()
+        writer = csv.writer(lines)
+        writer.writerow(["name", "kind", "figure", "value", "sigma", "unit", "crs"])
+        for name, row in kept.items():
+            for figure, about in row["figures"].items():
+                # A name that a spreadsheet would take for a formula is text.
+                shown = f"'{name}" if name[:1] in "=+-@" else name
+                writer.writerow([shown, row["kind"], figure, about["value"], about["sigma"], about["unit"], row["crs"]])
+        return write_atomic(path, lines.getvalue().encode())
+    features = []
+    for name, row in kept.items():
+        make = polygon_feature if row["kind"] in ("area", "volume") else line_feature
+        features.append(make(map_frame, np.array(row["places"], np.float64), {"name": name, "kind": row["kind"], **row["figures"]}))
+    return write_json(path, to_geojson(map_frame, features))
