@@ -13,7 +13,7 @@ import typer
 from radiant_app.cli.bench import bench
 from radiant_app.cli.node import node
 from radiant_app.cli.option_types import AggregatePresetOption, AsJson, LpipsNet, LpipsWeights, SizeOption
-from radiant_app.cli.output import export, render
+from radiant_app.cli.output import export, render, view
 from radiant_app.cli.plan import plan
 from radiant_app.cli.profile import profile
 from radiant_app.cli.replan import replan_plan
@@ -158,6 +158,7 @@ def inspect(
 
 
 app.command()(export)
+app.command()(view)
 
 
 app.command()(bench)
