@@ -14,7 +14,7 @@ from radiant_app.cli.bench import bench
 from radiant_app.cli.clean import clean
 from radiant_app.cli.node import node
 from radiant_app.cli.option_types import AggregatePresetOption, AsJson, LpipsNet, LpipsWeights, SizeOption
-from radiant_app.cli.output import export, render
+from radiant_app.cli.output import export, render, view
 from radiant_app.cli.plan import plan
 from radiant_app.cli.profile import profile
 from radiant_app.cli.replan import replan_plan
@@ -165,6 +165,7 @@ def inspect(
 
 
 app.command()(export)
+app.command()(view)
 app.command()(change)
 app.command()(measure)
 

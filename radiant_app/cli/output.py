@@ -59,7 +59,7 @@ def export(
     format: Annotated[  # noqa: A002
         ExportFormat | None,
         typer.Option(
-            help="Model: ply, spz, sog, lod. Scene: geojson, colmap. GeoTIFF: ortho, dsm, dtm (ground). Surface: contours, laz, glb, mesh."
+            help="Model: ply, spz, sog, lod, viewer. Scene: geojson, colmap. GeoTIFF: ortho, dsm, dtm. Surface: contours, laz, glb, mesh."
         ),
     ] = None,
     resolution: Annotated[
@@ -78,6 +78,9 @@ def export(
     regions: Annotated[
         list[Path] | None, typer.Option(help="--lod of a PLY: run whose regions its chunks belong to; repeatable, a joined one last.")
     ] = None,
+    photographs: Annotated[
+        bool, typer.Option("--photographs", help="viewer: show the worst photographs beside the model; without it none leaves.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """A model, its plan, cameras or surface in the files of other programs; says what is lost."""
@@ -102,5 +105,23 @@ def export(
         crs=crs,
         num_levels=levels,
         regions=tuple(regions or ()),
+        photographs=photographs,
     )
     finish(write_export(request, terminal_display()), as_json)
+
+
+def view(
+    model: Annotated[Path, typer.Argument(help="Folder of a run or training, or a 3DGS .ply.", show_default=False)],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 for any that is free.")] = 0,
+) -> None:
+    """Fly through a model in a browser on this machine, until Ctrl-C.
+
+    The page is kept in the run's folder viewer/ and made anew when the model has changed. Only this
+    machine can open it, by the address that is printed, which holds a secret.
+    """
+    from radiant_app.report.progress import show_starting, terminal_display
+
+    with show_starting():
+        from radiant_app.commands.view import view as serve_page
+
+    serve_page(model, port, terminal_display(), typer.echo)

@@ -57,7 +57,7 @@ def change(request: ChangeRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"--min-area is {request.min_area}, expected square metres above zero.")
     older, newer = load_survey(request.older), load_survey(request.newer)
     cell = cell_of(older, request.resolution, PIXELS_PER_CELL)
-    grid = grid_over(older.ground.low, older.ground.high, cell, older.map_frame.epsg)
+    grid = grid_over(older.ground.low, older.ground.high, cell, older.map_frame)
     if grid.rows * grid.columns > MAX_CELLS:
         raise BadInput(
             f"cells of {cell} make {grid.columns} x {grid.rows} of them, more than {MAX_CELLS:,}: choose a coarser --resolution."

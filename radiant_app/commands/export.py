@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from radiant_viewer.runs.run_view import RunView
 
 ENDINGS: dict[str, ExportFormat] = {
-    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".laz": "laz", ".glb": "glb", "": "colmap",
+    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".laz": "laz", ".glb": "glb", ".html": "viewer",
+    "": "colmap",
 }  # fmt: skip
 _WANTED = {
     "ply": (".ply",),
@@ -51,7 +52,7 @@ _WANTED = {
 _OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb")
 
 _CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod")
-_LEVELLED: tuple[ExportFormat, ...] = ("lod",)
+_LEVELLED: tuple[ExportFormat, ...] = ("lod", "viewer")
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -82,6 +83,8 @@ class ExportRequest:
     """Levels of detail; None: by the number of Gaussians."""
     regions: tuple[Path, ...] = ()
     """Runs whose regions chunks belong to, of a model that is no run."""
+    photographs: bool = False
+    """Whether the page of a run shows its worst photographs beside the model."""
 
     @property
     def side_file(self) -> Path:
@@ -108,6 +111,8 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         require_no_sidecar(request.out)
     if (request.num_levels is not None or request.regions) and kind not in _LEVELLED:
         raise BadInput(f"--levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
+    if request.photographs and kind != "viewer":
+        raise BadInput(f"--photographs is of a page, and {kind} has none: leave it out, or add --format viewer.")
     if request.clean and request.side_file.exists():
         raise BadInput(f"{request.side_file} exists, where --clean would put what it takes out: choose another name.")
     figures = _WRITERS[kind](request, display)
@@ -224,6 +229,27 @@ def _lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     errors = {name: float(f"{value:.3g}") for name, value in asdict(figures.errors).items()}
     levels = {"levels": ", ".join(f"{count:,}" for count in figures.counts), "far_field": figures.num_far, "chunks": figures.num_chunks}
     return {"gaussians": len(splats), **levels, **errors, **cleaned}
+
+
+def _viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_app.commands.lod_regions import lod_regions
+    from radiant_app.commands.steps import stage_bar
+    from radiant_app.commands.view import scene_page
+    from radiant_app.files.run_folder import create_folder
+    from radiant_core.lod.levels import LodLimits
+    from radiant_viewer.share.folder import save_page, save_single_page
+
+    splats = None if request.model.is_dir() else load_model(request.model, as_trained=request.as_trained).splats
+    page = scene_page(request.model, splats, with_photographs=request.photographs)
+    shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs)}
+    if request.out.suffix.lower() == ".html":
+        if request.num_levels is not None or request.regions:
+            raise BadInput("--levels and --regions are of a folder, and one file has no levels: leave them out.")
+        return {**shown, "bytes": save_single_page(request.out, page)}
+    regions, limits = lod_regions(request.model, page.splats, request.regions), LodLimits(num_levels=request.num_levels)
+    with create_folder(request.out), stage_bar(display, "page") as report:
+        figures = save_page(request.out, page, regions, limits, lambda done, total: report(done, total, "Gaussians"))
+    return {**shown, "levels": ", ".join(f"{count:,}" for count in figures.counts), "open": "on any static host: index.html"}
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -369,7 +395,7 @@ def _origin_of(run: RunView) -> dict[str, Any]:
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
-    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "ortho": _ortho,
-    "dsm": _of_surface("export_dsm"), "dtm": _of_surface("export_dtm"), "contours": _of_surface("export_contours"),
+    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "viewer": _viewer, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh,
+    "ortho": _ortho, "dsm": _of_surface("export_dsm"), "dtm": _of_surface("export_dtm"), "contours": _of_surface("export_contours"),
     "laz": _of_surface("export_laz"), "glb": _of_surface("export_glb"),
 }  # fmt: skip

@@ -58,13 +58,18 @@ def save_sog(path: Path, splats: Splats) -> SogErrors:
     if not len(splats):
         raise BadInput(f"cannot write {path}: the model has no Gaussians, and SOG cannot say so.")
     files, errors = sog_files(splats.select(morton_order(splats.means)))
+    write_atomic(path, zipped(files))
+    return errors
+
+
+def zipped(files: dict[str, bytes]) -> bytes:
+    """Files by name in one zip, stored: the bundled form."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files.items():
             # A fixed time: the same model gives the same bytes.
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data)
-    write_atomic(path, content.getvalue())
-    return errors
+    return content.getvalue()
 
 
 def save_sog_folder(folder: Path, splats: Splats) -> SogErrors:

@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
-from shapely import MultiPoint, get_coordinates
+from shapely import MultiPoint, Polygon, get_coordinates
 from shapely.geometry import polygon as shapely_polygon
 
 from radiant_core.errors import BadInput
@@ -206,7 +205,8 @@ def _deal(line: Counts, capacities: Counts) -> tuple[int, Counts] | None:
     for capacity in capacities.tolist():
         window = min(capacity, count) + 1
         # The least over a … p: a window that ends at p.
-        least = minimum_filter1d(cost, window, mode="constant", cval=never, origin=(window - 1) // 2)
+        before = np.concatenate([np.full(window - 1, never), cost])
+        least = np.lib.stride_tricks.sliding_window_view(before, window).min(axis=1)
         cost = np.minimum(least + inside, never)
         history.append(cost)
     if cost[count] >= never:
@@ -301,7 +301,7 @@ def _land(cloud: CloudPlan) -> FloatArray:
     """The convex hull (V,2) of all regions, counter-clockwise."""
     corners = np.concatenate([border for border in cloud.borders if len(border)])
     hull = MultiPoint(corners).convex_hull
-    return get_coordinates(shapely_polygon.orient(hull))[:-1] if hull.geom_type == "Polygon" else np.empty((0, 2))
+    return get_coordinates(shapely_polygon.orient(hull))[:-1] if isinstance(hull, Polygon) else np.empty((0, 2))
 
 
 def _cuts(across: FloatArray, ends: Counts) -> FloatArray:
