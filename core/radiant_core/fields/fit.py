@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.fields.field import RadianceField
 from radiant_core.fields.rays import PixelRays, Rays
-from radiant_core.fields.render import RAYS_A_PART, Rendered, Sampling, render_rays
+from radiant_core.fields.render import RAYS_A_PART, Sampling, render_rays
 from radiant_core.train.results import TrainProgress
 
 
@@ -53,8 +53,6 @@ class FitFieldOptions:
     """Moves the rays of each step, where poses are refined."""
     beside: tuple[tuple[nn.Parameter, float], ...] = ()
     """Parameters that are fitted too, each with its own rate at the first step."""
-    watch: Callable[[Rendered, Rays], None] | None = None
-    """Sees each part that was rendered, before the step."""
     first_step: int = 0
     """Where rays go on: a later round of the same training draws others."""
 
@@ -110,6 +108,8 @@ def _add_gradients(radiance: RadianceField, pixels: PixelRays, config: FitFieldC
     generator = torch.Generator().manual_seed(int(np.random.default_rng((config.seed, step, 1)).integers(2**62)))
     # By view and row, so that the rays of a part read much the same entries of the grid.
     rays, colors = pixels.batch(np.sort(drawn))
+    device = next(radiance.parameters()).device
+    rays, colors = rays.to(device), colors.to(device)
     rays = rays if options.moved is None else options.moved(rays)
     error = 0.0
     for start in range(0, len(rays), RAYS_A_PART):
@@ -121,6 +121,4 @@ def _add_gradients(radiance: RadianceField, pixels: PixelRays, config: FitFieldC
         # The moved rays' graph is shared by all parts of the step.
         loss.backward(retain_graph=options.moved is not None)
         error += float(squared.detach())
-        if options.watch is not None:
-            options.watch(rendered, own)
     return error

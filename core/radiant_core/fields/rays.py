@@ -8,7 +8,7 @@ A step draws its rays evenly from all pixels that count. Once per step.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -44,8 +44,11 @@ class Rays:
 
     def select(self, rows: Tensor | slice) -> Rays:
         """Some of the rays, by index, mask or range."""
-        parts = {name: getattr(self, name)[rows] for name in ("origins", "directions", "near", "far", "views")}
-        return Rays(**parts)
+        return Rays(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+
+    def to(self, device: torch.device) -> Rays:
+        """The same rays on that device."""
+        return Rays(**{each.name: getattr(self, each.name).to(device) for each in fields(self)})
 
 
 def rays_of(cameras: Cameras, bounds: FieldBounds, views: NDArray[np.int64], pixels: NDArray[np.int64]) -> Rays:

@@ -63,11 +63,11 @@ def render_rays(field: Field, rays: Rays, sampling: Sampling = Sampling(), gener
     """Render some rays; samples are drawn by `generator`, else lie in their shares' middles."""
     with torch.no_grad():
         edges = _spread(rays, sampling.num_coarse)
-        middles = _between(edges, _draw(len(rays), sampling.num_coarse, generator))
+        middles = _between(edges, _draw(rays, sampling.num_coarse, generator))
         densities = field.densities(_flat(_places(rays, middles))).view(middles.shape)
         weights = blend_weights(densities, edges.diff(dim=1))
         share = sampling.floor / sampling.num_coarse + (1 - sampling.floor) * _normalized(_widened(weights))
-        distances = resample(edges, share, _draw(len(rays), sampling.num_fine, generator))
+        distances = resample(edges, share, _draw(rays, sampling.num_fine, generator))
     places = _places(rays, distances)
     directions = rays.directions[:, None].expand_as(places)
     found = field(_flat(places), _flat(directions))
@@ -80,13 +80,15 @@ def render_rays(field: Field, rays: Rays, sampling: Sampling = Sampling(), gener
 def render_image(field: Field, cameras: Cameras, bounds: FieldBounds, view: int, sampling: Sampling = Sampling()) -> FloatArray:
     """Image (H,W,3) of one camera, in 0..1."""
     rays = rays_of_image(cameras, bounds, view)
+    if isinstance(field, torch.nn.Module):
+        rays = rays.to(next(field.parameters()).device)
     with torch.no_grad():
         parts = [
             render_rays(field, rays.select(slice(start, start + RAYS_A_PART)), sampling).colors
             for start in range(0, len(rays), RAYS_A_PART)
         ]
     width, height = cameras.sizes_wh[view]
-    return np.clip(torch.cat(parts).double().numpy().reshape(height, width, 3), 0, 1)
+    return np.clip(torch.cat(parts).double().cpu().numpy().reshape(height, width, 3), 0, 1)
 
 
 def blend_weights(densities: Tensor, lengths: Tensor) -> Tensor:
@@ -122,10 +124,11 @@ def _between(edges: Tensor, drawn: Tensor) -> Tensor:
     return edges[:, :-1] + inside * edges.diff(dim=1)
 
 
-def _draw(num_rays: int, count: int, generator: torch.Generator | None) -> Tensor:
-    """One quantile (R,count) in each of `count` equal shares of 0..1."""
-    inside = torch.full((num_rays, count), 0.5) if generator is None else torch.rand(num_rays, count, generator=generator)
-    return (torch.arange(count) + inside) / count
+def _draw(rays: Rays, count: int, generator: torch.Generator | None) -> Tensor:
+    """One quantile (R,count) in each of `count` equal shares of 0..1, drawn on the CPU: all devices
+    get the same."""
+    inside = torch.full((len(rays), count), 0.5) if generator is None else torch.rand(len(rays), count, generator=generator)
+    return ((torch.arange(count) + inside) / count).to(rays.near)
 
 
 def _places(rays: Rays, distances: Tensor) -> Tensor:

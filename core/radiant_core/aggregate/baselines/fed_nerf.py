@@ -107,7 +107,7 @@ def entries_used(field: RadianceField, pixels: PixelRays, move: SharedMove, fit:
     grid = field.encoding
     assert isinstance(grid, HashGrid)
     drawn = np.sort(np.random.default_rng((fit.seed, 2)).integers(0, len(pixels), num_rays))
-    rays = _fixed(move)(pixels.batch(drawn)[0])
+    rays = _fixed(move)(pixels.batch(drawn)[0].to(grid.table.device))
     grid.table.grad = torch.zeros_like(grid.table)
     for start in range(0, len(rays), RAYS_A_PART):
         with torch.no_grad():
