@@ -21,9 +21,9 @@ UploadFormat = Literal["float32", "float16", "spz"]
 """float32: exact; float16: half the bytes, centres in 21 bits; spz: about a fifth, by Open3D."""
 LpipsNetwork = Literal["vgg", "alex"]
 """Backbone of LPIPS: VGG16 or AlexNet."""
-ExportFormat = Literal["ply", "spz", "sog", "lod", "viewer", "geojson", "colmap", "mesh", "dsm"]
-"""ply, spz, sog: a model; lod: with levels of detail (streamed SOG); viewer: with a page to fly
-through it; geojson, colmap: regions and cameras; mesh, dsm: the surface."""
+ExportFormat = Literal["ply", "spz", "sog", "lod", "tiles", "viewer", "geojson", "colmap", "mesh", "dsm"]
+"""ply, spz, sog: a model; lod, tiles: with levels of detail (streamed SOG, 3D Tiles); viewer:
+with a page to fly through it; geojson, colmap: regions and cameras; mesh, dsm: the surface."""
 Trajectory = Literal["orbit", "border"]
 """orbit: once around the scene; border: along a border of two edges."""
 View = Literal["regions", "cameras", "seams", "splats", "compare"]

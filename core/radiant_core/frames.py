@@ -148,6 +148,17 @@ def enu_change(from_lat_lon_alt: ArrayLike, to_lat_lon_alt: ArrayLike) -> Sim3:
     return Sim3(scale=1.0, rotation=rotation, translation=enu_from_geodetic(start[None], end)[0])
 
 
+def ecef_from_enu_matrix(origin_lat_lon_alt: ArrayLike) -> FloatArray:
+    """The rigid move (4,4) from metres east, north, up of an origin (3,) to metres from the centre
+    of the earth (ECEF). Raises BadInput off the globe."""
+    origin = check_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
+    _require_on_globe(origin[None])
+    matrix = np.eye(4)
+    matrix[:3, :3] = _ecef_from_enu(origin)
+    matrix[:3, 3] = _ecef_from_geodetic(origin[None])[0]
+    return matrix
+
+
 def _ecef_from_enu(origin: FloatArray) -> FloatArray:
     """Rotation (3,3) whose columns are east, north and up at the origin (3,)."""
     lat, lon = np.radians(origin[:2])

@@ -56,7 +56,7 @@ def export(
     out: Annotated[Path, typer.Argument(help="File to write; a folder for COLMAP. Its ending says what.", show_default=False)],
     format: Annotated[  # noqa: A002
         ExportFormat | None,
-        typer.Option(help="Model: ply, spz, sog, lod, viewer (a page). Scene: geojson, colmap. Surface: mesh (PLY), dsm (GeoTIFF)."),
+        typer.Option(help="Model: ply, spz, sog, lod, tiles, viewer (a page). Scene: geojson, colmap. Surface: mesh (PLY), dsm (TIFF)."),
     ] = None,
     resolution: Annotated[
         float | None, typer.Option(min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.")

@@ -6,7 +6,7 @@ Every loss of a format is reported with its figure, such as the 16 bits of a pos
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from radiant_viewer.runs.run_view import RunView
 
 ENDINGS: dict[str, ExportFormat] = {
-    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".tif": "dsm", ".tiff": "dsm", ".html": "viewer",
-    "": "colmap",
+    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".tif": "dsm", ".tiff": "dsm",
+    ".html": "viewer", "": "colmap",
 }  # fmt: skip
 _WANTED = {
     "ply": (".ply",),
@@ -40,8 +40,8 @@ _WANTED = {
     "dsm": (".tif", ".tiff"),
 }
 
-_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod")
-_LEVELLED: tuple[ExportFormat, ...] = ("lod", "viewer")
+_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod", "tiles")
+_LEVELLED: tuple[ExportFormat, ...] = ("lod", "tiles", "viewer")
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -199,6 +199,29 @@ def _lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     return {"gaussians": len(splats), **levels, **errors, **cleaned}
 
 
+def _tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_app.commands.lod_regions import lod_regions
+    from radiant_app.commands.steps import stage_bar
+    from radiant_app.files.run_folder import create_folder
+    from radiant_core.io.export.tiles import TILE_LIMITS, save_tiles
+
+    splats, cleaned = _exported(request, display)
+    regions = lod_regions(request.model, splats, request.regions)
+    frame = _run_of(request).scene.frame if request.model.is_dir() else None
+    if frame is None or frame.kind != "metric":
+        display(Warned(stage="export", message="no GPS says where the model lies: the tiles have no place on the globe."))
+    with create_folder(request.out), stage_bar(display, "tiles") as report:
+        counts = save_tiles(
+            request.out,
+            splats,
+            regions,
+            frame,
+            replace(TILE_LIMITS, num_levels=request.num_levels),
+            lambda done, total: report(done, total, "Gaussians"),
+        )
+    return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **cleaned}
+
+
 def _viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.commands.lod_regions import lod_regions
     from radiant_app.commands.steps import stage_bar
@@ -351,6 +374,6 @@ def _origin_of(run: RunView) -> dict[str, Any]:
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
-    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "viewer": _viewer, "geojson": _geojson,
+    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "tiles": _tiles, "viewer": _viewer, "geojson": _geojson,
     "colmap": _colmap, "mesh": _mesh, "dsm": _dsm,
 }  # fmt: skip
