@@ -21,11 +21,13 @@ UploadFormat = Literal["float32", "float16", "spz"]
 """float32: exact; float16: half the bytes, centres in 21 bits; spz: about a fifth, by Open3D."""
 LpipsNetwork = Literal["vgg", "alex"]
 """Backbone of LPIPS: VGG16 or AlexNet."""
-ExportFormat = Literal["ply", "spz", "sog", "lod", "viewer", "geojson", "colmap", "mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb"]
-"""ply, spz, sog: a model; lod: with levels of detail (streamed SOG); viewer: with a page to fly
-through it; geojson, colmap: regions and cameras; mesh: the surface; dsm: heights of the surface,
-dtm: without buildings and trees; ortho: the scene from straight above; contours: lines of equal
-height; laz: points of the surface; glb: a textured mesh."""
+ExportFormat = Literal[
+    "ply", "spz", "sog", "lod", "tiles", "viewer", "geojson", "colmap", "mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb"
+]
+"""ply, spz, sog: a model; lod, tiles: with levels of detail (streamed SOG, 3D Tiles); viewer: with
+a page to fly through it; geojson, colmap: regions and cameras; mesh: the surface; dsm: heights of
+the surface, dtm: without buildings and trees; ortho: the scene from straight above; contours: lines
+of equal height; laz: points of the surface; glb: a textured mesh."""
 MeasureKind = Literal["distance", "height", "area", "volume", "profile"]
 """What is measured on a surface."""
 Trajectory = Literal["orbit", "border"]

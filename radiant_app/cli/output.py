@@ -59,7 +59,7 @@ def export(
     format: Annotated[  # noqa: A002
         ExportFormat | None,
         typer.Option(
-            help="Model: ply, spz, sog, lod, viewer. Scene: geojson, colmap. GeoTIFF: ortho, dsm, dtm. Surface: contours, laz, glb, mesh."
+            help="Model: ply, spz, sog, lod, tiles, viewer. Scene: geojson, colmap. TIFF: ortho, dsm, dtm. Else: contours, laz, glb, mesh.",
         ),
     ] = None,
     resolution: Annotated[
@@ -87,8 +87,8 @@ def export(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.export import ExportRequest
         from radiant_app.commands.export import export as write_export
+        from radiant_app.commands.export_request import ExportRequest
 
     if lod and format not in (None, "lod"):
         raise BadInput(f"--lod is a format of its own and --format is {format}: ask for one of them.")

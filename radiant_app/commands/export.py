@@ -6,30 +6,24 @@ Every loss of a format is reported with its figure, such as the 16 bits of a pos
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, get_args
 
-from radiant_app.commands.clean import measure_support, require_cleaned_model
-from radiant_app.commands.export_place import ExportPlace, place_of
+from radiant_app.commands.export_place import place_of
+from radiant_app.commands.export_request import ExportRequest, exported_model, placed, run_of
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.memory import available_bytes
 from radiant_core.choices import ExportFormat
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
-from radiant_core.geometry.cleaning import SupportStep, Surroundings, keeps
 from radiant_core.georef.crs import parse_crs
 from radiant_core.georef.sidecar import require_no_sidecar
 from radiant_core.io.ply import save_ply
-from radiant_core.splats import Splats
-from radiant_viewer.runs.model_file import load_model
 
 if TYPE_CHECKING:
     from radiant_core.geometry.surface import Surface
-    from radiant_core.io.export.geotiff import HeightGrid
     from radiant_core.scene import SfmScene
-    from radiant_viewer.runs.cleaned_model import CleanedModel
     from radiant_viewer.runs.run_view import RunView
 
 ENDINGS: dict[str, ExportFormat] = {
@@ -51,45 +45,13 @@ _WANTED = {
 }
 _OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb")
 
-_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod")
-_LEVELLED: tuple[ExportFormat, ...] = ("lod", "viewer")
+_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod", "tiles")
+_LEVELLED: tuple[ExportFormat, ...] = ("lod", "tiles", "viewer")
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
 _LEVEL = "the middle of the scene's points, not from the sea"
 _ADVICE = "what was seen lies scattered: look at it before anything is measured, and try a coarser --resolution, which closes gaps."
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportRequest:
-    """What to export; resolution (model's unit) is of rasters and meshes, tile_px of rasters."""
-
-    model: Path
-    out: Path
-    format: ExportFormat | None = None
-    resolution: float | None = None
-    long_side_px: int = 640
-    tile_px: int = 512
-    interval: float | None = None
-    """Of contours, in the model's unit."""
-    clean: bool = False
-    """Whether Gaussians that too few photographs constrain go into a file of their own."""
-    as_trained: bool = False
-    """Whether what the model's cleaning leaves out is written too."""
-    crs: str | None = None
-    """System of the file's coordinates; None: the scene's own metres, longitude and latitude in
-    GeoJSON, the UTM zone in a GeoTIFF."""
-    num_levels: int | None = None
-    """Levels of detail; None: by the number of Gaussians."""
-    regions: tuple[Path, ...] = ()
-    """Runs whose regions chunks belong to, of a model that is no run."""
-    photographs: bool = False
-    """Whether the page of a run shows its worst photographs beside the model."""
-
-    @property
-    def side_file(self) -> Path:
-        """Where `clean` puts them."""
-        return self.out.with_name(f"{self.out.stem}_unconstrained.ply")
 
 
 def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -107,6 +69,8 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"--interval is of contours, and {kind} has none: leave it out, or add --format contours.")
     if request.clean and kind not in _CLEANED:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
+    if request.crs is not None and kind in _LEVELLED:
+        raise BadInput(f"--crs is of files in map coordinates, and {kind} has its own: leave it out.")
     if request.crs is not None:
         require_no_sidecar(request.out)
     if (request.num_levels is not None or request.regions) and kind not in _LEVELLED:
@@ -134,128 +98,37 @@ def _format_of(request: ExportRequest) -> ExportFormat:
     return kind
 
 
-def _exported(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
-    """The Gaussians to write, and what a cleaning and `clean` left out of them."""
-    from radiant_app.commands.steps import require_model
-
-    if request.clean:
-        return _without_unconstrained(request, display)
-    require_model(request.model)
-    model = load_model(request.model, as_trained=request.as_trained)
-    return model.splats, _left_out(model)
-
-
-def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
-    """The model by its cleaning and a further step, whose Gaussians go into the side file."""
-    run = _run_of(request)
-    model = require_cleaned_model(run)
-    support = measure_support(run, request.long_side_px, display)
-    around = Surroundings(points=run.scene.points, support=lambda: support)
-    loose = model.cleaned.kept & ~keeps(SupportStep(), model.whole, around)
-    if not loose.any() or (loose == model.cleaned.kept).all():
-        said = f"{int(loose.sum()):,} of {len(model.splats):,} Gaussians are unconstrained: nothing is left out."
-        display(Warned(stage="clean", message=said))
-        return model.splats, {**_left_out(model), "left_out": 0}
-    save_ply(request.side_file, model.whole.select(loose))
-    shown = support.shown_px
-    shares = {"left_out_share_of_pixels": float(f"{shown[loose].sum() / max(shown[model.cleaned.kept].sum(), 1e-9):.3g}")}
-    figures = {**_left_out(model), "left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
-    return model.whole.select(model.cleaned.kept & ~loose), figures
-
-
-def _left_out(model: CleanedModel) -> dict[str, Any]:
-    """Nothing of a model without a cleaning."""
-    return {"left_out_by_cleaning": model.cleaned.num_left_out} if model.cleaning.steps else {}
-
-
-def _run_of(request: ExportRequest) -> RunView:
-    from radiant_viewer.runs.run_view import load_run_view
-
-    if not request.model.is_dir():
-        raise BadInput(f"{request.model} is a model alone: this format needs the cameras of a run, give its folder.")
-    return load_run_view(request.model, as_trained=request.as_trained)
-
-
 def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    splats, cleaned = _exported(request, display)
-    splats, placed = _placed(request, splats)
-    save_ply(request.out, splats, placed.comments)
-    return {"gaussians": len(splats), **cleaned, **placed.write(request.out)}
+    splats, cleaned = exported_model(request, display)
+    splats, place = placed(request, splats)
+    save_ply(request.out, splats, place.comments)
+    return {"gaussians": len(splats), **cleaned, **place.write(request.out)}
 
 
 def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.scene import save_spz
     from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 
-    splats, cleaned = _exported(request, display)
-    splats, placed = _placed(request, splats)
+    splats, cleaned = exported_model(request, display)
+    splats, place = placed(request, splats)
     cuts = save_spz(request.out, splats)
     figures = {"gaussians": len(splats) - cuts.num_left_out, **asdict(cuts), "position_max_error": SPZ_MEAN_STEP}
-    return {**figures, **cleaned, **placed.write(request.out)}
+    return {**figures, **cleaned, **place.write(request.out)}
 
 
 def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.sog import save_sog
 
-    splats, cleaned = _exported(request, display)
-    splats, placed = _placed(request, splats)
+    splats, cleaned = exported_model(request, display)
+    splats, place = placed(request, splats)
     figures = {name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}
-    return {"gaussians": len(splats), **figures, **cleaned, **placed.write(request.out)}
-
-
-def _placed(request: ExportRequest, splats: Splats) -> tuple[Splats, ExportPlace]:
-    """The Gaussians in the coordinates of the file, and what says where those lie."""
-    place = place_of(request.model, request.crs, lambda: splats.means.mean(axis=0))
-    return (splats if place.reference is None else place.reference.move(splats)), place
-
-
-def _lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_app.commands.lod_regions import lod_regions
-    from radiant_app.commands.steps import stage_bar
-    from radiant_app.files.run_folder import create_folder
-    from radiant_core.io.export.lod import save_lod
-    from radiant_core.lod.levels import LodLimits
-
-    splats, cleaned = _exported(request, display)
-    regions = lod_regions(request.model, splats, request.regions)
-    with create_folder(request.out), stage_bar(display, "levels") as report:
-        figures = save_lod(
-            request.out,
-            splats,
-            regions,
-            LodLimits(num_levels=request.num_levels),
-            lambda done, total: report(done, total, "Gaussians"),
-        )
-    errors = {name: float(f"{value:.3g}") for name, value in asdict(figures.errors).items()}
-    levels = {"levels": ", ".join(f"{count:,}" for count in figures.counts), "far_field": figures.num_far, "chunks": figures.num_chunks}
-    return {"gaussians": len(splats), **levels, **errors, **cleaned}
-
-
-def _viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_app.commands.lod_regions import lod_regions
-    from radiant_app.commands.steps import stage_bar
-    from radiant_app.commands.view import scene_page
-    from radiant_app.files.run_folder import create_folder
-    from radiant_core.lod.levels import LodLimits
-    from radiant_viewer.share.folder import save_page, save_single_page
-
-    splats = None if request.model.is_dir() else load_model(request.model, as_trained=request.as_trained).splats
-    page = scene_page(request.model, splats, with_photographs=request.photographs)
-    shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs)}
-    if request.out.suffix.lower() == ".html":
-        if request.num_levels is not None or request.regions:
-            raise BadInput("--levels and --regions are of a folder, and one file has no levels: leave them out.")
-        return {**shown, "bytes": save_single_page(request.out, page)}
-    regions, limits = lod_regions(request.model, page.splats, request.regions), LodLimits(num_levels=request.num_levels)
-    with create_folder(request.out), stage_bar(display, "page") as report:
-        figures = save_page(request.out, page, regions, limits, lambda done, total: report(done, total, "Gaussians"))
-    return {**shown, "levels": ", ".join(f"{count:,}" for count in figures.counts), "open": "on any static host: index.html"}
+    return {"gaussians": len(splats), **figures, **cleaned, **place.write(request.out)}
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.scene import save_scene_geojson
 
-    run = _run_of(request)
+    run = run_of(request)
     roles, psnr_db = run.roles, run.psnr_db or {}
     about: dict[str, dict[str, Any]] = {}
     for index, name in enumerate(run.scene.cameras.names):
@@ -276,7 +149,7 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.files.run_folder import create_folder
     from radiant_core.io.export.scene import save_colmap
 
-    scene = _scene_without_repeats(_run_of(request), display)
+    scene = _scene_without_repeats(run_of(request), display)
     place = place_of(request.model, request.crs, lambda: scene.cameras.centers.mean(axis=0))
     if place.reference is not None:
         scene = place.reference.move_scene(scene)
@@ -319,6 +192,17 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     }
 
 
+def _levels(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
+    """The function `name` of `export_levels`, which imports what it needs when it is called."""
+
+    def write(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+        from radiant_app.commands import export_levels
+
+        return getattr(export_levels, name)(request, display)
+
+    return write
+
+
 def _of_surface(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
     """The function `name` of `export_heights`, which imports what it needs when it is called."""
 
@@ -350,7 +234,7 @@ def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface,
     from radiant_core.geometry.surface import extract_surface
     from radiant_viewer.runs.run_view import require_splats
 
-    run = _run_of(request)
+    run = run_of(request)
     splats = require_splats(run)
     with stage_bar(display, "surface") as report:
         surface = extract_surface(
@@ -378,10 +262,6 @@ def _resolution_decision(surface: Surface, unit: str) -> Decision:
     )
 
 
-def _epsg_text(grid: HeightGrid) -> str:
-    return f"EPSG:{grid.epsg}" + (f"+{grid.vertical_epsg}" if grid.vertical_epsg else "")
-
-
 def _percent(share: float) -> str:
     return f"{100 * share:.2g} %"
 
@@ -395,7 +275,13 @@ def _origin_of(run: RunView) -> dict[str, Any]:
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
-    "ply": _ply, "spz": _spz, "sog": _sog, "lod": _lod, "viewer": _viewer, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh,
-    "ortho": _ortho, "dsm": _of_surface("export_dsm"), "dtm": _of_surface("export_dtm"), "contours": _of_surface("export_contours"),
-    "laz": _of_surface("export_laz"), "glb": _of_surface("export_glb"),
-}  # fmt: skip
+    "ply": _ply,
+    "spz": _spz,
+    "sog": _sog,
+    "geojson": _geojson,
+    "colmap": _colmap,
+    "mesh": _mesh,
+    "ortho": _ortho,
+    **{kind: _levels(f"export_{kind}") for kind in _LEVELLED},
+    **{kind: _of_surface(f"export_{kind}") for kind in ("dsm", "dtm", "contours", "laz", "glb")},
+}

@@ -115,7 +115,7 @@ def export_laz(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
 def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
     """The surface with the orthophoto on it, for a browser or a modeller."""
     require_extra("survey", "GLB cannot be written", "export --format mesh")
-    from radiant_core.io.export.glb import save_glb
+    from radiant_core.io.export.mesh_glb import save_glb
     from radiant_core.survey.height_mesh import height_mesh
 
     found = _find(request, display)

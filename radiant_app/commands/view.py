@@ -25,13 +25,14 @@ from radiant_viewer.share.vendored import SHA256
 FOLDER, MADE_OF = "viewer", "made_of.json"
 
 
-def scene_page(model: Path, splats: Splats | None, *, with_photographs: bool) -> ScenePage:
-    """The page of a run or training, else of `splats`; raises as the readers."""
+def scene_page(model: Path, splats: Splats | None, *, with_photographs: bool, as_trained: bool = False) -> ScenePage:
+    """The page of a run or training by its cleaning, unless `as_trained`, else of `splats`; raises
+    as the readers."""
     if model.is_dir():
         from radiant_viewer.runs.run_view import load_run_view
 
         require_model(model)
-        return page_of_run(load_run_view(model), with_photographs=with_photographs)
+        return page_of_run(load_run_view(model, as_trained=as_trained), with_photographs=with_photographs)
     if splats is None:
         raise BadInput(f"{model} is no run: give its folder, or a .ply file.")
     return page_of_model(splats, model.stem)

@@ -307,3 +307,17 @@ def test_levels_of_what_has_none_are_refused(run: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="exists"):
         radiant("export", run, tmp_path / "full", "--lod")
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["x"]
+
+
+def test_tiles_and_pages_are_written_and_photographs_only_where_asked_for(run: Path, tmp_path: Path) -> None:
+    said = json.loads(radiant("export", run, tmp_path / "tiles", "--format", "tiles", "--levels", "2", "--json"))
+    tileset = json.loads((tmp_path / "tiles" / "tileset.json").read_text())
+    assert said["gaussians"] == 9000 and len(tileset["root"]["transform"]) == 16, "the town has GPS"
+    page = json.loads(radiant("export", run, tmp_path / "page", "--format", "viewer", "--json"))
+    assert page["photographs"] == 0 and (tmp_path / "page" / "index.html").is_file() and page["places"] == 6
+    one = json.loads(radiant("export", run / "scene.ply", tmp_path / "one.html", "--json"))
+    assert one["format"] == "viewer" and one["bytes"] == (tmp_path / "one.html").stat().st_size
+    with pytest.raises(BadInput, match="--photographs is of a page"):
+        radiant("export", run, tmp_path / "a.ply", "--photographs")
+    with pytest.raises(BadInput, match="one file has no levels"):
+        radiant("export", run, tmp_path / "two.html", "--levels", "2")

@@ -30,8 +30,10 @@ from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.colmap.model import read_model
+from radiant_core.io.export.glb import glb_bytes
 from radiant_core.io.export.lod import META_NAME, save_lod
 from radiant_core.io.export.sog import save_sog, save_sog_folder
+from radiant_core.io.glb_reader import load_glb
 from radiant_core.io.lod_reader import load_lod_level
 from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
 from radiant_core.io.photos.jpeg import read_jpeg_facts
@@ -276,6 +278,12 @@ def _lod(folder: Path) -> Target:
     )
 
 
+def _glb(folder: Path) -> Target:
+    splats = ground_splats(5)
+    more = type(splats)(**{**splats.arrays(), "shN": np.zeros((5, 3, 3), np.float32)})
+    return Target(seeds=[glb_bytes(splats), glb_bytes(more)], place=lambda _: "m.glb", read=lambda inside, _: load_glb(inside / "m.glb"))
+
+
 def _json(folder: Path) -> Target:
     plan = (ROOT / "sample_scenes/runs/tiny/plan.json").read_bytes()
     collection = b'{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "a"}, "geometry": '
@@ -353,6 +361,7 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
     "spz": _spz,
     "sog": _sog,
     "lod": _lod,
+    "glb": _glb,
     "colmap": _colmap,
     "toml": _toml,
     "json": _json,

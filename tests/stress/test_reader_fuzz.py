@@ -20,7 +20,7 @@ def test_mutated_files_are_read_or_refused(name: str) -> None:
 
 @pytest.mark.parametrize("name", list(TARGETS))
 def test_a_sample_of_mutated_files_is_read_or_refused(name: str) -> None:
-    count = {"exif": 200, "spz": 100, "sog": 4000, "lod": 3000}.get(name, 1000)
+    count = {"exif": 200, "spz": 100, "sog": 4000, "lod": 3000, "glb": 3000}.get(name, 1000)
     with memory_folder() as folder:
         report = fuzz(name, count, 1, folder)
     # Some are read: a reader that refuses everything would pass the rest.

@@ -1,0 +1,74 @@
+"""`radiant export` of levels of detail: streamed SOG, 3D Tiles, and the page that shows them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+from radiant_app.commands.export_request import ExportRequest, exported_model, run_of
+from radiant_app.commands.lod_regions import lod_regions
+from radiant_app.commands.steps import stage_bar
+from radiant_app.events import Warned
+from radiant_app.files.run_folder import create_folder
+from radiant_app.report.progress import ProgressDisplay
+from radiant_core.errors import BadInput
+from radiant_core.lod.levels import LodLimits
+from radiant_viewer.runs.model_file import load_model
+
+
+def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """A folder of streamed SOG; its figures."""
+    from radiant_core.io.export.lod import save_lod
+
+    splats, cleaned = exported_model(request, display)
+    regions = lod_regions(request.model, splats, request.regions)
+    with create_folder(request.out), stage_bar(display, "levels") as report:
+        figures = save_lod(
+            request.out,
+            splats,
+            regions,
+            LodLimits(num_levels=request.num_levels),
+            lambda done, total: report(done, total, "Gaussians"),
+        )
+    errors = {name: float(f"{value:.3g}") for name, value in asdict(figures.errors).items()}
+    levels = {"levels": ", ".join(f"{count:,}" for count in figures.counts), "far_field": figures.num_far, "chunks": figures.num_chunks}
+    return {"gaussians": len(splats), **levels, **errors, **cleaned}
+
+
+def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """A folder of 3D Tiles, on the globe where the run has GPS; its figures."""
+    from radiant_core.io.export.tiles import TILE_LIMITS, save_tiles
+
+    splats, cleaned = exported_model(request, display)
+    regions = lod_regions(request.model, splats, request.regions)
+    frame = run_of(request).scene.frame if request.model.is_dir() else None
+    if frame is None or frame.kind != "metric":
+        display(Warned(stage="export", message="no GPS says where the model lies: the tiles have no place on the globe."))
+    with create_folder(request.out), stage_bar(display, "tiles") as report:
+        counts = save_tiles(
+            request.out,
+            splats,
+            regions,
+            frame,
+            replace(TILE_LIMITS, num_levels=request.num_levels),
+            lambda done, total: report(done, total, "Gaussians"),
+        )
+    return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **cleaned}
+
+
+def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """The page that flies through a model, as a folder or one .html; its figures."""
+    from radiant_app.commands.view import scene_page
+    from radiant_viewer.share.folder import save_page, save_single_page
+
+    splats = None if request.model.is_dir() else load_model(request.model, as_trained=request.as_trained).splats
+    page = scene_page(request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained)
+    shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs)}
+    if request.out.suffix.lower() == ".html":
+        if request.num_levels is not None or request.regions:
+            raise BadInput("--levels and --regions are of a folder, and one file has no levels: leave them out.")
+        return {**shown, "bytes": save_single_page(request.out, page)}
+    regions, limits = lod_regions(request.model, page.splats, request.regions), LodLimits(num_levels=request.num_levels)
+    with create_folder(request.out), stage_bar(display, "page") as report:
+        figures = save_page(request.out, page, regions, limits, lambda done, total: report(done, total, "Gaussians"))
+    return {**shown, "levels": ", ".join(f"{count:,}" for count in figures.counts), "open": "on any static host: index.html"}

@@ -1,0 +1,103 @@
+"""What is exported: a model by its cleaning, placed in the coordinates of the file. Once per export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from radiant_app.commands.clean import measure_support, require_cleaned_model
+from radiant_app.commands.export_place import ExportPlace, place_of
+from radiant_app.events import Warned
+from radiant_app.report.progress import ProgressDisplay
+from radiant_core.choices import ExportFormat
+from radiant_core.errors import BadInput
+from radiant_core.geometry.cleaning import SupportStep, Surroundings, keeps
+from radiant_core.io.ply import save_ply
+from radiant_core.splats import Splats
+from radiant_viewer.runs.model_file import load_model
+
+if TYPE_CHECKING:
+    from radiant_viewer.runs.cleaned_model import CleanedModel
+    from radiant_viewer.runs.run_view import RunView
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportRequest:
+    """What to export; resolution (model's unit) is of rasters and meshes, tile_px of rasters."""
+
+    model: Path
+    out: Path
+    format: ExportFormat | None = None
+    resolution: float | None = None
+    long_side_px: int = 640
+    tile_px: int = 512
+    interval: float | None = None
+    """Of contours, in the model's unit."""
+    clean: bool = False
+    """Whether Gaussians that too few photographs constrain go into a file of their own."""
+    as_trained: bool = False
+    """Whether what the model's cleaning leaves out is written too."""
+    crs: str | None = None
+    """System of the file's coordinates; None: the scene's own metres, longitude and latitude in
+    GeoJSON, the UTM zone in a GeoTIFF."""
+    num_levels: int | None = None
+    """Levels of detail; None: by the number of Gaussians."""
+    regions: tuple[Path, ...] = ()
+    """Runs whose regions chunks belong to, of a model that is no run."""
+    photographs: bool = False
+    """Whether the page of a run shows its worst photographs beside the model."""
+
+    @property
+    def side_file(self) -> Path:
+        """Where `clean` puts them."""
+        return self.out.with_name(f"{self.out.stem}_unconstrained.ply")
+
+
+def exported_model(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
+    """The Gaussians to write, and what a cleaning and `clean` left out of them."""
+    from radiant_app.commands.steps import require_model
+
+    if request.clean:
+        return _without_unconstrained(request, display)
+    require_model(request.model)
+    model = load_model(request.model, as_trained=request.as_trained)
+    return model.splats, _left_out(model)
+
+
+def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
+    """The model by its cleaning and a further step, whose Gaussians go into the side file."""
+    run = run_of(request)
+    model = require_cleaned_model(run)
+    support = measure_support(run, request.long_side_px, display)
+    around = Surroundings(points=run.scene.points, support=lambda: support)
+    loose = model.cleaned.kept & ~keeps(SupportStep(), model.whole, around)
+    if not loose.any() or (loose == model.cleaned.kept).all():
+        said = f"{int(loose.sum()):,} of {len(model.splats):,} Gaussians are unconstrained: nothing is left out."
+        display(Warned(stage="clean", message=said))
+        return model.splats, {**_left_out(model), "left_out": 0}
+    save_ply(request.side_file, model.whole.select(loose))
+    shown = support.shown_px
+    shares = {"left_out_share_of_pixels": float(f"{shown[loose].sum() / max(shown[model.cleaned.kept].sum(), 1e-9):.3g}")}
+    figures = {**_left_out(model), "left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
+    return model.whole.select(model.cleaned.kept & ~loose), figures
+
+
+def _left_out(model: CleanedModel) -> dict[str, Any]:
+    """Nothing of a model without a cleaning."""
+    return {"left_out_by_cleaning": model.cleaned.num_left_out} if model.cleaning.steps else {}
+
+
+def run_of(request: ExportRequest) -> RunView:
+    """The run whose model is exported; BadInput for a model alone."""
+    from radiant_viewer.runs.run_view import load_run_view
+
+    if not request.model.is_dir():
+        raise BadInput(f"{request.model} is a model alone: this format needs the cameras of a run, give its folder.")
+    return load_run_view(request.model, as_trained=request.as_trained)
+
+
+def placed(request: ExportRequest, splats: Splats) -> tuple[Splats, ExportPlace]:
+    """The Gaussians in the coordinates of the file, and what says where those lie."""
+    place = place_of(request.model, request.crs, lambda: splats.means.mean(axis=0))
+    return (splats if place.reference is None else place.reference.move(splats)), place
