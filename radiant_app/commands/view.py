@@ -14,10 +14,11 @@ from radiant_app.commands.steps import require_model, stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, RadiantError
-from radiant_core.io.ply import load_ply
+from radiant_core.io.cleaning_file import cleaning_path
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.lod.levels import LodLimits
 from radiant_core.splats import Splats
+from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.share.folder import ScenePage, page_of_model, page_of_run, save_page
 from radiant_viewer.share.serving import served
 from radiant_viewer.share.vendored import SHA256
@@ -57,7 +58,7 @@ def _wait() -> None:
 def _folder_of(model: Path, display: ProgressDisplay) -> Iterator[Path]:
     """The folder of the page: kept in a run, of a model alone for as long as it is looked at."""
     if not model.is_dir():
-        splats = load_ply(model)
+        splats = load_model(model).splats
         with tempfile.TemporaryDirectory(prefix="radiant-view-") as made:
             _make(Path(made), model, splats, display)
             yield Path(made)
@@ -72,7 +73,7 @@ def _folder_of(model: Path, display: ProgressDisplay) -> Iterator[Path]:
 def _record_of(run: Path) -> Any:
     """What of a run shows on its page beside the model."""
     names = ("plan.json", "delivered/plan.json", "metrics.json")
-    return [run / name for name in names if (run / name).is_file()]
+    return [path for path in (*(run / name for name in names), cleaning_path(run)) if path.is_file()]
 
 
 def _is_made_of(folder: Path, key: str) -> bool:
