@@ -191,3 +191,16 @@ def test_where_the_short_way_loses_photographs_all_is_done_again_thoroughly(
     efforts = [decision.choice for decision in result.decisions if decision.topic == "effort"]
     assert efforts == ["done again thoroughly, which is taken"]
     assert len(result.scene.cameras) >= len(list((hamlet / "images").iterdir())) - 1
+
+
+@pytest.mark.parametrize("least", [0.0, 0.5, 0.6, 0.99])
+def test_what_is_left_agrees_with_at_least_the_share_that_was_asked_for(least: float, placed: Path) -> None:
+    model = pycolmap.Reconstruction(placed / "sparse")
+    displace(model, sorted(model.reg_image_ids())[2])
+    gone = contradicted(model, placed / "database.db", least)
+    assert bool(gone) == (least > 0)
+    pairs, num_matches, num_agreeing = agreeing_matches(model, placed / "database.db")
+    kept = ~np.isin(pairs, gone).any(axis=1)
+    for image_id in np.unique(pairs[kept]):
+        own = kept & (pairs == image_id).any(axis=1)
+        assert num_agreeing[own].sum() >= least * num_matches[own].sum()

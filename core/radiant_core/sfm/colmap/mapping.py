@@ -17,7 +17,7 @@ from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.database import match_pairs
 from radiant_core.sfm.colmap.pairs import Pairs, pairs_with
 from radiant_core.sfm.colmap.previewed_pairs import keep_related
-from radiant_core.sfm.colmap.strays import contradicted, remove, without_strays
+from radiant_core.sfm.colmap.strays import SURE_AGREEMENT, contradicted, remove, without_strays
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
 
 GROWTH = 1.4
@@ -96,7 +96,7 @@ def _remove_misplaced(job: MappingJob, model: pycolmap.Reconstruction) -> int:
     """Take out what its own matches contradict, and count it; what finds a place again among all
     others is believed. Where that is over a tenth the matches are not of one rigid scene, and say
     nothing."""
-    misplaced = contradicted(model, job.database)
+    misplaced = contradicted(model, job.database, SURE_AGREEMENT)
     if len(misplaced) > MAX_LEFT_SHARE * model.num_reg_images():
         return 0
     remove(model, misplaced)

@@ -30,7 +30,9 @@ IntArray = NDArray[np.int64]
 MIN_POINTS = 15
 FEW_POINTS = 60
 GPS_FACTOR = 5.0
-LEAST_AGREEMENT = 0.5
+LEAST_AGREEMENT, SURE_AGREEMENT = 0.5, 0.6
+"""Below the one a place is contradicted, below the other it is found anew: a photograph at the end
+of a street lay 67 % of the extent off with 53 %, the right ones beside it had 65 % or more."""
 
 
 def remove(model: pycolmap.Reconstruction, image_ids: list[int]) -> None:
@@ -83,9 +85,9 @@ def _unconnected(model: pycolmap.Reconstruction) -> list[int]:
     return [image_id for image_id, number in zip(ids, part, strict=True) if number != largest]
 
 
-def contradicted(model: pycolmap.Reconstruction, database: Path) -> list[int]:
-    """Images less than half of whose verified matches agree with the model, the worst first; each
-    is judged without those before it."""
+def contradicted(model: pycolmap.Reconstruction, database: Path, least: float = LEAST_AGREEMENT) -> list[int]:
+    """Images of whose verified matches a smaller share than `least` agrees with the model, the
+    worst first; each is judged without those before it."""
     pairs, num_matches, num_agreeing = agreeing_matches(model, database)
     found: list[int] = []
     while len(pairs):
@@ -93,7 +95,7 @@ def contradicted(model: pycolmap.Reconstruction, database: Path) -> list[int]:
         ends = ends.reshape(pairs.shape)
         all_of, agreeing_of = (np.bincount(ends.ravel(), np.repeat(number, 2)) for number in (num_matches, num_agreeing))
         shares = agreeing_of / all_of
-        if shares.min() >= LEAST_AGREEMENT:
+        if shares.min() >= least:
             break
         worst = int(ids[shares.argmin()])
         found.append(worst)
