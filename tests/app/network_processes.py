@@ -102,7 +102,7 @@ class Fleet:
         for name in [*self.running]:
             self.kill(name)
 
-    def run_with(self, kills: list[tuple[str, Callable[[], bool]]], timeout_s: float = 240.0) -> int:
+    def run_with(self, kills: list[tuple[str, Callable[[], bool]]], timeout_s: float = 900.0) -> int:
         """Run everything; kill the named process at each moment in turn and start it again. How
         many kills hit. Fails where the cloud does not end by itself."""
         until_s, hits = time.monotonic() + timeout_s, 0

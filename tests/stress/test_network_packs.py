@@ -16,7 +16,7 @@ from radiant_core.errors import BadInput
 from tests.app.network_processes import ROOT, Fleet, run_here
 
 pytestmark = pytest.mark.stress
-LONGEST_S = 600.0
+LONGEST_S = 1500.0
 WORK = (
     "import sys; from pathlib import Path; from radiant_app.commands import node; from tests.app.network_processes import command; "
     "home, photos, poses = map(Path, sys.argv[1:]); "
