@@ -193,7 +193,7 @@ def test_north_beside_gps_and_of_nothing_is_refused() -> None:
     model = in_any_frame(cameras, points, np.random.default_rng(1))
     with pytest.raises(BadInput, match="GPS says where north is"):
         in_world(model, photographs_at(cameras.names, cameras.centers), Placement(north="000.jpg,10"))
-    with pytest.raises(BadInput, match="--north names 'lost.jpg'"):
+    with pytest.raises(BadInput, match=r"--north names 'lost\.jpg'"):
         in_world(model, photographs_at(cameras.names, None), Placement(north="lost.jpg,10"))
     for text in ("000.jpg", "000.jpg,north", ",10", "000.jpg,nan", "000.jpg,721"):
         with pytest.raises(BadInput, match="--north is"):

@@ -104,8 +104,11 @@ def test_kml_is_read_by_fastkml_and_by_radiant() -> None:
         given = route(heights, absolute=heights == "absolute")
         data = kml_route(given)
         document = fastkml.KML.from_string(data.decode().split("\n", 1)[1]).features[0]
-        assert [mark.name for mark in document.features] == list(given.names)
-        for mark, (lat, lon), height in zip(document.features, given.lat_lon.tolist(), given.heights_m.tolist(), strict=True):
+        assert isinstance(document, fastkml.Document)
+        marks = [mark for mark in document.features if isinstance(mark, fastkml.Placemark)]
+        assert [mark.name for mark in marks] == list(given.names)
+        for mark, (lat, lon), height in zip(marks, given.lat_lon.tolist(), given.heights_m.tolist(), strict=True):
+            assert mark.geometry is not None and mark.kml_geometry is not None
             assert mark.geometry.coords[0] == pytest.approx((lon, lat, height), abs=1e-6)
             assert mark.kml_geometry.altitude_mode.value == mode
         rows = kml_rows(data.decode())
