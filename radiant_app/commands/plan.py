@@ -155,10 +155,8 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
     _require_places(request.out)
     if request.crs is not None:
         crs_member(parse_crs(request.crs))
-        if _is_scene(request.source):
-            raise BadInput(
-                "--crs is of the regions' file, and a scene's plan has none: write it with radiant export RUN FILE.geojson --crs."
-            )
+    if _is_scene(request.source):
+        _require_nothing_to_fly(request)
     system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
     with stage_bar(display, "plan") as report:
         report(0, len(PHASES), PHASES[0])
@@ -166,6 +164,14 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
             return _plan_scene(request, system, report)
         found = _positions_of(request.source, report)
         return _plan_waypoints(request, system, found, report)
+
+
+def _require_nothing_to_fly(request: PlanRequest) -> None:
+    """Raise BadInput for what only positions before capture have: a scene was flown already."""
+    if request.crs is not None:
+        raise BadInput("--crs is of the regions' file, and a scene's plan has none: write it with radiant export RUN FILE.geojson --crs.")
+    if request.flight.whole_lines is not None or request.flight.formats or request.flight.heights is not None:
+        raise BadInput("--whole-lines, --flight-format and --heights are of flights to come, and a scene was flown: give waypoints.")
 
 
 def _is_scene(source: Path) -> bool:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from radiant_app.report.ground_control import survey_lines
 from radiant_app.report.verdict import verdict_of
 
 if TYPE_CHECKING:
@@ -64,6 +63,8 @@ def print_scene(result: Mapping[str, Any]) -> None:
     typer.echo(f"photographs: {result['cameras']} of {result['cameras'] + len(result['unregistered'])} placed")
     typer.echo(f"points: {result['points']:,}")
     residual_m = result["gps_residual_m"]
+    from radiant_app.report.ground_control import survey_lines  # numpy
+
     survey = result.get("ground_control")
     of = "median distance to GPS" if survey is None else "RMS to camera positions, per axis,"
     typer.echo(f"frame: {result['frame']}" + ("" if residual_m is None else f", {of} {residual_m:.2f} m"))

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPoint, Polygon, get_coordinates
-from shapely.geometry import polygon as shapely_polygon
+from shapely.geometry.polygon import orient
 
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.flight_lines import flight_lines
@@ -203,10 +203,7 @@ def _deal(line: Counts, capacities: Counts) -> tuple[int, Counts] | None:
     cost[0] = 0
     history = [cost]
     for capacity in capacities.tolist():
-        window = min(capacity, count) + 1
-        # The least over a … p: a window that ends at p.
-        before = np.concatenate([np.full(window - 1, never), cost])
-        least = np.lib.stride_tricks.sliding_window_view(before, window).min(axis=1)
+        least = _least_before(cost, min(capacity, count), never)
         cost = np.minimum(least + inside, never)
         history.append(cost)
     if cost[count] >= never:
@@ -221,6 +218,20 @@ def _deal(line: Counts, capacities: Counts) -> tuple[int, Counts] | None:
         share = at * capacities[device] / max(1, capacities[: device + 1].sum())
         at = int(starts[np.argmin(np.abs(starts - (at - share)))])
     return int(history[-1][count]), ends
+
+
+def _least_before(cost: Counts, reach: int, never: int) -> Counts:
+    """The least of cost[p − reach … p] at every p (C+1,): windows of twice the length are made of
+    two of the length before, and the last one of two that overlap."""
+    least, length = cost, 1
+    while 2 * length <= reach + 1:
+        least = np.minimum(least, _shifted(least, length, never))
+        length *= 2
+    return np.minimum(least, _shifted(least, reach + 1 - length, never))
+
+
+def _shifted(values: Counts, places: int, never: int) -> Counts:
+    return np.concatenate([np.full(places, never), values[: len(values) - places]])
 
 
 def _plan_of(found: _Sequence, ends: Counts, order: list[int], system: System, cloud: CloudPlan) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
@@ -301,7 +312,7 @@ def _land(cloud: CloudPlan) -> FloatArray:
     """The convex hull (V,2) of all regions, counter-clockwise."""
     corners = np.concatenate([border for border in cloud.borders if len(border)])
     hull = MultiPoint(corners).convex_hull
-    return get_coordinates(shapely_polygon.orient(hull))[:-1] if isinstance(hull, Polygon) else np.empty((0, 2))
+    return get_coordinates(orient(hull))[:-1] if isinstance(hull, Polygon) else np.empty((0, 2))
 
 
 def _cuts(across: FloatArray, ends: Counts) -> FloatArray:

@@ -53,7 +53,7 @@ class Placement:
         if self.control is not None and (self.up, self.distance, self.height_m, self.north) != (AUTO, None, None, None):
             raise BadInput("--gcp fixes up, north and scale: leave out --up, --north, --distance and --height.")
         if self.north is not None:
-            _split_last(self.north, "--north", "PHOTO,DEGREES", MAX_HEADING_DEG)
+            _split_north(self.north)
         if self.distance is not None and self.height_m is not None:
             raise BadInput("--distance and --height both give the scale: keep one of them.")
         if self.height_m is not None and not 0 < self.height_m <= MAX_LENGTH_M:
@@ -81,7 +81,7 @@ class Placement:
         """The rotation (3,3) about z that turns C cameras with z up to north; None unless asked."""
         if self.north is None:
             return None
-        name, heading_deg = _split_last(self.north, "--north", "PHOTO,DEGREES", MAX_HEADING_DEG)
+        name, heading_deg = _split_north(self.north)
         if name not in cameras.names:
             raise BadInput(f"--north names {name!r}, which has no pose or is no photograph here: name another.")
         pose = cameras.cam_from_world[cameras.names.index(name)]
@@ -171,22 +171,27 @@ class Placement:
 
 
 def _split_distance(text: str) -> tuple[str, float]:
-    names, length_m = _split_last(text, "--distance", "PHOTO,PHOTO,METRES", MAX_LENGTH_M)
-    if "," not in names or not length_m > 0:
+    names, length_m = _split_last(text)
+    if "," not in names or not 0 < length_m <= MAX_LENGTH_M:
         raise BadInput(f"--distance is {text!r}, expected PHOTO,PHOTO,METRES with metres above 0, at most {MAX_LENGTH_M:,.0f}.")
     return names, length_m
 
 
-def _split_last(text: str, option: str, form: str, most: float) -> tuple[str, float]:
-    """What stands before the last comma, which a name may hold too, and the number behind it."""
+def _split_north(text: str) -> tuple[str, float]:
+    name, heading_deg = _split_last(text)
+    if not name or not abs(heading_deg) <= MAX_HEADING_DEG:
+        raise BadInput(f"--north is {text!r}, expected PHOTO,DEGREES with degrees clockwise from north, at most {MAX_HEADING_DEG:.0f}.")
+    return name, heading_deg
+
+
+def _split_last(text: str) -> tuple[str, float]:
+    """What stands before the last comma, which a name may hold too, and the number behind it, NaN
+    where there is none."""
     name, _, number = text.rpartition(",")
     try:
-        value = float(number)
+        return name.strip(), float(number)
     except ValueError:
-        value = float("nan")
-    if not name.strip() or not abs(value) <= most:
-        raise BadInput(f"{option} is {text!r}, expected {form} with a number of at most {most:,.0f}.")
-    return name.strip(), value
+        return name.strip(), float("nan")
 
 
 def _pose(cameras: Cameras, name: str) -> FloatArray:

@@ -6,7 +6,6 @@ import io
 import json
 import zipfile
 from dataclasses import replace
-from typing import Any
 from xml.etree import ElementTree
 
 import fastkml
@@ -104,9 +103,12 @@ def test_kml_is_read_by_fastkml_and_by_radiant() -> None:
     for heights, mode in (("takeoff", "relativeToGround"), ("absolute", "absolute")):
         given = route(heights, absolute=heights == "absolute")
         data = kml_route(given)
-        document: Any = fastkml.KML.from_string(data.decode().split("\n", 1)[1]).features[0]
-        assert [mark.name for mark in document.features] == list(given.names)
-        for mark, (lat, lon), height in zip(document.features, given.lat_lon.tolist(), given.heights_m.tolist(), strict=True):
+        document = fastkml.KML.from_string(data.decode().split("\n", 1)[1]).features[0]
+        assert isinstance(document, fastkml.Document)
+        marks = [mark for mark in document.features if isinstance(mark, fastkml.Placemark)]
+        assert [mark.name for mark in marks] == list(given.names)
+        for mark, (lat, lon), height in zip(marks, given.lat_lon.tolist(), given.heights_m.tolist(), strict=True):
+            assert mark.geometry is not None and mark.kml_geometry is not None
             assert mark.geometry.coords[0] == pytest.approx((lon, lat, height), abs=1e-6)
             assert mark.kml_geometry.altitude_mode.value == mode
         rows = kml_rows(data.decode())
