@@ -58,6 +58,7 @@ def measure_run(request: MeasureRequest, display: ProgressDisplay) -> dict[str, 
         if request.remove not in kept:
             raise BadInput(f"there is no measure named {request.remove!r}: there are {', '.join(kept) or 'none'}.")
         del kept[request.remove]
+    name = ""
     if request.kind is not None and request.places is not None:
         name = _name_for(request, kept)
         surface = surface_for_measures(survey, request.resolution, display)

@@ -77,12 +77,13 @@ def levelled(older: HeightMap, newer: HeightMap) -> tuple[HeightMap, FloatArray]
         scale = max(_SIGMA_OF_MAD * float(np.median(np.abs(left))), 1e-6)
         weights = 1 / np.square(1 + np.square(left / (ROBUST_SIGMAS * scale)))
         plane = np.linalg.lstsq(design * weights[:, None], differences * weights, rcond=None)[0]
-    whole = _design(*(axis.ravel() for axis in np.indices((height, width))), cell, (height, width)) @ plane
-    return replace(newer, heights=newer.heights - whole.reshape(height, width)), plane
+    every = np.indices((height, width)).reshape(2, -1)
+    whole = _design(every[0], every[1], cell, (height, width)) @ plane
+    return replace(newer, heights=newer.heights - whole.reshape(height, width)), np.asarray(plane, np.float64)
 
 
 def _design(rows: NDArray[np.int64], columns: NDArray[np.int64], cell: float, shape: tuple[int, int]) -> FloatArray:
-    return np.column_stack([np.ones(len(rows)), cell * (columns - shape[1] / 2), -cell * (rows - shape[0] / 2)])
+    return np.column_stack([np.ones(len(rows)), cell * (columns - shape[1] / 2), -cell * (rows - shape[0] / 2)]).astype(np.float64)
 
 
 def _by_gps(older: Frame, newer: Frame) -> Sim3:

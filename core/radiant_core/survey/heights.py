@@ -65,7 +65,8 @@ class HeightMap:
     def bands(self, no_data: float) -> NDArray[np.float32]:
         """Height, σ and source (H,W,3), `no_data` where unknown."""
         layers = np.dstack([self.heights, self.sigma, self.source]).astype(np.float32)
-        return np.where((self.source != UNKNOWN)[..., None], layers, np.float32(no_data))
+        known = np.asarray(self.source != UNKNOWN)
+        return np.where(known[..., None], layers, np.float32(no_data))
 
 
 def height_map(points: FloatArray, grid: MapGrid, gsd: float, shared_error: float = MATCHING) -> HeightMap:
@@ -136,7 +137,7 @@ def push_pull(values: NDArray[np.float32], known: NDArray[np.bool_], floor: int 
     averaged even where known."""
     weight = known.astype(np.float32)
     sums = values * weight
-    pyramid = [(sums, weight)]
+    pyramid: list[tuple[NDArray[Any], NDArray[Any]]] = [(sums, weight)]
     while max(pyramid[-1][0].shape) > 1:
         halves = [_halved(layer) for layer in pyramid[-1]]
         # Weights are capped: one well known corner does not outvote its square.

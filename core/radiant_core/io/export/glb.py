@@ -30,22 +30,25 @@ def save_glb(
 
     import trimesh
     from PIL import Image
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
 
     if not len(triangles):
         raise BadInput("the surface has no triangle to write as GLB: look at the surface model first.")
     coded, jpeg = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not coded:
         raise BadInput(f"a picture of {picture.shape} cannot be a texture: choose a coarser --resolution.")
-    material = trimesh.visual.material.PBRMaterial(
+    material = PBRMaterial(
         baseColorTexture=Image.open(io.BytesIO(jpeg.tobytes())), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
     )
     mesh = trimesh.Trimesh(
         vertices=vertices[:, [0, 2, 1]] * [1, 1, -1],
         faces=triangles,
-        visual=trimesh.visual.TextureVisuals(uv=uv, material=material),
+        visual=TextureVisuals(uv=uv, material=material),
         process=False,
     )
     scene = trimesh.Scene(mesh)
     scene.metadata.update(about)
     content = scene.export(file_type="glb")
-    write_atomic(path, bytes(content))
+    assert isinstance(content, bytes)
+    write_atomic(path, content)
