@@ -22,9 +22,9 @@ UploadFormat = Literal["float32", "float16", "spz"]
 LpipsNetwork = Literal["vgg", "alex"]
 """Backbone of LPIPS: VGG16 or AlexNet."""
 ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb"]
-"""ply, spz, sog: a model; geojson, colmap: regions and cameras; mesh: the surface; dsm: heights of the
-surface, dtm: without buildings and trees; ortho: the scene from straight above; contours: lines of
-equal height; laz: points of the surface; glb: a textured mesh."""
+"""ply, spz, sog: a model; geojson, colmap: regions and cameras; mesh: the surface; dsm: its heights;
+dtm: heights of the ground; ortho: the scene from straight above; contours: lines of equal height;
+laz: points of the surface; glb: a textured mesh."""
 MeasureKind = Literal["distance", "height", "area", "volume", "profile"]
 """What is measured on a surface."""
 Trajectory = Literal["orbit", "border"]

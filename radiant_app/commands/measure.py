@@ -1,5 +1,5 @@
-"""`radiant measure RUN`: distances, heights, areas, volumes and profiles with their σ, kept with the
-run in survey/measures.json, beside the surface they were taken on (survey/heights.safetensors).
+"""`radiant measure RUN`: distances, heights, areas, volumes and profiles with their σ, kept with
+the run in survey/measures.json, beside the surface they were taken on (survey/heights.safetensors).
 """
 
 from __future__ import annotations

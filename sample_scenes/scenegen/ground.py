@@ -234,7 +234,7 @@ def _fields(layout: Layout, s: GroundSamples) -> Floats:
 
 
 def _infrared_crops(s: GroundSamples) -> Floats:
-    """Crops as an infrared camera sees them: bright, grey, faint rows, and fields of unlike vigour."""
+    """Crops as an infrared camera sees them: bright, grey, faint rows, fields of unlike vigour."""
     rows = np.sin(2 * np.pi * (s.x + 0.2 * s.y) / 0.75)
     vigour = 0.42 + 0.16 * s.broad + 0.16 * s.patchy + 0.16 * s.fine + 0.12 * s.grain + 0.02 * rows
     return np.repeat(np.clip(vigour, 0.05, 1.0).astype(np.float32)[:, None], 3, axis=1)

@@ -112,8 +112,9 @@ def height_map(points: FloatArray, grid: MapGrid, gsd: float, shared_error: floa
 
 
 def filled(surface: HeightMap, within: NDArray[np.bool_] | None = None, reach_cells: int = FILL_CELLS) -> HeightMap:
-    """Cells `within` (H,W), by default all, and in reach of measured ones filled from around, by averages of ever larger squares
-    (Gortler et al., SIGGRAPH 1996: push and pull); their σ is the spread of the heights around."""
+    """Cells `within` (H,W), by default all, and in reach of measured ones filled from around, by
+    averages of ever larger squares (Gortler et al., SIGGRAPH 1996: push and pull); their σ is the
+    spread of the heights around."""
     measured = surface.source == MEASURED
     if not measured.any() or measured.all():
         return surface
