@@ -22,7 +22,7 @@ UploadFormat = Literal["float32", "float16", "spz"]
 LpipsNetwork = Literal["vgg", "alex"]
 """Backbone of LPIPS: VGG16 or AlexNet."""
 ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb"]
-"""ply, spz, sog: a model; geojson, colmap: regions and cameras; mesh: the surface; dsm: its heights;
+"""ply, spz, sog: a model; geojson, colmap: regions, cameras; mesh: the surface; dsm: its heights;
 dtm: heights of the ground; ortho: the scene from straight above; contours: lines of equal height;
 laz: points of the surface; glb: a textured mesh."""
 MeasureKind = Literal["distance", "height", "area", "volume", "profile"]
