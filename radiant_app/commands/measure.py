@@ -1,5 +1,5 @@
-"""`radiant measure RUN`: distances, heights, areas, volumes and profiles with their σ, kept with the
-run in survey/measures.json, beside the surface they were taken on (survey/heights.safetensors).
+"""`radiant measure RUN`: distances, heights, areas, volumes and profiles with their σ, kept with
+the run in survey/measures.json, beside the surface they were taken on (survey/heights.safetensors).
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ def measure_run(request: MeasureRequest, display: ProgressDisplay) -> dict[str, 
         if request.remove not in kept:
             raise BadInput(f"there is no measure named {request.remove!r}: there are {', '.join(kept) or 'none'}.")
         del kept[request.remove]
+    name = ""
     if request.kind is not None and request.places is not None:
         name = _name_for(request, kept)
         surface = surface_for_measures(survey, request.resolution, display)

@@ -58,14 +58,15 @@ class HeightMap:
         """Heights and σ (P,) of the cells that places (P,2) fall into; NaN outside and where
         unknown."""
         cells = np.floor(self.grid.cells_of(np.asarray(places, np.float64)))
-        inside = np.all((cells >= 0) & (cells < np.array(self.grid.shape)), axis=1)
+        inside = ((cells >= 0) & (cells < np.array(self.grid.shape))).all(axis=1)
         rows, columns = np.where(inside[:, None], cells, 0).astype(np.int64).T
         return np.where(inside, self.heights[rows, columns], np.nan), np.where(inside, self.sigma[rows, columns], np.nan).astype(np.float64)
 
     def bands(self, no_data: float) -> NDArray[np.float32]:
         """Height, σ and source (H,W,3), `no_data` where unknown."""
         layers = np.dstack([self.heights, self.sigma, self.source]).astype(np.float32)
-        return np.where((self.source != UNKNOWN)[..., None], layers, np.float32(no_data))
+        known = np.asarray(self.source != UNKNOWN)
+        return np.where(known[..., None], layers, np.float32(no_data))
 
 
 def height_map(points: FloatArray, grid: MapGrid, gsd: float, shared_error: float = MATCHING) -> HeightMap:
@@ -111,8 +112,9 @@ def height_map(points: FloatArray, grid: MapGrid, gsd: float, shared_error: floa
 
 
 def filled(surface: HeightMap, within: NDArray[np.bool_] | None = None, reach_cells: int = FILL_CELLS) -> HeightMap:
-    """Cells `within` (H,W), by default all, and in reach of measured ones filled from around, by averages of ever larger squares
-    (Gortler et al., SIGGRAPH 1996: push and pull); their σ is the spread of the heights around."""
+    """Cells `within` (H,W), by default all, and in reach of measured ones filled from around, by
+    averages of ever larger squares (Gortler et al., SIGGRAPH 1996: push and pull); their σ is the
+    spread of the heights around."""
     measured = surface.source == MEASURED
     if not measured.any() or measured.all():
         return surface
@@ -136,7 +138,7 @@ def push_pull(values: NDArray[np.float32], known: NDArray[np.bool_], floor: int 
     averaged even where known."""
     weight = known.astype(np.float32)
     sums = values * weight
-    pyramid: list[tuple[NDArray[np.floating], NDArray[np.floating]]] = [(sums, weight)]
+    pyramid: list[tuple[NDArray[Any], NDArray[Any]]] = [(sums, weight)]
     while max(pyramid[-1][0].shape) > 1:
         halves = [_halved(layer) for layer in pyramid[-1]]
         # Weights are capped: one well known corner does not outvote its square.

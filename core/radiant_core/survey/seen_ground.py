@@ -27,8 +27,8 @@ MOST_CAMERAS = 64
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeenGround:
-    """low, high (2,): box on the map; hull (K,2): corners of the convex ground within; level: median
-    height there; reach: the usual depth; gsd: the ground sampling distance of the undistorted
+    """low, high (2,): box on the map; hull (K,2): corners of the convex ground within; level: its
+    median height; reach: the usual depth; gsd: the ground sampling distance of the undistorted
     photographs; all in the frame's unit."""
 
     hull: FloatArray

@@ -27,7 +27,8 @@ from radiant_core.train.dense.depth_planes import DepthPlanes
 from radiant_core.train.dense.fuse import DensePoints, agreed_points
 from radiant_core.train.dense.points import NUM_CHECKED, depth_maps, smaller_views
 from radiant_core.train.dense.sources import choose_sources
-from radiant_core.train.views import Images, TrainingViews
+from radiant_core.train.stored_images import Images
+from radiant_core.train.views import TrainingViews
 
 STRIDE_PX = 2
 MAX_DEPTH = 3.0
@@ -58,7 +59,7 @@ def points_of_model(splats: Splats, scene: SfmScene, long_side_px: int, reach: f
         report(index, 2 * len(cameras))
         maps.append(planes_of_depth(trusted_depth(view, MAX_DEPTH * reach)))
         images.append(view.image_bytes)
-    return _agreed(maps, cameras, _partners(scene), images, report)
+    return _agreed(maps, cameras, _partners(scene), tuple(images), report)
 
 
 def planes_of_depth(depth: NDArray[np.float32]) -> DepthPlanes:
@@ -91,7 +92,7 @@ def _agreed(
     maps: list[DepthPlanes | None],
     cameras: Cameras,
     partners: Sequence[NDArray[np.int64]],
-    images: Images | Sequence[NDArray[np.uint8]],
+    images: Images,
     report: Report,
 ) -> Iterator[DensePoints]:
     if not any(len(others) > 1 for others in partners):
