@@ -13,12 +13,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from radiant_app.commands.evaluate import DEFAULT_LONG_SIDE_PX, load_scored_cameras
 from radiant_app.commands.steps import require_file_to_be, require_model, stage_bar
-from radiant_app.events import Warned
+from radiant_app.events import Decided, Warned
 from radiant_app.files.run_folder import create_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import png_bytes
 from radiant_core.cameras import Cameras
 from radiant_core.choices import Trajectory
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.geometry.open3d_ops import surface_points
 from radiant_core.io.records import load_cameras
@@ -28,6 +29,7 @@ from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
+from radiant_viewer.pictures.turntable import HAZE_TIMES, in_scene
 from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.run_view import RunView, load_run_view
 from radiant_viewer.runs.unplanned import folder_kind, scene_box
@@ -71,9 +73,10 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
         require_file_to_be(request.out)
         if request.cameras is None and request.trajectory is None and request.keyframes is None:
             raise BadInput("a film needs a path: add --trajectory orbit, --trajectory border, --keyframes or --cameras.")
-    cameras = _cameras(request)
+    cameras, scene = _cameras(request)
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
     splats = _model(request)
+    splats = splats if scene is None else _scene_alone(splats, scene, display)
     if is_film:
         if request.out.suffix.lower() == ".mp4":
             display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
@@ -109,12 +112,30 @@ def _pictures(splats: Splats, cameras: Cameras) -> Iterator[tuple[str, NDArray[n
         yield view.name, image
 
 
+def _scene_alone(splats: Splats, box: FloatArray, display: ProgressDisplay) -> Splats:
+    """What lies in the scene's box (2,3); all where that would be nothing."""
+    shown = in_scene(splats, box, HAZE_TIMES)
+    if not shown.any():
+        return splats
+    decision = Decision(
+        stage="render",
+        topic="haze",
+        choice="what lies around the scene is not drawn",
+        figure=int((~shown).sum()),
+        unit=f"of {len(splats):,} Gaussians",
+        reason="an orbit sees the scene from where nobody took photographs, through the haze around it; --uncleaned shows it",
+    )
+    display(Decided(decision=decision))
+    return splats.select(shown)
+
+
 def _model(request: RenderRequest) -> Splats:
     require_model(request.model)
     return load_model(request.model, as_trained=request.as_trained).splats
 
 
-def _cameras(request: RenderRequest) -> Cameras:
+def _cameras(request: RenderRequest) -> tuple[Cameras, FloatArray | None]:
+    """The cameras, and for an orbit the box (2,3) of the scene that it looks at."""
     chosen = [name for name in ("cameras", "trajectory", "keyframes") if getattr(request, name) is not None]
     if len(chosen) > 1:
         raise BadInput(f"--{chosen[0]} and --{chosen[1]} both say from where to look: keep one of them.")
@@ -123,19 +144,20 @@ def _cameras(request: RenderRequest) -> Cameras:
     require_model(request.model)
     lens = Lens(size_wh=request.size_wh)
     if request.keyframes is not None:
-        return keyframe_cameras(request.keyframes, request.fps, request.size_wh)
+        return keyframe_cameras(request.keyframes, request.fps, request.size_wh), None
     if request.trajectory is not None:
-        return _flight(request, lens)
+        cameras, box = _flight(request, lens)
+        return cameras, None if request.as_trained or request.trajectory != "orbit" else box
     if request.cameras is None and not request.model.is_dir():
         raise BadInput(f"{request.model} is a model alone: say from where to look by --trajectory orbit, --cameras or --keyframes.")
     if request.cameras is not None:
-        return load_cameras(request.cameras)
+        return load_cameras(request.cameras), None
     if folder_kind(request.model) == "training":
-        return held_out_of_training(load_run_view(request.model))
+        return held_out_of_training(load_run_view(request.model)), None
     cameras = load_scored_cameras(request.model)
     if cameras is None:
         raise BadInput(f"{request.model} has no held-out cameras: say from where to look by --trajectory orbit, --cameras or --keyframes.")
-    return cameras
+    return cameras, None
 
 
 def held_out_of_training(run: RunView) -> Cameras:
@@ -144,26 +166,31 @@ def held_out_of_training(run: RunView) -> Cameras:
     return run.scene.cameras.select(held_out).scaled(DEFAULT_LONG_SIDE_PX)
 
 
-def _flight(request: RenderRequest, lens: Lens) -> Cameras:
+def _flight(request: RenderRequest, lens: Lens) -> tuple[Cameras, FloatArray]:
+    """The cameras of a flight, and the box (2,3) of the scene."""
+    from radiant_app.report.hero import framed_box
     from radiant_viewer.runs.run_layers import ground_height
 
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")
         # Haze and sky are thin or far: neither moves the middle of what is opaque.
-        return _orbit_around(middle_box(_opaque(_model(request))), request.num_frames, lens)
+        box = middle_box(_opaque(_model(request)))
+        return _orbit_around(box, request.num_frames, lens), box
     run = load_run_view(request.model)
     if run.kind != "run":
         _require_orbit(request, "was made without a plan")
-        return _orbit_around(scene_box(run.scene), request.num_frames, lens)
+        box = scene_box(run.scene)
+        return _orbit_around(box, request.num_frames, lens), box
+    box = framed_box(run)
     ground = ground_height(run.scene)
     corners = np.concatenate([border for border in run.cloud_plan.borders if len(border)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     if request.trajectory == "orbit":
         center = np.append((low + high) / 2, ground)
-        return orbit(center, ORBIT_RADII * float(np.linalg.norm(high - low)), ORBIT_ELEVATION_DEG, request.num_frames, lens)
+        return orbit(center, ORBIT_RADII * float(np.linalg.norm(high - low)), ORBIT_ELEVATION_DEG, request.num_frames, lens), box
     border = _border(run, request.border)
     above = float(np.median(run.scene.cameras.centers[:, 2])) - ground
-    return along_border(border.ends, ground, max(FLIGHT_HEIGHTS * above, border.length_m / 20), request.num_frames, lens)
+    return along_border(border.ends, ground, max(FLIGHT_HEIGHTS * above, border.length_m / 20), request.num_frames, lens), box
 
 
 def _require_orbit(request: RenderRequest, what: str) -> None:

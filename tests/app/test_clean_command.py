@@ -48,7 +48,8 @@ def cleaned(run: Path, *options: object) -> dict[str, Any]:
 
 def test_what_a_cleaning_leaves_out_is_in_no_file_and_no_picture(run: Path, tmp_path: Path) -> None:
     whole = load_ply(run / "scene.ply")
-    picture = ("--trajectory", "orbit", "--frames", 1, "--size", "96x64")
+    (tmp_path / "keys.json").write_text('{"keyframes": [{"time_s": 0, "position": [-150, -150, 90], "target": [0, 0, 0]}]}')
+    picture = ("--keyframes", tmp_path / "keys.json", "--size", "96x64")
     radiant("render", run, *picture, "--out", tmp_path / "before")
     said = cleaned(run, "--max-size", 50)
     assert said["left_out"] == 1 and said["kept"] == len(whole) - 1
@@ -57,6 +58,12 @@ def test_what_a_cleaning_leaves_out_is_in_no_file_and_no_picture(run: Path, tmp_
     before, after, uncleaned = (load_image(tmp_path / name / "frame_00000.png") for name in ("before", "after", "uncleaned"))
     np.testing.assert_array_equal(before, uncleaned)
     assert (before != after).any(axis=2).mean() > 0.5, "the floater is in the whole picture"
+    orbits = ("--trajectory", "orbit", "--frames", 1, "--size", "96x64")
+    for name, option in (("clear", ()), ("hazy", ("--uncleaned",))):
+        radiant("render", run, *orbits, *option, "--out", tmp_path / name)
+    clear, hazy = (load_image(tmp_path / name / "frame_00000.png").astype(int) for name in ("clear", "hazy"))
+    # The floater veils the whole orbit; around the scene alone nothing is drawn.
+    assert (clear.max(axis=2) < 5).mean() > 0.2 > (hazy.max(axis=2) < 5).mean()
     for name in ("a.ply", "a.spz", "a.sog"):
         figures = json.loads(radiant("export", run, tmp_path / name, "--json"))
         assert figures["gaussians"] == len(whole) - 1 and figures["left_out_by_cleaning"] == 1

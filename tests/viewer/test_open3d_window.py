@@ -29,7 +29,7 @@ BY_DEPTH = """
 import sys
 import numpy as np
 from radiant_viewer.open3d_window.parts import layer_parts, model_part
-from radiant_viewer.open3d_window.worker import draw_parts
+from radiant_viewer.open3d_window.picture import draw_parts
 from tests.viewer.test_model_among_layers import SIZE_WH, VIEW, frustum, house
 origin = np.array([0.0, 0, 4])
 parts = [model_part(house(), origin), *layer_parts(frustum(float(sys.argv[1])), origin)]

@@ -114,6 +114,13 @@ def refused(window, wrong):
         return
     failures.append("something wrong was accepted")
 
+def said_by(wrong):
+    try:
+        wrong()
+    except BadInput as error:
+        return str(error)
+    return "nothing"
+
 def vermillion(image):
     return int((np.abs(image.astype(int) - (213, 94, 0)).max(axis=2) < 8).sum())
 
@@ -169,6 +176,17 @@ def comparison(window):
     assert abs(photograph - 200) < 8 and abs(render - 180) < 8, (photograph, render)
     dock.mode.setCurrentText("Difference")
     assert abs(mean_level() - 60) < 8
+    # 80 × 60 px in a wider panel: 100 % is smaller than the whole, and the wheel comes nearer to the pointer.
+    picture = dock.picture
+    whole = picture.zoom
+    dock.zoom.click()
+    assert picture.zoom == 1.0 and picture._place().width() == 80 and dock.zoom.text() == "100 %", (whole, picture.zoom)
+    spot = picture._place().topLeft() + QPoint(20, 15)
+    place = picture._share_at(spot.toPointF())
+    picture.zoom_to(6.0, spot.toPointF())
+    assert picture.zoom == 6.0 and (picture._share_at(spot.toPointF()) - place).manhattanLength() < 0.05
+    dock.zoom.click()
+    assert picture.zoom == whole
     dock.step(1)
     assert dock.name.text() == "DJI_0008.JPG"
     dock.step(-5)
@@ -315,8 +333,15 @@ def navigation(window):
     flown = view.pose.position - before.position
     assert flown @ before.rotation[2] > 0.99 * np.linalg.norm(flown) > 0.1, "W did not fly forward"
     assert window.docks.photo.at == chosen, "the window took the key of a flight"
+    window.bookmarks.keep(3)
+    bookmarked = view.pose
     window._see_from("top")
     assert view.pose.rotation[2][2] < -0.999
+    window.bookmarks.see(3)
+    assert np.allclose(view.pose.position, bookmarked.position) and np.allclose(view.pose.rotation, bookmarked.rotation)
+    assert "bookmarked: 3" in said_by(lambda: window.bookmarks.bookmarks.view(4)) and (window.subject.path / "views.json").exists()
+    (window.subject.path / "views.json").write_text('{"schema": "radiant.views", "version": 1, "views": {"1": {"position": [0, 0]}}}')
+    assert "holds no views" in said_by(window.bookmarks.bookmarks.load)
     view.set_pose(start)
     window.render_views()
 

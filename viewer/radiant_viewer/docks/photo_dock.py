@@ -9,7 +9,6 @@ sentence names its device. Needs the `desktop` extra.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSlider, QToolButton, QVBoxLayout, QWidget
@@ -25,9 +24,9 @@ from radiant_viewer.runs.run_view import RunView, canonical_path, comparison_pat
 
 PAIRS = (("Photograph", "Render"), ("Photograph", "Difference"), ("Render", "Difference"), ("Render", "Canonical"))
 SINGLES = ("Photograph", "Render", "Difference", "Canonical")
-MAX_PREVIEW_PX = 1600
 NO_FIGURES = "No photograph has figures yet: finish the run, or evaluate it."
 STEPS = 1000
+ZOOM_PX = 46
 
 
 class PhotoDock(QDockWidget):
@@ -69,6 +68,15 @@ class PhotoDock(QDockWidget):
         self.slider.setToolTip("Where the left picture ends; it can be dragged in the picture too")
         self.slider.valueChanged.connect(lambda value: self.picture.set_share(value / STEPS))
         self.picture.wiped.connect(lambda share: self.slider.setValue(round(share * STEPS)))
+        self.zoom = QToolButton()
+        self.zoom.setToolTip(
+            "How large the photograph is shown. Click, or a double click in it: the whole picture, or 100 %, a pixel of the photograph "
+            "for one of the screen. The wheel zooms to the pointer, the right button moves"
+        )
+        # A text that grows would widen the dock, and move the views.
+        self.zoom.setFixedWidth(ZOOM_PX)
+        self.zoom.clicked.connect(self.picture.toggle_zoom)
+        self.picture.zoomed.connect(lambda zoom: self.zoom.setText(f"{100 * zoom:.0f} %"))
         self.figures_text = QLabel("")
         self.figures_text.setWordWrap(True)
         self.reasons_text = QLabel("")
@@ -92,7 +100,7 @@ class PhotoDock(QDockWidget):
             message = " ".join(sentence for sentence in (answer.reason, apart) if sentence)
             if answer.path is not None:
                 try:
-                    self._pictures = {"Photograph": _preview(load_image(answer.path))}
+                    self._pictures = {"Photograph": load_image(answer.path)}
                 except BadInput as error:
                     message = str(error)
         self.picture.message = message
@@ -173,6 +181,7 @@ class PhotoDock(QDockWidget):
         for button in (self.worst, self.previous, self.next):
             top.addWidget(button)
         bottom.addWidget(self.mode)
+        bottom.addWidget(self.zoom)
         bottom.addWidget(self.slider, stretch=1)
         body = QWidget()
         layout = QVBoxLayout(body)
@@ -188,12 +197,3 @@ class PhotoDock(QDockWidget):
 
 def _rank_text(rank: int) -> str:
     return "worst" if rank == 1 else f"{rank}. worst"
-
-
-def _preview(image: Image) -> Image:
-    """Scale to at most 1,600 px a side: a photograph of 45 megapixels takes 135 MB."""
-    scale = MAX_PREVIEW_PX / max(image.shape[:2])
-    if scale >= 1:
-        return image
-    size = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,21 +1,30 @@
-"""A picture scaled to its widget, or two with a movable wipe. Needs the `desktop` extra."""
+"""A picture scaled to its widget or seen closer, or two with a movable wipe. Needs the `desktop`
+extra.
+
+The wheel zooms to the pointer, up to `CLOSEST` pixels of the screen for one of the picture; the
+right button, or the middle one, moves the picture; a double click changes between the whole picture
+and 100 %.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from PySide6.QtCore import QPoint, QRect, QSize, Qt, Signal
-from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
+from PySide6.QtCore import QPoint, QPointF, QRect, QSize, Qt, Signal
+from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QWheelEvent
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from radiant_viewer.pictures.images import Image
 
 MIN_WH = (160, 110)
+CLOSEST, WHEEL_FACTOR = 8.0, 1.25
 
 
 class PictureLabel(QWidget):
     """Shows `left` up to the wipe and `right` beyond it, `left` alone, or else `message`."""
 
     wiped = Signal(float)
+    zoomed = Signal(float)
+    """Carries how many pixels of the screen one of the picture takes."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -26,6 +35,9 @@ class PictureLabel(QWidget):
         self._names = ("", "")
         self.share = 0.5
         self.message = ""
+        self._zoom: float | None = None
+        self._middle = QPointF(0.5, 0.5)
+        self._grabbed: QPointF | None = None
 
     def sizeHint(self) -> QSize:
         return QSize(360, 270)
@@ -34,7 +46,35 @@ class PictureLabel(QWidget):
         """Replace what is shown; pictures (H,W,3)."""
         self._left, self._right = (None if image is None else pixmap_of(image) for image in (left, right))
         self._names, self.message = names, message
-        self.update()
+        self._changed()
+
+    @property
+    def zoom(self) -> float:
+        """Pixels of the screen for one of the picture."""
+        return self._fitting() if self._zoom is None else self._zoom
+
+    def show_whole(self) -> None:
+        """Fit the picture into the widget."""
+        self._zoom, self._middle = None, QPointF(0.5, 0.5)
+        self._changed()
+
+    def zoom_to(self, zoom: float, at: QPointF | None = None) -> None:
+        """Show the picture so large; the place of it under a point of the widget stays there."""
+        if self._left is None:
+            return
+        point = QPointF(self.rect().center()) if at is None else at
+        before = self._share_at(point)
+        self._zoom = float(np.clip(zoom, min(self._fitting(), 1.0), CLOSEST))
+        if self._zoom <= self._fitting():
+            # The whole picture is seen: a small one in the middle.
+            self._zoom, self._middle = None if self._zoom == self._fitting() else self._zoom, QPointF(0.5, 0.5)
+            self._changed()
+            return
+        scale = self._zoom / self.devicePixelRatioF()
+        size = QPointF(scale * self._left.width(), scale * self._left.height())
+        away = point - QPointF(self.rect().center())
+        self._middle = QPointF(before.x() - away.x() / size.x(), before.y() - away.y() / size.y())
+        self._changed()
 
     def set_share(self, share: float) -> None:
         """Move the wipe to a share, 0 to 1, of the width."""
@@ -65,13 +105,42 @@ class PictureLabel(QWidget):
             painter.drawLine(x, place.top(), x, place.bottom())
         self._draw_names(painter, place)
 
+    def wheelEvent(self, event: QWheelEvent) -> None:
+        """Zoom to the pointer."""
+        self.zoom_to(self.zoom * WHEEL_FACTOR ** (event.angleDelta().y() / 120), event.position())
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
+        """Change between the whole picture and 100 % of the place under the pointer."""
+        self.toggle_zoom(at=event.position())
+
+    def toggle_zoom(self, _: bool = False, at: QPointF | None = None) -> None:
+        """Change between the whole picture and 100 % about a point of the widget, or its middle."""
+        if self._zoom is None:
+            self.zoom_to(1.0, at)
+        else:
+            self.show_whole()
+
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Move the wipe to the pointer."""
+        """Move the wipe to the pointer, or take hold of the picture."""
+        if event.button() != Qt.MouseButton.LeftButton:
+            self._grabbed = event.position()
+            return
         self._wipe_to(event.position().toPoint())
 
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
+        """Let go of the picture."""
+        self._grabbed = None
+
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Move the wipe with the pointer."""
-        self._wipe_to(event.position().toPoint())
+        """Move the wipe, or the picture, with the pointer."""
+        if self._grabbed is None:
+            self._wipe_to(event.position().toPoint())
+            return
+        if self._left is not None and self._zoom is not None:
+            moved, size = event.position() - self._grabbed, self._place().size()
+            self._middle -= QPointF(moved.x() / max(size.width(), 1), moved.y() / max(size.height(), 1))
+            self._changed()
+        self._grabbed = event.position()
 
     def _wipe_to(self, point: QPoint) -> None:
         if self._right is not None:
@@ -79,10 +148,30 @@ class PictureLabel(QWidget):
             self.set_share((point.x() - place.left()) / max(place.width(), 1))
             self.wiped.emit(self.share)
 
+    def _changed(self) -> None:
+        self._middle = QPointF(*(float(np.clip(share, 0, 1)) for share in (self._middle.x(), self._middle.y())))
+        self.update()
+        self.zoomed.emit(self.zoom)
+
+    def _fitting(self) -> float:
+        """The zoom that shows the whole picture."""
+        if self._left is None:
+            return 1.0
+        return min(self.width() / self._left.width(), self.height() / self._left.height()) * self.devicePixelRatioF()
+
+    def _share_at(self, point: QPointF) -> QPointF:
+        """Which place of the picture, in shares of its sides, lies under a point of the widget."""
+        place = self._place()
+        return QPointF((point.x() - place.left()) / max(place.width(), 1), (point.y() - place.top()) / max(place.height(), 1))
+
     def _place(self) -> QRect:
         assert self._left is not None
-        size = self._left.size().scaled(self.size(), Qt.AspectRatioMode.KeepAspectRatio)
-        return QRect(QPoint((self.width() - size.width()) // 2, (self.height() - size.height()) // 2), size)
+        scale = self.zoom / self.devicePixelRatioF()
+        size = QSize(round(scale * self._left.width()), round(scale * self._left.height()))
+        center = self.rect().center()
+        return QRect(
+            QPoint(round(center.x() - self._middle.x() * size.width()), round(center.y() - self._middle.y() * size.height())), size
+        )
 
     def _draw_names(self, painter: QPainter, place: QRect) -> None:
         for name, is_left in zip(self._names, (True, False), strict=True):

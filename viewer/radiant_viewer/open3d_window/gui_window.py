@@ -6,7 +6,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.open3d_window.parts import MODEL, Part
-
-if TYPE_CHECKING:
-    from radiant_viewer.open3d_window.worker import Shown
+from radiant_viewer.open3d_window.shown import Shown
 
 PANEL_EM = 17
 TICKS_AT_END = 5

@@ -1,4 +1,4 @@
-"""Starts the process that draws with Open3D, and says in one sentence why it ended. Once per call."""
+"""Starts the process that draws with Open3D, and says in one sentence why it ended. Once a call."""
 
 from __future__ import annotations
 

@@ -30,13 +30,14 @@ LARGEST, LARGEST_MEDIANS = 0.02, 4.0
 """A Gaussian is haze too if its standard deviation is a larger share of that side and, in models of
 few large ones, more times the median."""
 
+HAZE_TIMES = 3.0
+"""Flights and pictures show Gaussians so many times as wide: without them walls that were seen
+from afar have holes."""
+
 
 def crop_to(splats: Splats, box: FloatArray) -> Splats:
     """Return the Gaussians whose middles lie in a box (2,3) widened by `MARGIN`, without haze."""
-    side = float((box[1] - box[0]).max())
-    inside = ((splats.means >= box[0] - MARGIN * side) & (splats.means <= box[1] + MARGIN * side)).all(axis=1)
-    largest = _largest(splats, side, inside) if inside.any() else 1.0
-    return splats.select(inside & keeps(SizeStep(at_most=largest), splats))
+    return splats.select(in_scene(splats, box))
 
 
 def haze_size(splats: Splats) -> float:
@@ -45,6 +46,14 @@ def haze_size(splats: Splats) -> float:
         return 1.0
     side = float(np.ptp(np.quantile(splats.means[:, :2], [0.05, 0.95], axis=0), axis=0).max())
     return max(_largest(splats, side, np.ones(len(splats), bool)), 1e-6)
+
+
+def in_scene(splats: Splats, box: FloatArray, times: float = 1.0) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) have their middle in a box (2,3) widened by `MARGIN`, and are at most so
+    many times as wide as what counts as haze there."""
+    side = float((box[1] - box[0]).max())
+    inside = ((splats.means >= box[0] - MARGIN * side) & (splats.means <= box[1] + MARGIN * side)).all(axis=1)
+    return inside & keeps(SizeStep(at_most=times * _largest(splats, side, inside)), splats) if inside.any() else inside
 
 
 def _largest(splats: Splats, side: float, inside: NDArray[np.bool_]) -> float:

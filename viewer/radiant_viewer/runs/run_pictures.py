@@ -42,6 +42,7 @@ from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.pictures.offscreen import render_map, render_view
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
 from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fit_camera
+from radiant_viewer.pictures.turntable import HAZE_TIMES, in_scene
 from radiant_viewer.runs.border_figures import border_figures
 from radiant_viewer.runs.run_layers import figures_layer, ground_height, plan_layers
 from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, require_splats
@@ -219,7 +220,13 @@ def splats_picture(
     room_wh = drawing_size_wh(size_wh, is_map=False)
     subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
     if camera is None:
-        view = fit_camera(_framed_positions(scene, cloud_plan, ground), room_wh)
+        framed = _framed_positions(scene, cloud_plan, ground)
+        view = fit_camera(framed, room_wh)
+        shown = in_scene(splats, _box_around(framed), HAZE_TIMES)
+        # From outside one looks through the haze around the scene.
+        if shown.any() and not shown.all():
+            subtitle += f"; the {int((~shown).sum()):,} around the scene are not drawn"
+            splats = splats.select(shown)
     else:
         view = _fit_to_page(scene.cameras.named([camera]), room_wh)
         subtitle += f"   ·   from {camera}"
@@ -235,6 +242,13 @@ def _framed_positions(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> 
         return box_corners(scene_box(scene))
     rise = [0.0, 0.0, 0.1 * float(np.ptp(corners[:, 0]))]
     return np.concatenate([corners, corners + rise])
+
+
+def _box_around(framed: FloatArray) -> FloatArray:
+    """Lower and upper corner (2,3) of framed places and as much below them as they are high."""
+    box = np.stack([framed.min(axis=0), framed.max(axis=0)])
+    box[0, 2] -= box[1, 2] - box[0, 2]
+    return box
 
 
 def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:

@@ -29,6 +29,7 @@ from radiant_core.splats import Splats
 from radiant_viewer.layers.camera_roles import NOBODY, CameraRoles, camera_roles
 from radiant_viewer.runs.cleaned_model import CleanedModel, cleaned_model, find_support, surroundings
 from radiant_viewer.runs.field_files import local_file_names
+from radiant_viewer.runs.growing_model import growing_files, growing_model
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, folder_kind, has_unplanned_scene, single_region_plan, unplanned_scene
 
 SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
@@ -70,6 +71,11 @@ class RunView:
         return None if self.model is None else self.model.splats
 
     @property
+    def is_growing(self) -> bool:
+        """Whether the model is what the nodes of a run at work have made so far."""
+        return self.kind == "run" and self.model is not None and not (self.folder / PLY_NAME).is_file()
+
+    @property
     def photographs(self) -> tuple[str, ...]:
         """Names of the scene's cameras, then of the held-out photographs without a pose."""
         return (*self.scene.cameras.names, *self.unplaced)
@@ -94,7 +100,7 @@ class RunView:
         return self.scene.frame.unit
 
 
-def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = False) -> RunView:
+def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = False, growing: bool = False) -> RunView:
     """Read the run, training or scene in `folder`, that of `radiant run`, `train` or `sfm`.
 
     Args:
@@ -102,6 +108,7 @@ def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = 
         with_files: fill `RunView.files` from the devices' records; for a window, which writes
             nothing of them into the run.
         as_trained: the whole model, whatever its cleaning leaves out.
+        growing: before there is a scene.ply, what the nodes of a run have made so far; to look at.
 
     Returns:
         Scene and plan, and the model and the figures if there are any yet.
@@ -133,6 +140,8 @@ def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = 
     cloud_plan, edge_plans = load_plan(plan_path)
     roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
     model = _model(folder, scene, cloud_plan, as_trained)
+    if model is None and growing and not in_field and (parts := growing_model(folder, edge_plans)) is not None:
+        model = cleaned_model(parts, Cleaning(), surroundings(folder, scene, cloud_plan, len(parts)))
     return RunView(
         folder=folder,
         scene=scene,
@@ -195,7 +204,10 @@ def file_stamps(path: Path) -> FileStamps:
     delivered = (f"{DELIVERED}/{PLAN_NAME}", f"{DELIVERED}/scene.safetensors")
     names = (SCENE_NAME, "scene.safetensors", PLAN_NAME, PLY_NAME, METRICS_NAME, CLEANING_NAME, *delivered)
     stamps = []
-    for file in [path / name for name in names] if path.is_dir() else [path, cleaning_path(path)]:
+    files = [path / name for name in names] if path.is_dir() else [path, cleaning_path(path)]
+    if path.is_dir() and not (path / PLY_NAME).is_file():
+        files += growing_files(path)
+    for file in files:
         with suppress(OSError):
             stat = file.stat()
             stamps.append((file.name, stat.st_mtime_ns, stat.st_size))

@@ -63,13 +63,15 @@ def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
         return Subject(path=path, layers=layers, model=model, run=None, unit="units", ground=0.0, summary=summary)
     if path.suffix.lower() == ".json" and not path.is_dir():
         return run_subject(load_plan_view(path, scene))
-    return run_subject(load_run_view(path, with_files=True))
+    return run_subject(load_run_view(path, with_files=True, growing=True))
 
 
 def run_subject(run: RunView) -> Subject:
     """Return a run with all its layers."""
     roles = run.roles
     model = "no model yet" if run.splats is None else f"{len(run.splats):,} Gaussians"
+    if run.is_growing:
+        model += " so far: the run is at work"
     dealt = f"{len(roles.edge_ids)} regions, {len(roles.device_ids)} devices"
     if run.kind != "run":
         dealt = f"{len(run.scene.points):,} points"

@@ -7,6 +7,7 @@ document the shared methods.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -32,10 +33,13 @@ from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, apply_
 from radiant_viewer.pictures.images import Image, save_png
 from radiant_viewer.pictures.view_motion import Side, side_view
 from radiant_viewer.pictures.view_pose import camera_pose
+from radiant_viewer.runs.growing_model import GROWING_S
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_layers import hidden_at_first
 from radiant_viewer.runs.run_view import RunView, file_stamps
 from radiant_viewer.splats.model_view import ModelView
+from radiant_viewer.window.bookmark_keys import BOOKMARK_KEYS, BookmarkKeys
+from radiant_viewer.window.bookmarks import Bookmarks
 from radiant_viewer.window.docks import make_docks, place_docks, place_plan_docks, resize_docks
 from radiant_viewer.window.panels import Panels
 from radiant_viewer.window.place_label import PlaceLabel
@@ -75,7 +79,7 @@ class InspectorWindow(QMainWindow):
         self._marks: dict[str, Layer] = {}
         self._was_shown = False
         self._restore = restore
-        self._tried = subject.stamps
+        self._tried, self._read_at_s = subject.stamps, time.monotonic()
         self._dark_button: list[QAction] = []
         self.edit_button: QAction | None = None
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
@@ -106,6 +110,7 @@ class InspectorWindow(QMainWindow):
         if self.planning is not None:
             place_plan_docks(self, self.planning, self.layer_dock, self.docks.cameras)
         self.panels = Panels(self, self.all_docks())
+        self.bookmarks = BookmarkKeys(self, self, Bookmarks(subject.path))
         self._add_actions()
         self.place = PlaceLabel(self.statusBar(), self.map, None if subject.run is None else subject.run.scene.frame)
         self.set_theme(theme)
@@ -321,7 +326,8 @@ class InspectorWindow(QMainWindow):
     def _on_polled(self) -> None:
         """Request a reload once the files have changed, unless the user is busy in the window."""
         stamps = file_stamps(self.subject.path)
-        if stamps == self._tried or self._is_busy():
+        is_early = self.run is not None and self.run.is_growing and time.monotonic() - self._read_at_s < GROWING_S
+        if stamps == self._tried or self._is_busy() or is_early:
             return
         self._tried = stamps
         self.reload()
@@ -382,6 +388,7 @@ class InspectorWindow(QMainWindow):
                 button.setShortcut(QKeySequence(key))
             else:
                 QShortcut(QKeySequence(key), self).activated.connect(action)
+        self.shortcuts |= BOOKMARK_KEYS
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
             *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", self._set_editing)] if planning else []),
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
@@ -419,20 +426,17 @@ class InspectorWindow(QMainWindow):
 
     def _set_cropping(self, active: bool) -> None:
         self.docks.cleaning.box.active.setChecked(active)
-        if active:
-            self.raise_dock(self.docks.cleaning)
+        self.raise_dock(self.docks.cleaning if active else None)
 
     def _undo_corner(self) -> None:
-        for tool in (self.measure, self.docks.cleaning.polygon):
-            tool.undo()
+        self.measure.undo()
+        self.docks.cleaning.polygon.undo()
 
     def _on_cleaned(self) -> None:
         """Show the model without what its cleaning leaves out now."""
         session = self.docks.cleaning.session
         assert session is not None
-        if self.run is not None:
-            self.run = replace(self.run, model=session.model)
-        # This window made the change: there is nothing to read again.
+        self.run = None if self.run is None else replace(self.run, model=session.model)
         self._tried = file_stamps(self.subject.path)
         if self.model is not None:
             self.model.set_kept(session.model.cleaned.kept)
@@ -492,6 +496,5 @@ class InspectorWindow(QMainWindow):
 
     def _ask_window_picture(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save window", str(Path.cwd() / "window.png"), "PNG (*.png)")
-        if path:
-            # The dialog must have left the screen.
+        if path:  # The dialog must have left the screen.
             QTimer.singleShot(300, lambda: self.attempt(lambda: self.save_window_picture(Path(path))))

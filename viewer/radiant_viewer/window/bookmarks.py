@@ -1,0 +1,74 @@
+"""Bookmarked views, by number, kept in views.json beside the run. Once per key; some milliseconds.
+
+{"schema": "radiant.views", "version": 1,
+ "views": {"1": {"position": [x, y, z], "focal_point": …, "up": …, "angle_deg": 30}}}
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.run_store import read_bounded, write_json
+from radiant_core.io.strict import Strict, problem_sentence
+from radiant_viewer.pictures.view_pose import ViewPose
+
+SCHEMA, VERSION = "radiant.views", 1
+NUMBERS = range(1, 10)
+MAX_FILE_BYTES = 1 << 20
+Triple = tuple[float, float, float]
+
+
+class _View(Strict):
+    position: Triple
+    focal_point: Triple
+    up: Triple
+    angle_deg: float
+
+
+class _File(Strict):
+    schema_: Literal["radiant.views"] = Field(alias="schema")
+    version: Literal[1]
+    views: dict[Annotated[str, Field(pattern="^[1-9]$")], _View]
+
+
+class Bookmarks:
+    """The views of a run's folder, or of a model's file; read at every key, so that two windows
+    share them."""
+
+    def __init__(self, subject: Path) -> None:
+        self.path = subject / "views.json" if subject.is_dir() else subject.with_name(f"{subject.stem}.views.json")
+
+    def load(self) -> dict[int, ViewPose]:
+        """The bookmarked views by number; StoreDamaged where the file is broken."""
+        if not self.path.exists():
+            return {}
+        try:
+            file = _File.model_validate_json(read_bounded(self.path, MAX_FILE_BYTES))
+            return {int(number): ViewPose(**view.model_dump()) for number, view in file.views.items()}
+        except ValidationError as error:
+            problem = problem_sentence(error, "file of views")
+        except BadInput as error:
+            problem = str(error)
+        raise StoreDamaged(f"{self.path} holds no views ({problem}): move it away, and begin anew.")
+
+    def keep(self, number: int, pose: ViewPose) -> str:
+        """Bookmark a view and return what to say; raises as `load` and `write_json`."""
+        views = {**self.load(), number: pose}
+        records = {
+            str(key): {name: getattr(view, name).tolist() for name in ("position", "focal_point", "up")} | {"angle_deg": view.angle_deg}
+            for key, view in sorted(views.items())
+        }
+        write_json(self.path, {"schema": SCHEMA, "version": VERSION, "views": records})
+        return f"View {number} is bookmarked in {self.path.name}: Alt+{number} brings it back."
+
+    def view(self, number: int) -> ViewPose:
+        """A bookmarked view; BadInput where there is none of that number."""
+        views = self.load()
+        if number not in views:
+            kept = ", ".join(map(str, sorted(views))) or "none"
+            raise BadInput(f"no view {number} is bookmarked here (bookmarked: {kept}): Ctrl+Alt+{number} bookmarks the 3D view.")
+        return views[number]
