@@ -2,8 +2,9 @@
 
     source px = image(K⁻¹ (column + ½, row + ½, 1)) − ½,    bilinear, black outside
 
-as COLMAP does it, in a third of its time: 28 against 92 ms a megapixel, the same pixels to one step of brightness (docs/experiments/sfm.md). The map of a block of rows at a time is made, so
-that a photograph is held twice and nothing else of its size. EXIF goes along.
+as COLMAP does it, in a third of its time: 28 against 92 ms a megapixel, the same pixels to one step
+of brightness (docs/experiments/sfm.md). The map of a block of rows at a time is made, so that a
+photograph is held twice and nothing else of its size. EXIF goes along.
 """
 
 from __future__ import annotations
