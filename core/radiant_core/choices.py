@@ -39,4 +39,4 @@ Viewer = Literal["radiant", "open3d"]
 LightMode = Literal["auto", "none", "always"]
 """auto: the light of photographs is modelled where it differs; none, always: never or anyhow."""
 Heights = Literal["takeoff", "absolute"]
-"""Of flight lists. takeoff: above where the drone took off; absolute: above the sea or the ellipsoid."""
+"""Of flight lists. takeoff: above where the drone took off; absolute: above sea or ellipsoid."""

@@ -9,7 +9,7 @@ import typer
 
 from radiant_app.cli.config_options import option
 from radiant_core.aggregate.config import AggregatePreset
-from radiant_core.choices import CutBy, LpipsNetwork, Matching, PlanMethod
+from radiant_core.choices import CutBy, Heights, LpipsNetwork, Matching, PlanMethod
 from radiant_core.train.config import Preset
 
 GroundOption = Annotated[float | None, typer.Option("--ground", help="Altitude of the ground in the waypoints' metres, else 0.")]
@@ -32,6 +32,16 @@ CrsOption = Annotated[
     str | None,
     typer.Option("--crs", metavar="EPSG:NNNN[+MMMM]", help="Coordinate system of the file, +MMMM its vertical datum; PROJ strings, WKT."),
 ]
+WholeLinesOption = Annotated[
+    float | None, typer.Option(min=1, help="Devices fly whole lines where the makespan stays within so many times the shortest: 1.05.")
+]
+FlightFormatOption = Annotated[
+    str | None, typer.Option(metavar="kmz,plan,kml", help="Flight lists beside CSV: DJI (WPML in KMZ), QGroundControl, KML.")
+]
+HeightsOption = Annotated[Heights | None, typer.Option(help="What heights in these lists count from; else take-off where that is known.")]
+SpeedOption = Annotated[float, typer.Option(min=0.1, max=100, help="Metres a second in the air, for flight times and lists.")]
+BatteryOption = Annotated[str, typer.Option(help="Time in the air on one battery, reserve taken off.")]
+ImageWidthOption = Annotated[int, typer.Option("--image-width-px", min=16, help="Width of the images, for the ground sampling distance.")]
 SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height of a picture in px.")]
 UpOption = Annotated[str | None, option("sfm.up")]
 DistanceOption = Annotated[str | None, option("sfm.distance")]

@@ -9,7 +9,6 @@ import typer
 
 from radiant_app.cli import option_types as options
 from radiant_app.report.tables import finish
-from radiant_core.choices import Heights
 from radiant_core.train.config import Preset
 
 
@@ -38,20 +37,12 @@ def plan(
         list[str] | None, typer.Option("--set", help="d and T_thres of Alg. 1: plan.boundary_step=0.02, plan.threshold=0.1; repeatable.")
     ] = None,
     crs: options.CrsOption = None,
-    whole_lines: Annotated[
-        float | None, typer.Option(min=1, help="Devices fly whole lines where the makespan stays within so many times the shortest: 1.05.")
-    ] = None,
-    flight_format: Annotated[
-        str | None, typer.Option(metavar="kmz,plan,kml", help="Flight lists beside CSV: DJI (WPML in KMZ), QGroundControl, KML.")
-    ] = None,
-    heights: Annotated[
-        Heights | None, typer.Option(help="What heights in these lists count from; else take-off where that is known.")
-    ] = None,
-    speed: Annotated[float, typer.Option(min=0.1, max=100, help="Metres a second in the air, for flight times and lists.")] = 8.0,
-    battery: Annotated[str, typer.Option(help="Time in the air on one battery, reserve taken off.")] = "20m",
-    image_width: Annotated[
-        int, typer.Option("--image-width-px", min=16, help="Width of the images, for the ground sampling distance.")
-    ] = 4000,
+    whole_lines: options.WholeLinesOption = None,
+    flight_format: options.FlightFormatOption = None,
+    heights: options.HeightsOption = None,
+    speed: options.SpeedOption = 8.0,
+    battery: options.BatteryOption = "20m",
+    image_width: options.ImageWidthOption = 4000,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
 ) -> None:
@@ -59,12 +50,10 @@ def plan(
     from radiant_app.commands.plan import PlanRequest
     from radiant_app.commands.plan import plan as make_plan
     from radiant_app.commands.plan_content import content_request
-    from radiant_app.commands.plan_flight import FlightRequest, battery_seconds, flight_formats
+    from radiant_app.commands.plan_flight import DroneText, flight_request
     from radiant_app.commands.plan_tables import plan_tables
     from radiant_app.config.fields import plan_options, with_settings
     from radiant_app.report.progress import terminal_display
-    from radiant_core.plan.borders.footprints import Optics
-    from radiant_core.plan.flight.figures import Drone
     from radiant_core.train.needs import Overrides
 
     typed = {"plan.method": plan_method, "plan.raster_cell_m": raster_cell_m, "plan.file": None}
@@ -82,17 +71,7 @@ def plan(
         constraints=constraints,
         raster_cell_m=raster_cell_m or None,
         crs=crs,
-        flight=FlightRequest(
-            whole_lines=whole_lines,
-            formats=flight_formats(flight_format),
-            heights=heights,
-            drone=Drone(
-                speed_m_per_s=speed,
-                battery_s=battery_seconds(battery),
-                image_width_px=image_width,
-                optics=Optics(field_of_view_deg=field_of_view),
-            ),
-        ),
+        flight=flight_request(whole_lines, flight_format, heights, DroneText(speed, battery, image_width, field_of_view)),
         content=content_request(ground, field_of_view, buffer, deadline),
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),

@@ -1,4 +1,4 @@
-"""What `radiant plan` says of flying: whole lines, time in the air, and lists that planners open."""
+"""What `radiant plan` says of flying: whole lines, time in the air, lists that planners open."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from radiant_core.choices import Heights
 from radiant_core.errors import BadInput
@@ -15,6 +15,7 @@ from radiant_core.io.flight.qgc import qgc_plan
 from radiant_core.io.flight.route import SAID, Route, route_of
 from radiant_core.io.flight.wpml import wpml_kmz
 from radiant_core.io.run_store import write_atomic
+from radiant_core.plan.borders.footprints import Optics
 from radiant_core.plan.flight.figures import Drone, FlightFigures, flight_figures
 from radiant_core.plan.flight.whole_lines import LinePlan
 from radiant_core.plan.plans import EdgePlan
@@ -35,6 +36,30 @@ class FlightRequest:
     formats: tuple[str, ...] = ()
     heights: Heights | None = None
     drone: Drone = field(default_factory=Drone)
+
+
+class DroneText(NamedTuple):
+    """The options about a drone as they were typed."""
+
+    speed_m_per_s: float
+    battery: str
+    image_width_px: int
+    field_of_view_deg: float
+
+
+def flight_request(whole_lines: float | None, formats: str | None, heights: Heights | None, drone: DroneText) -> FlightRequest:
+    """What the command line was asked for; BadInput where an option is none."""
+    return FlightRequest(
+        whole_lines=whole_lines,
+        formats=flight_formats(formats),
+        heights=heights,
+        drone=Drone(
+            speed_m_per_s=drone.speed_m_per_s,
+            battery_s=battery_seconds(drone.battery),
+            image_width_px=drone.image_width_px,
+            optics=Optics(field_of_view_deg=drone.field_of_view_deg),
+        ),
+    )
 
 
 def flight_formats(text: str | None) -> tuple[str, ...]:

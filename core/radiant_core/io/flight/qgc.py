@@ -1,5 +1,6 @@
-"""A route as a QGroundControl plan (.plan, version 1): takeoff, waypoints with a picture at each, and
-return. Format: QGroundControl developer guide, Plan File Format; commands of MAVLink's MAV_CMD.
+"""A route as a QGroundControl plan (.plan, version 1): takeoff, a picture at each waypoint, return.
+
+Format: QGroundControl developer guide, Plan File Format; commands of MAVLink's MAV_CMD.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The scene of a model that was adjusted to a survey: it is in its frame already. Once per scene."""
+"""The scene of a model that was adjusted to a survey: it is in place already. Once per scene."""
 
 from __future__ import annotations
 
