@@ -1,4 +1,5 @@
-"""What is exported: a model by its cleaning, placed in the coordinates of the file. Once per export."""
+"""What is exported: a model by its cleaning, placed in the coordinates of the file. Once per
+export."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class HeightMap:
         """Heights and σ (P,) of the cells that places (P,2) fall into; NaN outside and where
         unknown."""
         cells = np.floor(self.grid.cells_of(np.asarray(places, np.float64)))
-        inside = ((cells >= 0) & (cells < np.array(self.grid.shape))).all(axis=1)
+        inside = np.all((cells >= 0) & (cells < np.array(self.grid.shape)), axis=1)
         rows, columns = np.where(inside[:, None], cells, 0).astype(np.int64).T
         return np.where(inside, self.heights[rows, columns], np.nan), np.where(inside, self.sigma[rows, columns], np.nan).astype(np.float64)
 

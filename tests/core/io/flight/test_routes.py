@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import fastkml
 import numpy as np
 import pytest
+from pygeoif import Point
 
 from radiant_core.errors import BadInput
 from radiant_core.io.flight.kml import kml_route
@@ -108,8 +109,9 @@ def test_kml_is_read_by_fastkml_and_by_radiant() -> None:
         marks = [mark for mark in document.features if isinstance(mark, fastkml.Placemark)]
         assert [mark.name for mark in marks] == list(given.names)
         for mark, (lat, lon), height in zip(marks, given.lat_lon.tolist(), given.heights_m.tolist(), strict=True):
-            assert mark.geometry is not None and mark.kml_geometry is not None
-            assert mark.geometry.coords[0] == pytest.approx((lon, lat, height), abs=1e-6)
+            assert isinstance(mark.kml_geometry, fastkml.Point) and isinstance(mark.geometry, Point)
+            assert mark.kml_geometry.altitude_mode is not None
+            assert list(mark.geometry.coords)[0] == pytest.approx((lon, lat, height), abs=1e-6)
             assert mark.kml_geometry.altitude_mode.value == mode
         rows = kml_rows(data.decode())
         assert rows.names == list(given.names) and rows.absolute == (heights == "absolute")
