@@ -78,7 +78,7 @@ def parse_places(text: str) -> FloatArray:
         rows = [[float(value) for value in place.split(",")] for place in text.split()]
         places = np.array(rows, np.float64)
     except ValueError:
-        places = np.zeros(0)
+        places = np.zeros((0, 0))
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise BadInput(
             f"'{text}' is no list of places: give them like \"465230.1,5246380.2 465250.7,5246377.9\", all with a height or none."
