@@ -50,7 +50,6 @@ def measure_run(request: MeasureRequest, display: ProgressDisplay) -> dict[str, 
     """Measure, keep and return the figures; without a kind, list what is kept."""
     survey = load_survey(request.run)
     kept = _load_kept(request.run)
-    name: str | None = None
     if (request.kind is None) != (request.places is None):
         raise BadInput("a measure needs its kind and its places: give both --kind and --at, or neither to list what is kept.")
     if request.export is not None and request.export.suffix.lower() not in (".geojson", ".json", ".csv"):
@@ -70,7 +69,7 @@ def measure_run(request: MeasureRequest, display: ProgressDisplay) -> dict[str, 
         write_json(request.run / FOLDER / MEASURES, kept)
     if request.export is not None:
         _export(request.export, kept, survey.map_frame)
-    return {"measures": kept} if name is None else {"name": name, **kept[name]}
+    return {"measures": kept} if request.kind is None else {"name": name, **kept[name]}
 
 
 def parse_places(text: str) -> FloatArray:
@@ -79,8 +78,8 @@ def parse_places(text: str) -> FloatArray:
         rows = [[float(value) for value in place.split(",")] for place in text.split()]
         places = np.array(rows, np.float64)
     except ValueError:
-        places = np.zeros(0)
-    if places.ndim != 2 or places.shape[-1] not in (2, 3):
+        places = np.zeros((0, 0))
+    if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise BadInput(
             f"'{text}' is no list of places: give them like \"465230.1,5246380.2 465250.7,5246377.9\", all with a height or none."
         )

@@ -58,15 +58,14 @@ class HeightMap:
         """Heights and σ (P,) of the cells that places (P,2) fall into; NaN outside and where
         unknown."""
         cells = np.floor(self.grid.cells_of(np.asarray(places, np.float64)))
-        inside = np.all((cells >= 0) & (cells < np.array(self.grid.shape)), axis=1)
+        inside = np.asarray(((cells >= 0) & (cells < np.array(self.grid.shape))).all(axis=1))
         rows, columns = np.where(inside[:, None], cells, 0).astype(np.int64).T
         return np.where(inside, self.heights[rows, columns], np.nan), np.where(inside, self.sigma[rows, columns], np.nan).astype(np.float64)
 
     def bands(self, no_data: float) -> NDArray[np.float32]:
         """Height, σ and source (H,W,3), `no_data` where unknown."""
         layers = np.dstack([self.heights, self.sigma, self.source]).astype(np.float32)
-        known = np.asarray(self.source != UNKNOWN)
-        return np.where(known[..., None], layers, np.float32(no_data))
+        return np.where(self.source[..., None] != UNKNOWN, layers, np.float32(no_data))
 
 
 def height_map(points: FloatArray, grid: MapGrid, gsd: float, shared_error: float = MATCHING) -> HeightMap:

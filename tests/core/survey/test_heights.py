@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -148,7 +149,7 @@ def test_laspy_reads_points_colours_classes_and_the_system(tmp_path: Path) -> No
     colors = np.random.default_rng(3).integers(0, 256, (len(points), 3)).astype(np.uint8)
     ground = ~house(points)
     save_laz(tmp_path / "a.laz", points, colors, ground, 32632)
-    read = laspy.read(tmp_path / "a.laz")
+    read: Any = laspy.read(tmp_path / "a.laz")
     # Half of the step of a millimetre.
     assert np.abs(np.column_stack([np.asarray(read[axis]) for axis in ("x", "y", "z")]) - points).max() <= 0.0005 + 1e-9
     np.testing.assert_array_equal(np.column_stack([np.asarray(read[channel]) for channel in ("red", "green", "blue")]) // 257, colors)

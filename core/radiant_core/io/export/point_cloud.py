@@ -25,7 +25,7 @@ _MODEL_TYPE, _PROJECTED_CRS, _PROJECTED, _USER_DEFINED = 1024, 3072, 1, 32767
 
 
 def save_laz(path: Path, points: ArrayLike, colors: NDArray[np.uint8], is_ground: NDArray[np.bool_], epsg: int | None) -> None:
-    """Write points (N,3) on the map with colors (N,3), and which are ground (N,), atomically.
+    """Write points (N,3) on the map, their colors (N,3), and which are ground (N,), atomically.
 
     Raises BadInput without points or where they spread over more than 2,000 km, CannotWrite if it
     fails.

@@ -111,7 +111,7 @@ def test_kml_is_read_by_fastkml_and_by_radiant() -> None:
         for mark, (lat, lon), height in zip(marks, given.lat_lon.tolist(), given.heights_m.tolist(), strict=True):
             assert isinstance(mark.kml_geometry, fastkml.Point) and isinstance(mark.geometry, Point)
             assert mark.kml_geometry.altitude_mode is not None
-            assert list(mark.geometry.coords)[0] == pytest.approx((lon, lat, height), abs=1e-6)
+            assert next(iter(mark.geometry.coords)) == pytest.approx((lon, lat, height), abs=1e-6)
             assert mark.kml_geometry.altitude_mode.value == mode
         rows = kml_rows(data.decode())
         assert rows.names == list(given.names) and rows.absolute == (heights == "absolute")
