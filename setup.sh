@@ -18,8 +18,8 @@ system_packages=(
   libxcb-shape0 libxkbcommon-x11-0
 )
 
-# Structure from motion, and the window and the page of `radiant inspect`, come with every set-up: their system packages stand above.
-everyday=desktop,flip,sfm,web
+# Structure from motion, what a surveyor exports, and the window and the page of `radiant inspect` come with every set-up.
+everyday=desktop,flip,geo,sfm,survey,web
 
 fail() {
   echo "setup.sh: $1" >&2

@@ -20,7 +20,7 @@ from radiant_viewer.window import desktop
 
 ROOT = Path(__file__).parents[2]
 NATIVE_SOURCE = "core/radiant_core/native/room/one.cpp"
-EVERYDAY = "-m pip install --editable .[desktop,flip,sfm,web]"
+EVERYDAY = "-m pip install --editable .[desktop,flip,geo,sfm,survey,web]"
 
 
 def program(path: Path, text: str) -> None:
@@ -60,14 +60,14 @@ def test_the_demo_brings_what_inspect_needs_and_is_not_set_up_twice(checkout: Pa
     for source in ("pyproject.toml", NATIVE_SOURCE):
         (checkout / source).write_text("changed")
         assert setup(checkout) == [f"python {EVERYDAY}"]
-    (checkout / ".venv/installed-desktop,flip,sfm,web").rename(checkout / ".venv/installed-base")
+    (checkout / ".venv/installed-desktop,flip,geo,sfm,survey,web").rename(checkout / ".venv/installed-base")
     assert setup(checkout, "demo") == [f"python {EVERYDAY}", "radiant demo"]
 
 
 def test_the_tests_bring_the_everyday_extras_too(checkout: Path) -> None:
     assert setup(checkout, "check")[0] == "python -m pip install --editable .[test]"
     assert setup(checkout) == []
-    assert 'test = [\n    "radiant-splats[cluster,desktop,flip,network,sfm,web]"' in (ROOT / "pyproject.toml").read_text()
+    assert 'test = [\n    "radiant-splats[cluster,desktop,flip,geo,network,sfm,survey,web]"' in (ROOT / "pyproject.toml").read_text()
 
 
 def test_a_missing_extra_names_the_command_that_installs_it_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
