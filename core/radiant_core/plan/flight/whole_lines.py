@@ -90,30 +90,23 @@ def keep_lines(positions: FloatArray, cloud: CloudPlan, edges: tuple[EdgePlan, .
         raise BadInput("--whole-lines deals lines to devices, and an edge of the system has none: name its devices.")
     lines = flight_lines(np.column_stack([positions, np.zeros(len(positions))]))
     before = num_cut(lines, device_of_all(edges, len(positions)))
+    kept = LinePlan(
+        cloud=cloud,
+        edges=edges,
+        num_lines=len(lines),
+        cut_before=before,
+        cut=before,
+        slack=_over(cloud.makespan_s, cloud),
+        reason="",
+    )
     found = _sequence(positions, lines)
     if isinstance(found, str):
-        return LinePlan(
-            cloud=cloud,
-            edges=edges,
-            num_lines=len(lines),
-            cut_before=before,
-            cut=before,
-            slack=_over(cloud.makespan_s, cloud),
-            reason=found,
-        )
+        return replace(kept, reason=found)
     order = _order_of_edges(system, cloud, found.axis)
     ends = _fewest_cuts(found, system, order, cloud.lower_bound_s, slack)
     if ends is None:
         reason = f"no slack up to {slack:g} fits whole or cut lines to the devices in the order of the land."
-        return LinePlan(
-            cloud=cloud,
-            edges=edges,
-            num_lines=len(lines),
-            cut_before=before,
-            cut=before,
-            slack=_over(cloud.makespan_s, cloud),
-            reason=reason,
-        )
+        return replace(kept, reason=reason)
     new_cloud, new_edges = _plan_of(found, ends, order, system, cloud)
     after = num_cut(lines, device_of_all(new_edges, len(positions)))
     return LinePlan(
