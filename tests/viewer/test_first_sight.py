@@ -17,6 +17,7 @@ from PySide6.QtCore import QPoint, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox
 from radiant_viewer.window.inspector import open_window
+from radiant_viewer.window.shortcuts import show_shortcuts
 from radiant_viewer.window.window import InspectorWindow
 
 run, resized, picture = Path(sys.argv[1]), json.loads(sys.argv[2]), sys.argv[3]
@@ -33,7 +34,7 @@ def drive():
             QTest.mouseMove(view, middle + QPoint(offset, offset))
             QTest.qWait(100)
             seen[f"place {offset}"] = window.place.label.text()
-        window._show_shortcuts()
+        show_shortcuts(window, window.shortcuts)
         boxes = [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, QMessageBox)]
         seen["keys"] = boxes[0].text()
         boxes[0].close()
