@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
+from glob import escape as glob_escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from radiant_app.commands.export_place import place_of
@@ -46,6 +48,8 @@ _WANTED = {
 _OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb")
 
 _CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod", "tiles")
+_PLACED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "mesh", "colmap")
+"""What a file beside it says the place of."""
 _LEVELLED: tuple[ExportFormat, ...] = ("lod", "tiles", "viewer")
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
@@ -70,9 +74,15 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     if request.clean and kind not in _CLEANED:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
     if request.crs is not None and kind in _LEVELLED:
-        raise BadInput(f"--crs is of files in map coordinates, and {kind} has its own: leave it out.")
-    if request.crs is not None:
+        raise BadInput(f"--crs is of files in map coordinates, and {kind} is in the scene's own metres: leave it out.")
+    if request.crs is not None and kind == "contours":
+        raise BadInput("contours are in longitude and latitude, as GeoJSON has it: leave --crs out, or export --format dsm or dtm.")
+    if request.as_trained and kind == "geojson":
+        raise BadInput("--uncleaned is of a model's Gaussians, and geojson has none: leave it out.")
+    if request.crs is not None or kind in _PLACED:
         require_no_sidecar(request.out)
+    if request.crs is not None and kind in _PLACED:
+        _require_alone(request.out)
     if (request.num_levels is not None or request.regions) and kind not in _LEVELLED:
         raise BadInput(f"--levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
     if request.photographs and kind != "viewer":
@@ -81,6 +91,13 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"{request.side_file} exists, where --clean would put what it takes out: choose another name.")
     figures = _WRITERS[kind](request, display)
     return {"written": str(request.out), "format": kind, **figures}
+
+
+def _require_alone(out: Path) -> None:
+    """Raise BadInput where the file that says the place of `out` would speak of another one too."""
+    others = sorted(path.name for path in out.parent.glob(f"{glob_escape(out.stem)}.*") if path.suffix.lower() in (".ply", ".spz", ".sog"))
+    if others:
+        raise BadInput(f"{others[0]} stands beside it, whose place {out.stem}.georef.json would seem to be: choose another name.")
 
 
 def _format_of(request: ExportRequest) -> ExportFormat:
@@ -217,6 +234,7 @@ def _of_surface(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[st
             tile_px=request.tile_px,
             interval=request.interval,
             crs=request.crs,
+            as_trained=request.as_trained,
         )
         return getattr(export_heights, name)(surface, display)
 
@@ -226,7 +244,7 @@ def _of_surface(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[st
 def _ortho(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.commands.export_ortho import export_ortho
 
-    return export_ortho(request.model, request.out, request.resolution, request.tile_px, display, request.crs)
+    return export_ortho(request, display)
 
 
 def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface, RunView]:

@@ -39,6 +39,8 @@ class SurfaceExport:
     interval: float | None
     crs: str | None = None
     """System of the map; None: the UTM zone of the scene."""
+    as_trained: bool = False
+    """Whether what the model's cleaning leaves out counts too."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +67,7 @@ class _Found:
 
 
 def _find(request: SurfaceExport, display: ProgressDisplay) -> _Found:
-    survey = load_survey(request.model, request.crs)
+    survey = load_survey(request.model, request.crs, as_trained=request.as_trained)
     points = points_of_survey(survey, display, request.long_side_px)
     return _Found(survey=survey, points=points, heights=surface_of_survey(survey, points, request.resolution, display))
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_app.commands.export_request import ExportRequest
 from radiant_app.commands.steps import stage_bar
 from radiant_app.commands.survey_parts import cell_of, load_survey, support_of_survey
 from radiant_app.events import Warned
@@ -23,13 +23,11 @@ MIN_SEEN = 0.5
 """With less of the raster seen the export warns, and with nothing it fails."""
 
 
-def export_ortho(
-    model: Path, out: Path, resolution: float | None, tile_px: int, display: ProgressDisplay, crs: str | None = None
-) -> dict[str, Any]:
+def export_ortho(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Write the orthophoto and return its figures; BadInput where nothing is seen from above."""
-    survey = load_survey(model, crs)
+    survey, tile_px = load_survey(request.model, request.crs, as_trained=request.as_trained), request.tile_px
     ground = survey.ground
-    grid = grid_over(ground.low, ground.high, cell_of(survey, resolution, 1.0), survey.map_frame)
+    grid = grid_over(ground.low, ground.high, cell_of(survey, request.resolution, 1.0), survey.map_frame)
     raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=tile_px, dtype=np.uint8, colors=True)
     seen = from_above(survey.splats, support_of_survey(survey, display, 640), survey.run.scene.cameras)
     counts = {"seen": 0, "weak": 0}
@@ -48,7 +46,7 @@ def export_ortho(
                     raise BadInput("the model is nowhere opaque from above, so there is no orthophoto: train it further first.")
                 yield tile.bands()
 
-        save_tiles(out, raster, tiles())
+        save_tiles(request.out, raster, tiles())
     seen_share = counts["seen"] / (grid.rows * grid.columns)
     if seen_share < MIN_SEEN:
         display(Warned(stage="orthophoto", message=f"the model shows only {100 * seen_share:.2g} % of the raster: the rest has alpha 0."))

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
@@ -14,6 +16,9 @@ from radiant_core.georef.crs import Crs, parse_crs
 from radiant_core.georef.reference import Georeference, georeference, local_comments, require_placed
 from radiant_core.georef.sidecar import save_sidecar
 from radiant_core.numerics import FloatArray
+
+MAX_STRETCH = 0.01
+"""Of a raster's system; UTM stretches by 4e-4 within its zone."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +66,9 @@ def grid_crs(text: str, frame: Frame) -> Crs:
         )
     if crs.vertical_epsg is not None and not frame.altitude_known:
         raise BadInput(f"the scene's heights count from no datum and {crs.title} has one: name the system without its vertical part.")
+    scale = georeference(frame, crs, np.zeros(3)).file_from_model.scale
+    if abs(scale - 1) > MAX_STRETCH:
+        raise BadInput(f"{crs.title} makes {scale:.3g} m of a metre here: name a system made for this place, such as its UTM zone.")
     return crs
 
 

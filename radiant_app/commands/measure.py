@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.commands.steps import require_file_to_be
 from radiant_app.commands.survey_parts import Survey, load_survey
 from radiant_app.commands.survey_surface import points_of_survey, surface_of_survey
 from radiant_app.report.progress import ProgressDisplay
@@ -54,6 +55,8 @@ def measure_run(request: MeasureRequest, display: ProgressDisplay) -> dict[str, 
         raise BadInput("a measure needs its kind and its places: give both --kind and --at, or neither to list what is kept.")
     if request.export is not None and request.export.suffix.lower() not in (".geojson", ".json", ".csv"):
         raise BadInput(f"{request.export.name} is no name for measures: let it end in .geojson or .csv.")
+    if request.export is not None:
+        require_file_to_be(request.export)
     if request.remove is not None:
         if request.remove not in kept:
             raise BadInput(f"there is no measure named {request.remove!r}: there are {', '.join(kept) or 'none'}.")

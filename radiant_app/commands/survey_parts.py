@@ -36,12 +36,13 @@ class Survey:
         return [row for row, name in enumerate(self.run.scene.cameras.names) if name not in self.run.held_out]
 
 
-def load_survey(folder: Path, crs: str | None = None) -> Survey:
-    """The survey of a run folder on the map that `crs` names, else that of its UTM zone; BadInput
-    for a model alone, or a run without ground."""
+def load_survey(folder: Path, crs: str | None = None, *, as_trained: bool = False) -> Survey:
+    """The survey of a run folder on the map that `crs` names, else that of its UTM zone, of the
+    model by its cleaning unless `as_trained`; BadInput for a model alone, or a run without
+    ground."""
     if not folder.is_dir():
         raise BadInput(f"{folder} is no folder of a run: a survey needs the cameras beside the model.")
-    run = load_run_view(folder)
+    run = load_run_view(folder, as_trained=as_trained)
     frame = run.scene.frame
     map_frame = map_frame_of(frame, None if crs is None else grid_crs(crs, frame))
     return Survey(run=run, splats=require_splats(run), map_frame=map_frame, ground=seen_ground(run.scene, map_frame))

@@ -58,6 +58,12 @@ def points_of_survey(survey: Survey, display: ProgressDisplay, long_side_px: int
         def hear(done: int, total: int) -> None:
             report(done, total, "views")
 
+        if from_photographs and survey.run.model is not None and survey.run.model.cleaning.steps:
+            display(
+                Warned(
+                    stage="surface", message="heights are those that photographs agree on: the model's cleaning takes nothing from them."
+                )
+            )
         if from_photographs and images is not None:
             found = _matched(survey, images, hear)
         else:
