@@ -27,9 +27,9 @@ from tests.app.network_nodes import Nodes, split_photographs
 
 ROOT = Path(__file__).parents[2]
 TINY = TrainOptions(long_side_px=64, num_steps=60, max_num_splats=600)
-STARTS, CHECKPOINTS, WIRE, OPTIONS = "RADIANT_TEST_STARTS", "checkpoints", "wire", "options.json"
+STARTS, HOLD, CHECKPOINTS, WIRE, OPTIONS = "RADIANT_TEST_STARTS", "RADIANT_TEST_HOLD", "checkpoints", "wire", "options.json"
 # Structure from motion with several threads differs in the last digits from run to run.
-WORKER = """import os, sys
+WORKER = """import os, sys, time
 from pathlib import Path
 os.cpu_count = lambda: 1
 from radiant_app.workers.worker import main
@@ -41,6 +41,12 @@ def load_and_write(self):
         file.write(f"{sys.argv[1]} {0 if state is None else self._list_saved()[0].step}\\n")
     return state
 CheckpointFolder.load = load_and_write
+offer = CheckpointFolder.offer
+def offer_and_wait(self, step, state):
+    offer(self, step, state)
+    while sys.argv[1] == "own_field" and os.path.exists(os.environ["RADIANT_TEST_HOLD"]) and any(self.folder.glob("*.json")):
+        time.sleep(0.01)
+CheckpointFolder.offer = offer_and_wait
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -73,7 +79,11 @@ class Fleet:
         Nodes(folder=self.folder).make({"e": list(self.devices)})
 
     def environment(self) -> dict[str, str]:
-        return {**os.environ, STARTS: str(self.folder / "starts.txt"), "OMP_NUM_THREADS": "1"}
+        return {**os.environ, STARTS: str(self.folder / "starts.txt"), HOLD: str(self.folder / "hold"), "OMP_NUM_THREADS": "1"}
+
+    def hold_training(self) -> None:
+        """Have the device's training wait after its first checkpoint until the device was killed."""
+        (self.folder / "hold").touch()
 
     def start(self, name: str) -> None:
         with (self.folder / f"{name}.log").open("ab") as log:
@@ -90,6 +100,7 @@ class Fleet:
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         if alive and name == self.devices[0]:
+            (self.folder / "hold").unlink(missing_ok=True)
             self.saved_at_kill.append(self.saved_step())
         return alive
 
@@ -152,7 +163,7 @@ def config_of(folder: Path, executor: bool) -> RunConfig:
 
 def run_here(folder: Path) -> bytes:
     """The scene of the run on one machine, in a process with one core."""
-    environment = {**os.environ, STARTS: str(folder / "here.txt"), "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, STARTS: str(folder / "here.txt"), HOLD: str(folder / "hold"), "OMP_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "-m", "tests.app.network_processes", "here", str(folder)], cwd=ROOT, env=environment, check=True)
     return (folder / "here" / "scene.ply").read_bytes()
 

@@ -43,6 +43,7 @@ def test_a_run_whose_machines_are_killed_ends_with_the_scene_of_one_left_alone(f
         ("cloud", has_state(fleet.folder / "cloud", "edges/e", "received", "accepted")),
         ("e", has_state(fleet.folder / "cloud", "edges/e/score", "taken")),
     ]
+    fleet.hold_training()
     assert fleet.run_with(kills) == len(kills), fleet.logs()
     assert (fleet.folder / "far" / "scene.ply").read_bytes() == run_here(fleet.folder)
     first, *later = fleet.trained_from("own_field")
