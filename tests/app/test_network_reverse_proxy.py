@@ -5,10 +5,15 @@ from __future__ import annotations
 import datetime
 import http.client
 import ipaddress
+import re
+import shutil
+import socket
 import ssl
+import subprocess
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -96,16 +101,53 @@ def reverse_proxy(folder: Path, target: int, spoil: Spoil, seen: list[bytes]) ->
         server.server_close()
 
 
+@contextmanager
+def nginx(folder: Path, target: int) -> Iterator[int]:
+    """nginx with the server of docs/network.md, whose places are filled in."""
+    page = (Path(__file__).parents[2] / "docs" / "network.md").read_text()
+    server = page[page.index("    server {\n") :].partition("\n    }\n")[0] + "\n    }\n"
+    certificate, outside = certificate_of(folder), free_port()
+    for said, here in (("443 ssl", f"127.0.0.1:{outside} ssl"), ("server_name HOST", "server_name 127.0.0.1"), (":8443", f":{target}")):
+        assert said in server
+        server = server.replace(said, here)
+    server = re.sub(r"/etc/ssl/HOST\.(pem|key)", str(certificate), server)
+    places = "".join(f"{name}_temp_path {folder / name};" for name in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
+    (folder / "nginx.conf").write_text(
+        f"daemon off; master_process off; pid {folder / 'nginx.pid'}; events {{}} http {{ access_log off; {places}\n{server} }}"
+    )
+    running = subprocess.Popen(["nginx", "-p", folder, "-c", folder / "nginx.conf", "-e", folder / "nginx.log"])
+    try:
+        _wait_for(outside, folder / "nginx.log")
+        yield outside
+    finally:
+        running.terminate()
+        running.wait()
+
+
+def _wait_for(port: int, log: Path) -> None:
+    until_s = time.monotonic() + 10
+    while True:
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=1).close()
+            return
+        except OSError:
+            assert time.monotonic() < until_s, log.read_text()
+            time.sleep(0.02)
+
+
 class Road:
     """A device, a proxy, an edge that listens without TLS."""
 
     def __init__(self, folder: Path, spoil: Spoil) -> None:
         self.folder, self.spoil, self.seen = folder, spoil, list[bytes]()
 
+    def proxy(self, target: int) -> AbstractContextManager[int]:
+        return reverse_proxy(self.folder, target, self.spoil, self.seen)
+
     @contextmanager
     def open(self) -> Iterator[tuple[Line, Callable[[], bytes]]]:
         port = free_port()
-        with reverse_proxy(self.folder, port, self.spoil, self.seen) as outside:
+        with self.proxy(port) as outside:
             make_home(self.folder / "cloud", listening())
             commands.init(self.folder / "north", Listening(url=f"https://127.0.0.1:{outside}", host="127.0.0.1", port=port, plain=True))
             commands.invite(self.folder / "cloud", "north", self.folder / "north.join")
@@ -142,6 +184,19 @@ def test_a_model_arrives_through_a_proxy_that_reads_it(tmp_path: Path) -> None:
         assert received() == model and line.num_resumed == 0
     assert any(model[:1000] in body for body in road.seen), "with --identity signed a proxy reads what passes: docs/network.md says so"
     assert "a proxy on the way can read what is sent, and change nothing" in commands.consent_text(open_home(tmp_path / "d"))
+
+
+class NginxRoad(Road):
+    def proxy(self, target: int) -> AbstractContextManager[int]:
+        return nginx(self.folder, target)
+
+
+@pytest.mark.skipif(shutil.which("nginx") is None, reason="needs nginx")
+def test_a_model_arrives_through_nginx_as_the_page_sets_it_up(tmp_path: Path) -> None:
+    with NginxRoad(tmp_path, as_it_is).open() as (line, received):
+        line.join()
+        deliver(line, tmp_path / "model", tmp_path / "task")
+        assert received() == (tmp_path / "model" / MODEL_NAME).read_bytes() and line.num_resumed == 0
 
 
 def spoil_some(number: int, way: str, body: bytes, headers: dict[str, str]) -> tuple[bytes, dict[str, str]]:
