@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
+Effort = Literal["auto", "thorough"]
+"""auto: OpenCV's features, the pairs alone that a preview finds promising, few adjustments of all
+photographs, and thorough where over a tenth stays unregistered; thorough: COLMAP's features, all
+pairs of neighbours, and COLMAP's adjustments."""
 Matching = Literal["auto", "spatial", "exhaustive"]
 """auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each
 with its GPS neighbours; exhaustive: every pair."""

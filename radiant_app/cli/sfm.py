@@ -16,6 +16,7 @@ def sfm(
     source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
     out: Out,
     matching: MatchingOption = "auto",
+    effort: options.EffortOption = "auto",
     masks: MaskFolder = None,
     up: UpOption = None,
     distance: DistanceOption = None,
@@ -33,11 +34,13 @@ def sfm(
     with show_starting():
         from radiant_app.commands import steps as commands
         from radiant_app.config.run_config import SfmOptions
+        from radiant_core.sfm.config import SfmConfig
 
     placed = SfmOptions(
         up=up, distance=distance, height_m=height, north=north, gcp=gcp, gcp_accuracy=gcp_accuracy, check_points=check_points
     )
-    result = commands.sfm(source, out, matching, terminal_display(), masks, placed.placement, resume=resume)
+    config = SfmConfig(matching=matching, effort=effort)
+    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, resume=resume)
     if as_json:
         finish(result, as_json)
     else:

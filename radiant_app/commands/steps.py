@@ -29,7 +29,7 @@ from radiant_core.sfm.world_frame.placement import Placement
 def sfm(  # noqa: PLR0913
     source: Path,
     out: Path,
-    matching: Any,
+    config: SfmConfig,
     display: ProgressDisplay,
     masks: Path | None = None,
     placement: dict[str, Any] | None = None,
@@ -38,7 +38,7 @@ def sfm(  # noqa: PLR0913
 ) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`, where `resume` goes on;
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`."""
-    task = sfm_task(source, SfmConfig(matching=matching), masks, Placement(**(placement or {})))
+    task = sfm_task(source, config, masks, Placement(**(placement or {})))
     with sfm_folder(out, message_record(task), resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
         result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=display).sfm_progress)
     save_scene(out / "scene.safetensors", result.scene)

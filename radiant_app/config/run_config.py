@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
-from radiant_core.choices import CutBy, LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
+from radiant_core.choices import CutBy, Effort, LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
@@ -43,6 +43,7 @@ RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
     # exhaustive: neighbours by GPS alone would skip pairs.
     "paper": {
         "sfm.matching": "exhaustive",
+        "sfm.effort": "thorough",
         "plan.method": "paper",
         "train.preset": "paper",
         "train.step_policy": "fixed",
@@ -84,6 +85,9 @@ class SfmOptions:
 
     matching: Matching = "auto"
     """Compare neighbours by GPS, or all photographs with all."""
+    effort: Effort = "auto"
+    """auto: leave out what photographs that overlap well do not need; thorough: COLMAP's features,
+    all pairs of neighbours and COLMAP's adjustments, in some three times as long."""
     poses: Path | None = None
     """COLMAP model with the poses, for --frames known."""
     masks: Path | None = None

@@ -167,6 +167,7 @@ class DevicePhotographs:
             origin=None if origin is None else (float(origin[0]), float(origin[1]), float(origin[2])),
             sfm=SfmSettings(
                 matching=self.config.sfm.matching,
+                effort=self.config.sfm.effort,
                 seed=self.config.seed,
                 two_view_points=True,
                 memory_bytes=settings.memory_bytes,

@@ -153,7 +153,7 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
     its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
-    sfm = SfmConfig(matching=config.sfm.matching, seed=config.seed, memory_bytes=memory_bytes)
+    sfm = SfmConfig(matching=config.sfm.matching, effort=config.sfm.effort, seed=config.seed, memory_bytes=memory_bytes)
     task = sfm_task(config.source, sfm, config.sfm.masks, Placement(**config.sfm.placement))
     save_task(folder, task)
     key = source_key(config, task, folder, progress.listen)

@@ -25,7 +25,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from radiant_app.workers.delivering import accept_task, belongs_to_run, conducts_itself
-from radiant_core.choices import LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat
+from radiant_core.choices import Effort, LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
@@ -90,6 +90,7 @@ class SfmSettings:
     """Settings of a device's own structure from motion."""
 
     matching: Matching
+    effort: Effort = "auto"
     seed: Count
     two_view_points: bool
     memory_bytes: Positive | None = None

@@ -42,7 +42,7 @@ checkpoint_every_s = 90
 ASKED: dict[str, Any] = {
     "seed": 3,
     "upload": "float32",
-    "sfm": SfmOptions(matching="exhaustive"),
+    "sfm": SfmOptions(matching="exhaustive", effort="thorough"),
     "plan": PlanOptions(method="voronoi"),
     "train": TrainOptions(
         preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}

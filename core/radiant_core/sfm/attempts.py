@@ -18,6 +18,7 @@ from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
 from radiant_core.sfm.colmap.mapping import GROWTH, MAX_LEFT_SHARE, Mapped, MappingJob, map_photographs
 from radiant_core.sfm.colmap.pairs import choose_pairs
 from radiant_core.sfm.colmap.previewed_pairs import keep_promising
+from radiant_core.sfm.colmap.quick_database import LEAST_TRIALS, MOST_TRIALS
 from radiant_core.sfm.colmap.workspace import THOROUGH_FOLDER
 from radiant_core.sfm.config import Report, SfmConfig
 from radiant_core.sfm.masks import take_masks
@@ -120,4 +121,12 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
         unit="features a photograph",
         reason="a third of the time of COLMAP's, to the same poses",
     )
-    return (features, adjusting)
+    verifying = Decision(
+        stage="sfm",
+        topic="verification",
+        choice=f"{LEAST_TRIALS} to {MOST_TRIALS:,} samples a pair",
+        figure=float(MOST_TRIALS),
+        unit="samples a pair at most",
+        reason="COLMAP's 100 to 10,000 take four times as long and verify one pair in a hundred more",
+    )
+    return (features, verifying, adjusting)

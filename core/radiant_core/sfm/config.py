@@ -9,15 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from radiant_core.choices import Matching
+from radiant_core.choices import Effort, Matching
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.scene import SfmScene
 
-Effort = Literal["auto", "thorough"]
-"""auto: OpenCV's features, the pairs alone that a preview finds promising, few adjustments of all
-photographs, and thorough where over a tenth stays unregistered; thorough: COLMAP's features, all
-pairs of neighbours, and COLMAP's adjustments."""
 Mapper = Literal["auto", "incremental", "global"]
 """auto: incremental, then global where over a tenth is unregistered; others: that one alone."""
 

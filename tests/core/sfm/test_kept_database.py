@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from radiant_core.choices import Effort
 from radiant_core.errors import CannotWrite, StageFailed
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.sfm.colmap import undistort as sfm_undistort
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.kept_database import RECORD_NAME, database_key, prepare_database
 from radiant_core.sfm.colmap.workspace import list_usable
-from radiant_core.sfm.config import Effort, SfmConfig, SfmProgress
+from radiant_core.sfm.config import SfmConfig, SfmProgress
 from radiant_core.sfm.reconstruct import reconstruct
 
 SMALL = SfmConfig(max_image_size_px=320, max_num_features=600, num_threads=1, effort="thorough")
@@ -86,7 +87,7 @@ def test_a_killed_reconstruction_goes_on_with_its_features_and_matches(effort: E
     assert result.scene.cameras.names == whole.scene.cameras.names
     # Mapping is done anew from the same features and matches, in one thread.
     np.testing.assert_allclose(result.scene.cameras.centers, whole.scene.cameras.centers, atol=1e-6)
-    assert ({"adjustment", "features"} <= {decision.topic for decision in result.decisions}) == (effort == "auto")
+    assert ({"adjustment", "features", "verification"} <= {decision.topic for decision in result.decisions}) == (effort == "auto")
 
 
 def test_what_is_of_other_photographs_settings_or_another_start_of_the_machine_is_not_kept(photos: Path, tmp_path: Path) -> None:
