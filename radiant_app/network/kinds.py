@@ -47,19 +47,22 @@ TASK_FILES: Mapping[str, Files] = {
     "raster": Files(needed=(TASK_NAME,)),
     "own_field": Files(needed=(TASK_NAME, *_GIVEN)),
     "refine": Files(needed=(TASK_NAME, "scene.ply", *_GIVEN)),
-    "score": Files(needed=(TASK_NAME, "inbox/scene.ply", "inbox/plan.json", *_GIVEN), possible=("inbox/lpips.safetensors",)),
+    "score": Files(
+        needed=(TASK_NAME, "inbox/scene.ply", "inbox/plan.json", *_GIVEN),
+        possible=("inbox/joined.ply", "inbox/cut.ply", "inbox/lpips.safetensors"),
+    ),
     "edge_count": Files(needed=(TASK_NAME,)),
     "edge_raster": Files(needed=(TASK_NAME,)),
     "region": Files(needed=(TASK_NAME, "plan.json", "system.toml")),
     "edge_refine": Files(needed=(TASK_NAME, "scene.ply")),
-    "edge_score": Files(needed=(TASK_NAME, "scene.ply", "plan.json"), possible=("lpips.safetensors",)),
+    "edge_score": Files(needed=(TASK_NAME, "scene.ply", "plan.json"), possible=("joined.ply", "cut.ply", "lpips.safetensors")),
 }
 RESULT_FILES: Mapping[str, Files] = {
     "count": Files(needed=("count.json", NOTES_NAME)),
     "raster": Files(needed=("raster.json", NOTES_NAME)),
     "own_field": Files(needed=(FRAME_NAME, SUMMARY_NAME, NOTES_NAME), possible=(MODEL_NAME, CAMERAS_NAME, *_SIGNED)),
     "refine": Files(needed=(REFINED_NAME, ROWS_NAME, NOTES_NAME, *_SIGNED)),
-    "score": Files(needed=("scores.json", NOTES_NAME)),
+    "score": Files(needed=("scores.json", NOTES_NAME, *_SIGNED)),
     "edge_count": Files(needed=(REPORT_NAME,)),
     "edge_raster": Files(needed=(REPORT_NAME,)),
     "region": Files(
