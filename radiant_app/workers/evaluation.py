@@ -70,6 +70,10 @@ PICTURE_KINDS = ("photographs", "renders", "differences", "canonical")
 """Folders with one PNG per held-out photograph; the last where light is modelled."""
 
 
+NUM_LOADED = 16
+"""Photographs in memory at a time while versions of a scene are compared."""
+
+
 def version_file(name: Version) -> str:
     """The file of another version of the scene than that in scene.ply, beside it."""
     return f"{name}.ply"
@@ -165,9 +169,13 @@ def _compare(
     own, images, small = photographs
     scene = load_ply(inbox / (SCENE_NAME if name == task.versions[0] else version_file(name)))
     light = _light_of_score(scene, cameras, small, own, task)
-    views = load_training_views(images, cameras, own / MASKS)
-    views = replace(views, cameras=_correct_cameras(cameras, task))
-    return held_out_psnr_db(scene, views, task.backend, None if light is None else light.held_out)
+    figures = []
+    for start in range(0, len(cameras), NUM_LOADED):
+        rows = np.arange(start, min(start + NUM_LOADED, len(cameras)))
+        views = load_training_views(images, cameras.select(rows), own / MASKS)
+        views = replace(views, cameras=_correct_cameras(views.cameras, task))
+        figures += held_out_psnr_db(scene, views, task.backend, None if light is None else light.held_out.select(rows))
+    return figures
 
 
 def score_views(scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter) -> list[ScoredImage]:
