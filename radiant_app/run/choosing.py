@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from radiant_app.events import Decided, Listener
+from radiant_app.events import Decided, Listener, Warned
 from radiant_app.run.dealing import Dealer
 from radiant_app.workers.evaluation import SCENE_NAME
 from radiant_core.choices import Version
@@ -40,10 +40,12 @@ def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[s
     choice = choose_version([*scenes], [read_json(path, ("versions",))["versions"] for path in scores.values()])
     if choice is None:
         return scores, {"version": dealer.version}
-    listen(Decided(decision=choice.decision(STAGE)))
+    decision = choice.decision(STAGE)
+    listen(Decided(decision=decision))
     facts: dict[str, Any] = {"version": choice.version, "versions": dict(choice.mean_db)}
     if choice.keeps_usual:
         return scores, facts
+    listen(Warned(stage=STAGE, message=f"{decision.choice}, not the {next(iter(scenes))} one: {decision.reason}."))
     dealer.chosen = choice.version
     # The cloud's summary counts the joined one.
     facts["num_gaussians"] = len(load_ply(scenes[choice.version]))

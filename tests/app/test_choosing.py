@@ -125,6 +125,8 @@ def test_a_poisoned_join_is_replaced_by_the_cut_and_scored_in_its_place(
     assert ended.dealer.chosen == CUT and ended.metrics["version"] == CUT
     (decision,) = [each for each in ended.decisions if each.topic == "refined, joined or cut"]
     assert decision.choice == "the cut scene is kept" and decision.figure > 3 and not decision.changes_nothing
+    (warning,) = [event.message for event in ended.events if isinstance(event, Warned)]
+    assert warning.startswith("the cut scene is kept, not the refined one: ")
     assert ended.metrics["psnr_db"] == pytest.approx(ended.metrics["versions"][CUT], abs=1e-3), "the report is of what is kept"
     assert ended.metrics["versions"][REFINED] == pytest.approx(ended.metrics["versions"][JOINED])
     assert ended.metrics["num_gaussians"] == len(half)
