@@ -93,6 +93,13 @@ def task_problem(kind: str, files: Mapping[str, Any]) -> str | None:
     return problem and f"a task of kind {kind}: {problem}"
 
 
+def remove_earlier(kind: str, folder: Path, names: Collection[str]) -> None:
+    """Remove from the folder of a task what an earlier one of its stage had beside it: these are
+    the names of all files that this one has."""
+    for name in {*TASK_FILES[kind].possible} - {*names}:
+        (folder / name).unlink(missing_ok=True)
+
+
 def task_files(kind: str, folder: Path) -> dict[str, Path]:
     """Name → file of the task in a folder."""
     files = TASK_FILES[kind]

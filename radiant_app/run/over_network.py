@@ -31,7 +31,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import dump_system
 from radiant_app.network.contents import load_report
 from radiant_app.network.hub import Hub
-from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME, TASK_FILES
+from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME, remove_earlier
 from radiant_app.network.messages import (
     LPIPS_NAME,
     PLAN_NAME,
@@ -156,8 +156,7 @@ class CloudRun:
             folder.mkdir(parents=True, exist_ok=True)
             task = tasks[node.id.split("/")[1]]
             save_task(folder, task)
-            for left in {*TASK_FILES[kind].possible} - {*(files or ())}:
-                (folder / left).unlink(missing_ok=True)
+            remove_earlier(kind, folder, files or ())
             for given, path in (files or {}).items():
                 shutil.copyfile(path, folder / given)
             key = content_key(__version__, task_key(task), *((folder / given) for given in files or ()))

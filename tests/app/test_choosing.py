@@ -16,6 +16,7 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Event, Warned
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.network.contents import check_scores
+from radiant_app.network.kinds import remove_earlier
 from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.workers.delivering import exchange_keys
 from radiant_app.workers.evaluation import SCORES_NAME
@@ -179,6 +180,19 @@ def test_figures_that_a_device_did_not_sign_do_not_count(spoil: Callable[[Path],
     assert warning.stage == f"devices/{left_out}/score" and "figures of this device are left out" in warning.message
     assert ended.scoring.failed == (f"devices/{left_out}/score",)
     assert len(ended.metrics["images"]) == 12 - len(MOVES[left_out][0])
+
+
+def test_a_task_to_score_one_version_leaves_no_file_of_the_comparison_before(tmp_path: Path) -> None:
+    """A device refuses a task beside which a file lies that was not sent with it."""
+    given = ["task.json", "inbox/scene.ply", "inbox/plan.json", "inbox/joined.ply", "inbox/cut.ply", "given/delivery.json"]
+    for name in given:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    remove_earlier("score", tmp_path, given)
+    assert all((tmp_path / name).is_file() for name in given)
+    remove_earlier("score", tmp_path, given[:3])
+    assert sorted(path.name for path in (tmp_path / "inbox").iterdir()) == ["plan.json", "scene.ply"]
+    assert (tmp_path / "given/delivery.json").is_file()
 
 
 @pytest.mark.parametrize(
