@@ -44,3 +44,6 @@ LightMode = Literal["auto", "none", "always"]
 """auto: the light of photographs is modelled where it differs; none, always: never or anyhow."""
 Heights = Literal["takeoff", "absolute"]
 """Of flight lists. takeoff: above where the drone took off; absolute: above sea or ellipsoid."""
+Version = Literal["refined", "joined", "cut"]
+"""Of a scene: after the devices' photographs; as the cloud made it; the edges' models cut at their
+borders."""

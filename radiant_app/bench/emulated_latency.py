@@ -5,6 +5,7 @@
     cloud    begins when the last edge's model is there:    cpu / CLOUD_SPEED
     refine   the same once more, from the scene on; sending the scene down is not counted, since a
              system knows uplinks alone
+    compare  then every device says how good the versions of the scene are in what it holds out
     server   takes clients in order, each when its model is there and the one before is taken in
 
 cpu are the CPU seconds of a node's process on this machine, never wall time: other work beside it
@@ -22,6 +23,12 @@ from radiant_core.aggregate.tree import refined_at
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.plan.system import Device, Edge, System
+
+
+def compared_at(node: str) -> str:
+    """The stage in which a device compares versions of the scene."""
+    return f"{node}/score"
+
 
 CLOUD_SPEED = 1.0
 """As of an edge: the paper names its cloud without its speed."""
@@ -50,7 +57,7 @@ class EmulatedLatency:
     joined_s: float
     """When the scene was joined."""
     scene_s: float
-    """When the scene was done: refined, where it is."""
+    """When the scene was done: refined and compared, where it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +89,7 @@ def emulate_tree(system: System, works: Sequence[NodeWork]) -> EmulatedLatency:
         edge_s.append(0.0 if own is None else ready_s[-1] + _spent_s(edge, own))
     last = max(range(len(edge_s)), key=lambda index: edge_s[index])
     joined_s = edge_s[last] + work_of["cloud"].cpu_s / CLOUD_SPEED
-    scene_s = joined_s + _refined_s(system, work_of)
+    scene_s = joined_s + _refined_s(system, work_of) + _compared_s(system, work_of)
     return EmulatedLatency(edge_s=tuple(edge_s), devices_s=ready_s[last], joined_s=joined_s, scene_s=scene_s)
 
 
@@ -99,6 +106,12 @@ def _refined_s(system: System, work_of: Mapping[str, NodeWork]) -> float:
     ]
     cloud = work_of.get(refined_at("cloud"))
     return max(edges_s, default=0.0) + (0.0 if cloud is None else cloud.cpu_s / CLOUD_SPEED)
+
+
+def _compared_s(system: System, work_of: Mapping[str, NodeWork]) -> float:
+    """How long devices take to compare versions of the scene; 0 where there is one."""
+    works = ((device, work_of.get(compared_at(f"devices/{device.id}"))) for device in system.devices)
+    return max((_spent_s(device, work) for device, work in works if work is not None), default=0.0)
 
 
 def emulate_server(system: System, works: Sequence[NodeWork]) -> EmulatedLatency:

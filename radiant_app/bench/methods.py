@@ -30,10 +30,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
-from radiant_app.bench.emulated_latency import NodeClock, NodeWork
+from radiant_app.bench.emulated_latency import NodeClock, NodeWork, compared_at
 from radiant_app.bench.off_path import off_path_metrics
 from radiant_app.bench.rivals import FIELD_STEPS, RIVALS, FieldSettings, rival_arms
 from radiant_app.report.progress import track_items
@@ -47,8 +48,9 @@ from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import CutBy, UploadFormat
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.bootstrap import paired_bootstrap
+from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.metric import Metric
-from radiant_core.hierarchy.in_process import run_in_process
+from radiant_core.hierarchy.in_process import InProcessRun, run_in_process
 from radiant_core.hierarchy.messages import DeviceModel
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import passed_on, refinement_bytes, sent_bytes
@@ -60,6 +62,8 @@ from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.training_pixels import training_pixels
 from radiant_viewer.charts.curve_chart import CurvePoint
 
+COMPARISON_BYTES = 4_000
+"""About what a device sends: scores.json of a run with some photographs."""
 NUM_EPOCHS_OF_PHOTOGRAPHS = 10
 """As many as the paper retrains on synthetic views."""
 TWO_BY_TWO = Layout(num_edges=2, num_devices=2)
@@ -144,7 +148,7 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
         for stage, each in run.refinements.items()
     ]
     clouds = [NodeWork(stage=stage, cpu_s=seconds[stage]) for stage in ("cloud", refined_at("cloud")) if stage in seconds]
-    nodes = (*_trainings(models, recipe), *joins, *refined, *clouds)
+    nodes = (*_trainings(models, recipe), *joins, *refined, *_comparisons(cell, recipe, run), *clouds)
     return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)), nodes=nodes)
 
 
@@ -153,6 +157,24 @@ def _trainings(models: Mapping[str, DeviceModel], recipe: Recipe) -> list[NodeWo
         NodeWork(stage=f"devices/{name}", cpu_s=float(model.summary["cpu_s"]), sent_bytes=sent_bytes(model, recipe.upload))
         for name, model in models.items()
     ]
+
+
+def _comparisons(cell: Cell, recipe: Recipe, run: InProcessRun) -> list[NodeWork]:
+    """What devices spend on comparing the versions of the scene, each in the held-out photographs
+    that were taken nearest to its own. None is chosen by it here: those photographs report the
+    figures that methods are compared by."""
+    held_out = cell.scene.held_out_views
+    if len(run.versions) < 2:
+        return []
+    device_of = {int(row): device for plan in recipe.edge_plans for device in plan.device_ids for row in plan.cameras_of(device)}
+    nearest = np.asarray(KDTree(cell.scene.training.cameras.centers).query(held_out.cameras.centers)[1])
+    owners, works = np.array([device_of[int(row)] for row in nearest]), []
+    for device in sorted({*owners.tolist()}):
+        own, begun_s = held_out.select(np.flatnonzero(owners == device)), time.process_time()
+        for splats in run.versions.values():
+            held_out_psnr_db(splats, own, recipe.backend)
+        works.append(NodeWork(stage=compared_at(f"devices/{device}"), cpu_s=time.process_time() - begun_s, sent_bytes=COMPARISON_BYTES))
+    return works
 
 
 def _receive_models(cell: Cell, recipe: Recipe) -> list[DeviceModel]:

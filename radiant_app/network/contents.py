@@ -11,12 +11,13 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import FiniteFloat, TypeAdapter, ValidationError
 
 from radiant_app.network.kinds import MAX_SMALL_BYTES, NOTES_NAME, REPORT_NAME
 from radiant_app.network.messages import DevicesReport
 from radiant_app.workers.inbox import CORRECTIONS_NAME, REFUSED_NAME, load_corrections
 from radiant_app.workers.reporting import read_notes
+from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import FIGURES
 from radiant_core.evaluate.seam_excess import BorderError
@@ -84,7 +85,11 @@ def check_raster(record: Any) -> None:
 
 def check_scores(record: Any) -> None:
     """Raise BadInput unless these are a device's figures."""
-    if not isinstance(record, dict) or record.keys() != {"images", "borders", "leakage"} or not isinstance(record["images"], list):
+    if (
+        not isinstance(record, dict)
+        or record.keys() != {"images", "borders", "leakage", "versions"}
+        or not isinstance(record["images"], list)
+    ):
         raise BadInput(f"scores have other fields than ours: {_WRONG}.")
     for row in record["images"]:
         figures = dict(row) if isinstance(row, dict) else {}
@@ -92,6 +97,9 @@ def check_scores(record: Any) -> None:
             raise BadInput(f"a score has the row {str(row)[:80]}: {_WRONG}.")
         if not all(value is None or _is_finite(value) for value in figures.values()):
             raise BadInput(f"a score has the row {str(row)[:80]}: {_WRONG}.")
+    TypeAdapter(dict[Version, list[FiniteFloat]]).validate_python(record["versions"], strict=True)
+    if any(len(figures) != len(record["images"]) for figures in record["versions"].values()):
+        raise BadInput(f"scores compare versions in other photographs than they score: {_WRONG}.")
     TypeAdapter(list[BorderError]).validate_python(record["borders"])
     leakage = record["leakage"]
     if leakage is not None and not (isinstance(leakage, dict) and all(_is_finite(value) for value in leakage.values())):

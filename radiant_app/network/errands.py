@@ -19,7 +19,7 @@ from radiant_app.events import Event, StageProgress, Warned, encode
 from radiant_app.network.arrivals import SPARE_BYTES
 from radiant_app.network.carrying import keep_result
 from radiant_app.network.home import Home, Invitation
-from radiant_app.network.kinds import task_problem
+from radiant_app.network.kinds import remove_earlier, task_problem
 from radiant_app.network.line import Withdrawn
 from radiant_app.network.reception import MAX_EVENT_CHARS, MAX_EVENTS, Ended
 from radiant_core import __version__
@@ -229,6 +229,7 @@ class Errands:
             if offered.get("refused") is True:
                 # What was made before is not wanted.
                 (folder / SEAL_NAME).unlink(missing_ok=True)
+            remove_earlier(envelope.kind, folder, envelope.files)
             self.line.fetch(envelope, errand.digest, folder)
             errand.work = self.performer.begin(envelope, folder, errand.digest)
         except Withdrawn:

@@ -47,19 +47,22 @@ TASK_FILES: Mapping[str, Files] = {
     "raster": Files(needed=(TASK_NAME,)),
     "own_field": Files(needed=(TASK_NAME, *_GIVEN)),
     "refine": Files(needed=(TASK_NAME, "scene.ply", *_GIVEN)),
-    "score": Files(needed=(TASK_NAME, "inbox/scene.ply", "inbox/plan.json", *_GIVEN), possible=("inbox/lpips.safetensors",)),
+    "score": Files(
+        needed=(TASK_NAME, "inbox/scene.ply", "inbox/plan.json", *_GIVEN),
+        possible=("inbox/joined.ply", "inbox/cut.ply", "inbox/lpips.safetensors"),
+    ),
     "edge_count": Files(needed=(TASK_NAME,)),
     "edge_raster": Files(needed=(TASK_NAME,)),
     "region": Files(needed=(TASK_NAME, "plan.json", "system.toml")),
     "edge_refine": Files(needed=(TASK_NAME, "scene.ply")),
-    "edge_score": Files(needed=(TASK_NAME, "scene.ply", "plan.json"), possible=("lpips.safetensors",)),
+    "edge_score": Files(needed=(TASK_NAME, "scene.ply", "plan.json"), possible=("joined.ply", "cut.ply", "lpips.safetensors")),
 }
 RESULT_FILES: Mapping[str, Files] = {
     "count": Files(needed=("count.json", NOTES_NAME)),
     "raster": Files(needed=("raster.json", NOTES_NAME)),
     "own_field": Files(needed=(FRAME_NAME, SUMMARY_NAME, NOTES_NAME), possible=(MODEL_NAME, CAMERAS_NAME, *_SIGNED)),
     "refine": Files(needed=(REFINED_NAME, ROWS_NAME, NOTES_NAME, *_SIGNED)),
-    "score": Files(needed=("scores.json", NOTES_NAME)),
+    "score": Files(needed=("scores.json", NOTES_NAME, *_SIGNED)),
     "edge_count": Files(needed=(REPORT_NAME,)),
     "edge_raster": Files(needed=(REPORT_NAME,)),
     "region": Files(
@@ -88,6 +91,13 @@ def task_problem(kind: str, files: Mapping[str, Any]) -> str | None:
         return f"there is no work of kind {kind[:40]!r}: use the same version of the software on both sides."
     problem = TASK_FILES[kind].problem(files)
     return problem and f"a task of kind {kind}: {problem}"
+
+
+def remove_earlier(kind: str, folder: Path, names: Collection[str]) -> None:
+    """Remove from the folder of a task what an earlier one of its stage had beside it: these are
+    the names of all files that this one has."""
+    for name in {*TASK_FILES[kind].possible} - {*names}:
+        (folder / name).unlink(missing_ok=True)
 
 
 def task_files(kind: str, folder: Path) -> dict[str, Path]:

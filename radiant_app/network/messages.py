@@ -17,7 +17,7 @@ from pydantic import Field
 
 from radiant_app.workers.tasks import HeldOut, Move, SfmSettings, Triple
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.choices import LpipsNetwork, StepPolicy, UploadFormat
+from radiant_core.choices import LpipsNetwork, StepPolicy, UploadFormat, Version
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.messages import Count, Id, Positive, Training
 
@@ -88,6 +88,8 @@ class EdgeScoreTask:
 
     devices: Devices
     to_cloud: Move
+    versions: tuple[Version, ...] = ()
+    """As of a `ScoreTask`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -50,13 +50,15 @@ from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.run.stages import ATTEMPTS
 from radiant_app.run.time_left import TimeLeftListener
 from radiant_app.workers.delivering import identify_owned, register_sender, use_run_number
-from radiant_app.workers.evaluation import SCORES_NAME
+from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import CORRECTIONS_NAME, REFUSED_NAME, load_corrections
 from radiant_app.workers.tasks import CountTask, Move, OwnFieldTask, RasterTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refined_at
+from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
+from radiant_core.hierarchy.choosing import JOINED
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refining_plan import RefiningPlan
@@ -344,8 +346,10 @@ class EdgeRun:
             )
             for device in devices
         ]
+        names: tuple[Version, ...] = task.versions or (JOINED,)
+        scenes: dict[Version, Path] = {name: asked / (version_file(name) if index else SCENE_NAME) for index, name in enumerate(names)}
         config = RunConfig(source=self.folder, out=self.folder, frames=self.region.frames, evaluate=evaluate)
-        scoring = Scoring(config=config, recipe=dealer.recipe, machines=machines, scene_folder=asked)
+        scoring = Scoring(config=config, recipe=dealer.recipe, machines=machines, scenes=scenes)
         folders = scoring.fold(self._executor(), self.emit)
         found = {folder.parent.name: read_json(folder / SCORES_NAME) for folder in folders}
         return DevicesReport(found=found, missing={device: NOTHING_SENT for device in devices if device not in found})

@@ -17,13 +17,15 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.photographs import Photographs
 from radiant_app.workers.delivering import DELIVERIES, exchange_keys, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
-from radiant_app.workers.nodes import unseal_cut_scene
+from radiant_app.workers.nodes import CUT_SCENE, unseal_cut_scene
 from radiant_app.workers.sources import masks_folder_of
 from radiant_app.workers.tasks import SIGNED
 from radiant_app.workers.training import MASKS
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
+from radiant_core.choices import Version
 from radiant_core.frames import Sim3
+from radiant_core.hierarchy.choosing import CUT, JOINED, REFINED
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import FRAME_NAME, SUMMARY_NAME, TASK_NAME, save_task, sent_files, task_key
 from radiant_core.io.photos.masks import mask_name
@@ -46,6 +48,8 @@ class Dealer:
     """Node id → the key of its seal, so that only nodes that this run finished are used."""
     refined: Path | None = None
     """Where the refined scene.ply lies; None: the scene is as it was joined."""
+    chosen: Version | None = None
+    """The version of the scene that photographs held out chose; None: the first of `versions`."""
     conductor: str = "cloud"
     """The node that conducts: an edge over a network signs for itself alone, else all keys are
     here."""
@@ -159,9 +163,25 @@ class Dealer:
         return self.is_done(node_id) and (not frame.is_file() or read_json(frame, ("status",))["status"] == "placed")
 
     @property
+    def versions(self) -> dict[Version, Path]:
+        """Folder of each version of the scene, that which is kept without a comparison first."""
+        cut = (self.run / "cloud" / CUT_SCENE).parent
+        made: tuple[tuple[Version, Path | None], ...] = (
+            (REFINED, self.refined),
+            (JOINED, self.run / "cloud"),
+            (CUT, cut if (self.run / "cloud" / CUT_SCENE).is_file() else None),
+        )
+        return {name: folder for name, folder in made if folder is not None}
+
+    @property
+    def version(self) -> Version:
+        """The version of the scene that is kept."""
+        return self.chosen or next(iter(self.versions))
+
+    @property
     def scene_folder(self) -> Path:
         """Where the finished scene.ply lies."""
-        return self.refined or self.run / "cloud"
+        return self.versions[self.version]
 
     def is_done(self, node_id: str) -> bool:
         """Whether the node with this id is done in this run."""

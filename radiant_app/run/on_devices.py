@@ -220,8 +220,8 @@ class DevicePhotographs:
             )
             for device, moves in sorted(dealer.load_moves().items())
         ]
-        scoring = Scoring(config=self.config, recipe=recipe, machines=machines, scene_folder=dealer.scene_folder)
-        result = scoring.run(executor, progress)
+        scoring = Scoring(config=self.config, recipe=recipe, machines=machines)
+        result = scoring.run(dealer, executor, progress)
         num_held_out = sum(len(share.held_out) for share in self.shares.values())
         facts = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": self.folders is None}
         if scoring.failed:

@@ -14,6 +14,7 @@ among it.
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -30,7 +31,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import dump_system
 from radiant_app.network.contents import load_report
 from radiant_app.network.hub import Hub
-from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME
+from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME, remove_earlier
 from radiant_app.network.messages import (
     LPIPS_NAME,
     PLAN_NAME,
@@ -44,6 +45,7 @@ from radiant_app.network.messages import (
     RegionTask,
 )
 from radiant_app.run.captured import Captured, middles_of_raster, place_rasters
+from radiant_app.run.choosing import keep_best
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.delivered import save_delivered_by_edges
 from radiant_app.run.far_devices import FarDevices, require_names
@@ -55,11 +57,12 @@ from radiant_app.run.source import Plan
 from radiant_app.run.stages import ATTEMPTS, make_recipe, make_time_left_listener
 from radiant_app.workers.delivering import identify_owned, register_sender, run_number
 from radiant_app.workers.evaluation import LPIPS_NAME as SCORED_LPIPS
-from radiant_app.workers.evaluation import SCORES_NAME
+from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.tasks import Move, SfmSettings
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
+from radiant_core.choices import Version
 from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
 from radiant_core.io.messages import FRAME_NAME, MODEL_NAME, REFINED_NAME, SUMMARY_NAME, save_task, task_key
@@ -153,9 +156,9 @@ class CloudRun:
             folder.mkdir(parents=True, exist_ok=True)
             task = tasks[node.id.split("/")[1]]
             save_task(folder, task)
+            remove_earlier(kind, folder, files or ())
             for given, path in (files or {}).items():
-                deal_files(path.parent, [path.name], folder)
-                (folder / path.name).replace(folder / given)
+                shutil.copyfile(path, folder / given)
             key = content_key(__version__, task_key(task), *((folder / given) for given in files or ()))
             self.keys[node.id] = key
             ask_again(folder, key)
@@ -341,32 +344,45 @@ class CloudRun:
 
     def _score(self, dealer: Dealer, progress: Progress) -> None:
         """Let the devices score the scene, and combine their figures."""
-        moves, to_cloud = dealer.load_moves(), load_corrections(self.folder / "cloud")
-        tasks = {}
-        for plan in dealer.recipe.edge_plans:
-            names, move = tuple(name for name in sorted(moves) if name in plan.device_ids), to_cloud.get(plan.edge_id)
-            if names and move is not None:
-                tasks[plan.edge_id] = EdgeScoreTask(devices=names, to_cloud=Move.of(move))
         place = self.folder / "evaluation"
         place.mkdir(exist_ok=True)
         save_plan(place / PLAN_NAME, regions_alone(dealer.recipe.cloud_plan), ())
-        files = {SCENE_NAME: dealer.scene_folder / SCENE_NAME, PLAN_NAME: place / PLAN_NAME}
-        if lpips_network_of(self.config):
-            files[LPIPS_NAME] = place / SCORED_LPIPS
-        report = self._ask_edges("edge_score", tasks, progress, files)
-        scores = {}
-        for device, record in sorted(report.found.items()):
-            self._seal_reported(f"devices/{device}/score", {SCORES_NAME: record}, content_key(record))
-            scores[device] = self.folder / f"devices/{device}/score" / SCORES_NAME
-        result = combine_scores(self.folder, scores, lpips_network_of(self.config))
+        missing: dict[str, str] = {}
+
+        def score(scenes: Mapping[Version, Path]) -> dict[str, Path]:
+            report = self._ask_scores(dealer, scenes, progress)
+            missing.clear()
+            missing.update(report.missing)
+            scores = {}
+            for device, record in sorted(report.found.items()):
+                self._seal_reported(f"devices/{device}/score", {SCORES_NAME: record}, content_key(record))
+                scores[device] = self.folder / f"devices/{device}/score" / SCORES_NAME
+            return scores
+
+        scores, choice = keep_best(dealer, score, progress.listen)
+        result = {**combine_scores(self.folder, scores, lpips_network_of(self.config)), **choice}
         counts = dealer.photographs
         assert isinstance(counts, FarDevices)
         num_held_out = sum(counts.num_held_out(device) for device in counts.devices())
         facts: dict[str, Any] = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": False}
-        if report.missing:
-            facts["failed_scoring"] = sorted(report.missing)
+        if missing:
+            facts["failed_scoring"] = sorted(missing)
         write_json(place / "result.json", {**result, **facts})
         save_delivered_by_edges(self.folder, dealer, counts.origin)
+
+    def _ask_scores(self, dealer: Dealer, scenes: Mapping[Version, Path], progress: Progress) -> DevicesReport:
+        """Let the devices score the first of these versions of the scene, and compare all."""
+        moves, to_cloud = dealer.load_moves(), load_corrections(self.folder / "cloud")
+        versions, tasks = (tuple(scenes) if len(scenes) > 1 else ()), {}
+        for plan in dealer.recipe.edge_plans:
+            names, move = tuple(name for name in sorted(moves) if name in plan.device_ids), to_cloud.get(plan.edge_id)
+            if names and move is not None:
+                tasks[plan.edge_id] = EdgeScoreTask(devices=names, to_cloud=Move.of(move), versions=versions)
+        files = {SCENE_NAME if not index else version_file(name): file for index, (name, file) in enumerate(scenes.items())}
+        files[PLAN_NAME] = self.folder / "evaluation" / PLAN_NAME
+        if lpips_network_of(self.config):
+            files[LPIPS_NAME] = self.folder / "evaluation" / SCORED_LPIPS
+        return self._ask_edges("edge_score", tasks, progress, files)
 
 
 def ask_again(folder: Path, key: str) -> None:

@@ -49,6 +49,7 @@ from radiant_app.workers.sources import SURVEY, detect_source
 from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
+from radiant_core.hierarchy.choosing import REFINED
 from radiant_core.hierarchy.recipe import devices_with_photographs
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
@@ -129,7 +130,7 @@ def run(
             dealer, tree, refining = _join(config, photographs, plan, progress)
         deal_files(dealer.scene_folder, ["scene.ply"], config.out)
         emulation = emulated_figures(config.out, tree, refining.tree, manifest) if config.emulated else {}
-        refined = {"refined": dealer.refined is not None, "not_refined": refining.left_out()}
+        refined = {"refined": dealer.version == REFINED, "not_refined": refining.left_out()}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe.cloud_plan, more)
         manifest.status = "done"

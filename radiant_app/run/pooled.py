@@ -141,9 +141,9 @@ class PooledPhotographs:
             files.append(folder / CAPTURES_NAME)
         given = [folder / "photos", *deal_masks(config.out, scene.cameras.names, folder), *files]
         machine = ScoringMachine(stage="evaluation", inputs=tuple(given))
-        scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine], scene_folder=dealer.scene_folder)
+        scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine])
         # Where the owner is, whatever runs the tree.
-        write_json(folder / "result.json", scoring.run(LocalExecutor(num_workers=1, clock=progress.clock), progress))
+        write_json(folder / "result.json", scoring.run(dealer, LocalExecutor(num_workers=1, clock=progress.clock), progress))
         owner = {"node": "sfm", "tier": "owner", **count_received([self.images / name for name in scene.cameras.names])}
         progress.manifest.access_log = [*dealer.access_log, owner]
 

@@ -16,16 +16,17 @@ from typing import Any
 import numpy as np
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Listener
+from radiant_app.events import Listener, Warned
 from radiant_app.executors.protocol import Executor, NodeTask
-from radiant_app.run.dealing import count_received, deal_files
+from radiant_app.run.choosing import keep_best
+from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.run.progress import Progress
-from radiant_app.workers.delivering import identify_part, sign_task
-from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, SCORES_NAME, summarize_scores
+from radiant_app.workers.delivering import DELIVERIES, find_refusals, identify_part, sign_task
+from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, SCENE_NAME, SCORES_NAME, summarize_scores, version_file
 from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
-from radiant_core.choices import LpipsNetwork
+from radiant_core.choices import LpipsNetwork, Version
 from radiant_core.errors import StageFailed
 from radiant_core.evaluate.seam_excess import BorderError, SeamExcess, excess_by_border, pooled_excess
 from radiant_core.frames import Sim3
@@ -33,6 +34,7 @@ from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, is_sealed, read_json
+from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.plan.plans import CloudPlan
 
 
@@ -62,32 +64,57 @@ class Scoring:
     config: RunConfig
     recipe: Recipe
     machines: Sequence[ScoringMachine]
-    scene_folder: Path
-    """Where the finished scene.ply lies."""
+    scenes: Mapping[Version, Path] = field(default_factory=dict)
+    """The file of each version of the scene: the first is scored, and all are compared where there
+    are more."""
     access_log: list[dict[str, Any]] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     """Stage → the key of its seal, so that figures of another scene are not used."""
     failed: tuple[str, ...] = ()
     """Stages of the machines that ended without figures."""
 
-    def run(self, executor: Executor, progress: Progress) -> dict[str, Any]:
-        """Score on every machine and combine the figures; raises as `combine_scores`."""
-        run, folders = self.config.out, self.fold(executor, progress.listen)
+    def run(self, dealer: Dealer, executor: Executor, progress: Progress) -> dict[str, Any]:
+        """Keep the version of the dealer's scene that is best on all machines, and combine its
+        figures; raises as `combine_scores`."""
+
+        def score(scenes: Mapping[Version, Path]) -> dict[str, Path]:
+            self.scenes = scenes
+            return {folder.parent.name: folder / SCORES_NAME for folder in self.fold(executor, progress.listen)}
+
+        run, (scores, facts) = self.config.out, keep_best(dealer, score, progress.listen)
         # Pictures of photographs leave a machine only where all are one owner's.
         for kind in PICTURE_KINDS if self.config.frames == "shared" or self.config.single_owner else ():
-            for made in (folder / kind for folder in folders):
+            for made in (path.parent / kind for path in scores.values()):
                 if made.is_dir():
                     shutil.copytree(made, run / "pictures" / kind, dirs_exist_ok=True)
-        return combine_scores(run, {folder.parent.name: folder / SCORES_NAME for folder in folders}, lpips_network_of(self.config))
+        return {**combine_scores(run, scores, lpips_network_of(self.config)), **facts}
 
     def fold(self, executor: Executor, listen: Listener) -> list[Path]:
         """Score on every machine; the folders of those that have figures."""
         nodes = tuple(Tree(id=machine.stage, tier="device") for machine in self.machines)
         executor.fold(Tree(id="scoring", tier="cloud", children=nodes), self._prepare, listen)
         run, stages = self.config.out, [machine.stage for machine in self.machines]
-        folders = [run / stage for stage in stages if stage in self.keys and is_sealed(run / stage, self.keys[stage])]
+        done = [machine for machine in self.machines if is_sealed(run / machine.stage, self.keys.get(machine.stage, ""))]
+        forged = self._forged([machine for machine in done if machine.edge is not None])
+        for stage, reason in forged.items():
+            listen(Warned(stage=stage, message=f"the figures of this device are left out: {reason}"))
+        folders = [run / machine.stage for machine in done if machine.stage not in forged]
         self.failed = tuple(stage for stage in stages if run / stage not in folders)
         return folders
+
+    def _forged(self, machines: Sequence[ScoringMachine]) -> dict[str, str]:
+        """Stage of a device → why its edge does not take its figures."""
+        run, found = self.config.out, {}
+        for edge in sorted({machine.edge for machine in machines if machine.edge is not None}):
+            places = {Path(own.stage).parent.name: run / own.stage for own in machines if own.edge == edge}
+            part = run / edge / "score"
+            shutil.rmtree(part / DELIVERIES, ignore_errors=True)
+            identify_part(run, f"{edge}/score", edge, "cloud")
+            for device, place in places.items():
+                deal_files(place, [RECORD_NAME, SIGNATURE_NAME], part / DELIVERIES / device)
+            refused = find_refusals(part, [*places], places, "scores", run / edge)
+            found |= {f"devices/{device}/score": reason for device, reason in refused.items()}
+        return found
 
     def _prepare(self, node: Tree) -> NodeTask | None:
         """Copy the scene and the borders to a machine; its task holds the moves of its frame."""
@@ -97,7 +124,10 @@ class Scoring:
         run, lpips = self.config.out, lpips_network_of(self.config)
         folder, inbox = run / node.id, run / node.id / "inbox"
         shutil.rmtree(inbox, ignore_errors=True)
-        deal_files(self.scene_folder, ["scene.ply"], inbox)
+        inbox.mkdir(parents=True)
+        names: list[Version] = [*self.scenes] if len(self.scenes) > 1 else []
+        for index, (name, file) in enumerate(self.scenes.items()):
+            shutil.copyfile(file, inbox / (SCENE_NAME if not index else version_file(name)))
         save_plan(inbox / "plan.json", regions_alone(load_plan(run / "plan.json")[0]), ())
         if lpips:
             deal_files(run / "evaluation", [LPIPS_NAME], inbox)
@@ -108,6 +138,7 @@ class Scoring:
             lpips=lpips,
             light=self.recipe.train.light,
             owned=machine.edge is not None,
+            versions=tuple(names),
         )
         save_task(folder, task)
         if machine.edge is not None:
@@ -128,7 +159,7 @@ def regions_alone(plan: CloudPlan) -> CloudPlan:
 def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
     """Combine the files of scores, by machine, into the figures of metrics.json; StageFailed where
     no machine has a held-out photograph."""
-    found = {name: read_json(path, ("images", "leakage", "borders")) for name, path in scores.items()}
+    found = {name: read_json(path, ("images", "leakage", "borders", "versions")) for name, path in scores.items()}
     images = [row for each in found.values() for row in each["images"]]
     if not images:
         none_placed = "the machines that scored have none whose pose is known; give more photographs."

@@ -18,11 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_app.workers.delivering import belongs_to_run, deliver
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, ScoreTask
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
+from radiant_core.choices import Version
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.image_error import (
     FIGURES,
     NO_FLIP_REASON,
@@ -56,13 +59,24 @@ from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
 from radiant_core.train.photographs import load_images, load_training_views
+from radiant_core.train.views import TrainingViews
 
 LPIPS_NAME = "lpips.safetensors"
 """Weights of LPIPS in the folder where a scene is scored."""
 SCORES_NAME = "scores.json"
 """Figures that a machine reports of its held-out photographs."""
+SCENE_NAME = "scene.ply"
 PICTURE_KINDS = ("photographs", "renders", "differences", "canonical")
 """Folders with one PNG per held-out photograph; the last where light is modelled."""
+
+
+NUM_LOADED = 16
+"""Photographs in memory at a time while versions of a scene are compared."""
+
+
+def version_file(name: Version) -> str:
+    """The file of another version of the scene than that in scene.ply, beside it."""
+    return f"{name}.ply"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,10 +132,14 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
     photographs = [images / name for name in cameras.names]
     leakage = _measure_leakage(own, images, task, reporter) if task.owned else None
-    scene, (plan, _) = load_ply(inbox / "scene.ply"), load_plan(inbox / "plan.json")
+    scene, (plan, _) = load_ply(inbox / SCENE_NAME), load_plan(inbox / "plan.json")
     training_images = Path(places.get("training_images", images))
     # By the photographs' own names, which EXIF is known by.
-    light = _light_of_score(scene, cameras, own, training_images, task, reporter)
+    small = None if task.light == "none" else _trained_views(own, training_images, task)
+    light = _light_of_score(scene, cameras, small, own, task)
+    if light is not None:
+        reporter.decide(light.decision(reporter.stage))
+    named = cameras
     if task.owned:
         cameras = replace(cameras, names=tuple(f"{own.name}/held-out-{index:04d}" for index in range(len(cameras))))
     views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME), light=light)
@@ -133,9 +151,31 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
         save_support(folder / SUPPORT_NAME, _support(scene, own, task, reporter))
     pictures = [name for image in scored for name in image.save(folder)]
     rows = [image.row for image in scored]
-    write_json(folder / SCORES_NAME, {"images": rows, "borders": [asdict(error) for error in errors], "leakage": leakage})
+    compared = {name: _compare(name, inbox, named, (own, images, small), task) for name in task.versions}
+    borders = [asdict(error) for error in errors]
+    write_json(folder / SCORES_NAME, {"images": rows, "borders": borders, "leakage": leakage, "versions": compared})
+    if not task.owned:
+        return [SCORES_NAME, SUPPORT_NAME, *pictures]
     # Checking a seal reads every file it lists, and the owner's process checks those of devices.
-    return [SCORES_NAME] if task.owned else [SCORES_NAME, SUPPORT_NAME, *pictures]
+    signed = deliver(folder, {SCORES_NAME: folder / SCORES_NAME}, "scores", own) if belongs_to_run(folder) else []
+    return [SCORES_NAME, *signed]
+
+
+def _compare(
+    name: Version, inbox: Path, cameras: Cameras, photographs: tuple[Path, Path, TrainingViews | None], task: ScoreTask
+) -> list[float]:
+    """PSNR of a version of the scene in the photographs of held-out `cameras`, in the light that is
+    predicted of them beside that version."""
+    own, images, small = photographs
+    scene = load_ply(inbox / (SCENE_NAME if name == task.versions[0] else version_file(name)))
+    light = _light_of_score(scene, cameras, small, own, task)
+    figures = []
+    for start in range(0, len(cameras), NUM_LOADED):
+        rows = np.arange(start, min(start + NUM_LOADED, len(cameras)))
+        views = load_training_views(images, cameras.select(rows), own / MASKS)
+        views = replace(views, cameras=_correct_cameras(views.cameras, task))
+        figures += held_out_psnr_db(scene, views, task.backend, None if light is None else light.held_out.select(rows))
+    return figures
 
 
 def score_views(scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter) -> list[ScoredImage]:
@@ -229,18 +269,17 @@ def _trained_cameras(own: Path, task: ScoreTask) -> Cameras:
     return load_scene(own / "scene.safetensors").cameras if task.owned else load_cameras(own / TRAINED_NAME)
 
 
-def _light_of_score(
-    scene: Splats, held_out: Cameras, own: Path, images: Path, task: ScoreTask, reporter: EventReporter
-) -> LightOfScore | None:
-    """The light of this machine's photographs beside the scene's, by those it trained on."""
-    if task.light == "none":
-        return None
+def _trained_views(own: Path, images: Path, task: ScoreTask) -> TrainingViews:
+    """The photographs that this machine trained on, as small as light is compared in."""
     trained = load_training_views(images, _trained_cameras(own, task).scaled(COMPARED_PX), own / MASKS)
-    trained = replace(trained, cameras=_correct_cameras(trained.cameras, task))
-    light = light_of_score(scene, trained, _correct_cameras(held_out, task), load_captures(own), task.light, task.backend)
-    if light is not None:
-        reporter.decide(light.decision(reporter.stage))
-    return light
+    return replace(trained, cameras=_correct_cameras(trained.cameras, task))
+
+
+def _light_of_score(scene: Splats, held_out: Cameras, trained: TrainingViews | None, own: Path, task: ScoreTask) -> LightOfScore | None:
+    """The light of this machine's photographs beside the scene's, by those it trained on."""
+    if trained is None:
+        return None
+    return light_of_score(scene, trained, _correct_cameras(held_out, task), load_captures(own), task.light, task.backend)
 
 
 def _correct_cameras(cameras: Cameras, task: ScoreTask) -> Cameras:

@@ -10,15 +10,15 @@ Each reads task.json, and beside it, below its folder:
     edge     inbox/<device>/{model,cameras}.safetensors
              → as device, virtual_cameras.safetensors
     cloud    inbox/<edge>/{model,virtual_cameras}.safetensors
-             → scene.ply, summary.json
+             → scene.ply, summary.json, cut/scene.ply
     refine   scene.ply; in the folder above scene.safetensors, model.safetensors, photos/, masks/
              → refined.safetensors, rows.safetensors
     average  scene.ply, inbox/<device>/{refined,rows}.safetensors
              → as refine
     finish   scene.ply, inbox/<edge>/{refined,rows}.safetensors
              → refined/scene.ply
-    score    inbox/{scene.ply,plan.json}, {held_out,initial}.safetensors, own.json, photos/, masks/,
-             of a device all but the inbox in the folder above
+    score    inbox/{scene.ply,plan.json,joined.ply,cut.ply}, {held_out,initial}.safetensors,
+             own.json, photos/, masks/, of a device all but the inbox in the folder above
              → scores.json, renders/, photographs/, differences/
 
 `field_nodes.py` has those of devices that place their own photographs, `own_photographs.py` those
@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 CUT_NAME = "cut_for_memory"
 """Empty file in the cloud's folder: models were cut because its machine had too little memory."""
+CUT_SCENE = "cut/scene.ply"
+"""The scene as it would be without joining, where the cloud has compared both."""
 
 Work = Callable[[Path, Any, EventReporter], Sequence[str]]
 """The work of a kind of node in its folder with its task; returns the names of its files."""
@@ -151,7 +153,8 @@ def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequenc
     from radiant_core.io.ply import save_ply
 
     models = receive_edge_models(folder, task.edges)
-    (folder / CUT_NAME).unlink(missing_ok=True)
+    for name in (CUT_NAME, CUT_SCENE):
+        (folder / name).unlink(missing_ok=True)
     scene = join_cloud(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
     names = ["summary.json", *save_joining(folder, scene.corrections, scene.refused, scene.uncertainty)]
     write_json(folder / "summary.json", dict(scene.summary) if scene.splats is not None else {**NOTHING, "num_models": 0})
@@ -160,6 +163,10 @@ def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequenc
     if scene.cut_for_memory:
         (folder / CUT_NAME).touch()
     save_ply(folder / "scene.ply", scene.splats)
+    if scene.cut is not None:
+        (folder / CUT_SCENE).parent.mkdir(exist_ok=True)
+        save_ply(folder / CUT_SCENE, scene.cut)
+        names.append(CUT_SCENE)
     remove_checkpoints(folder)
     return ["scene.ply", *names]
 

@@ -25,7 +25,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from radiant_app.workers.delivering import accept_task, belongs_to_run, conducts_itself
-from radiant_core.choices import Effort, LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat
+from radiant_core.choices import Effort, LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat, Version
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
@@ -195,6 +195,9 @@ class ScoreTask:
     owned: bool
     """Whether the photographs are a device's own, whose folder is the one above: figures then come
     under numbers and with the leakage of its synthetic views."""
+    versions: tuple[Version, ...] = ()
+    """Versions of the scene to compare, that in scene.ply first, the others in files of their
+    names; empty: none are compared."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,6 +67,9 @@ def test_refining_adds_its_slowest_edge_and_the_clouds_end() -> None:
     )
     played = emulate_tree(system(), [*WORKS, *refining])
     assert played == EmulatedLatency(edge_s=(18.0, 2.25, 0.0), devices_s=10.0, joined_s=25.0, scene_s=33.0)
+    # b: 0.5 / 0.5 + 1000 / 1000 = 2; a: 1; c has nothing to compare in.
+    compared = (NodeWork(stage="devices/a/score", cpu_s=1.0), NodeWork(stage="devices/b/score", cpu_s=0.5, sent_bytes=1000))
+    assert emulate_tree(system(), [*WORKS, *refining, *compared]) == replace(played, scene_s=35.0)
 
 
 @pytest.mark.parametrize("factor", [0.25, 0.5])
@@ -170,6 +173,8 @@ def test_the_work_of_a_server_is_told_client_by_client(folder: Path) -> None:
     joined = METHODS["ours"].make(cell, cell.recipe)
     nodes = ["devices/e0d0", "devices/e1d0", "edges/e0", "edges/e1"]
     refining = ["devices/e0d0/refine", "edges/e0/refine", "devices/e1d0/refine", "edges/e1/refine"]
-    assert [node.stage for node in joined.nodes] == [*nodes, *refining, "cloud", "cloud/refine"]
+    compared = [node.stage for node in joined.nodes if node.stage.endswith("/score")]
+    assert compared and {*compared} <= {"devices/e0d0/score", "devices/e1d0/score"}
+    assert [node.stage for node in joined.nodes] == [*nodes, *refining, *compared, "cloud", "cloud/refine"]
     assert [node.sent_bytes for node in joined.nodes[:2]] == [node.sent_bytes for node in made.nodes[:2]]
-    assert sum(node.cpu_s for node in joined.nodes[2:]) <= joined.cpu_s
+    assert sum(node.cpu_s for node in joined.nodes[2:] if node.stage not in compared) <= joined.cpu_s

@@ -129,10 +129,11 @@ def test_figures_of_another_scene_are_not_used_where_scoring_anew_fails(run: Pat
     machine = ScoringMachine(stage="evaluation", inputs=(file.parent / HELD_OUT_NAME,))
     config = RunConfig(source=tmp_path, out=run)
     recipe = SimpleNamespace(train=SimpleNamespace(long_side_px=192, light="none"), backend="native")
-    scoring = Scoring(config=config, recipe=cast(Any, recipe), machines=[machine], scene_folder=run / "cloud")
+    scoring = Scoring(config=config, recipe=cast(Any, recipe), machines=[machine])
+    dealer = SimpleNamespace(versions={"joined": run / "cloud"}, version="joined")
     given_up = SimpleNamespace(fold=lambda tree, prepare, listen: [prepare(node) for node in tree])
     with pytest.raises(StageFailed, match="ended without figures on every machine that has any; --resume"):
-        scoring.run(cast(Any, given_up), cast(Any, SimpleNamespace(listen=None)))
+        scoring.run(cast(Any, dealer), cast(Any, given_up), cast(Any, SimpleNamespace(listen=None)))
     assert file.is_file() and scoring.keys and scoring.failed == ("evaluation",)
 
 

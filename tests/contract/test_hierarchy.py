@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -19,18 +22,22 @@ from radiant_app.files.system_file import even_system
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.refining import Refining
+from radiant_app.workers.nodes import CUT_SCENE
 from radiant_app.workers.sources import sfm_record
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.evaluate.held_out import held_out_psnr_db
+from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
-from radiant_core.hierarchy.in_process import run_in_process
+from radiant_core.hierarchy.choosing import CUT, JOINED, REFINED
+from radiant_core.hierarchy.in_process import keep_best, run_in_process
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model
 from radiant_core.io.photos.masks import mask_name
 from radiant_core.io.ply import load_ply, save_ply
-from radiant_core.io.records import load_splats, save_cameras
+from radiant_core.io.records import load_splats, save_cameras, save_plan
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
@@ -160,6 +167,8 @@ def town_of_the_paper(folder: Path) -> World:
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
 
 
+COMPARED = "hamlet of two tiers"
+"""The world whose versions of the scene are compared in photographs held out."""
 WORLDS: dict[str, Callable[[Path], World]] = {
     "hamlet of two tiers": hamlet_of_two_tiers,
     "ground of a lone edge": ground_of_a_lone_edge,
@@ -219,6 +228,10 @@ def runs(
     executor.fold(Tree(id="all", tier="cloud", children=tuple(trees)), prepare_again, lambda event: None)
     for name, one in refining.items():
         dealers[name].refined = one.scene_folder
+    compared = dealers[COMPARED]
+    save_plan(compared.run / "plan.json", compared.recipe.cloud_plan, compared.recipe.edge_plans)
+    progress = SimpleNamespace(listen=lambda event: None, clock=time.monotonic, manifest=SimpleNamespace(access_log=[]))
+    compared.photographs.score(compared, executor, cast(Any, progress))  # type: ignore[attr-defined]
     return {name: dealer.scene_folder for name, dealer in dealers.items()}
 
 
@@ -253,6 +266,21 @@ def test_every_executor_makes_the_scene_of_the_fold_in_one_process(
             again.mkdir()
             save_cameras(again / "cameras", model.cameras)
             assert (again / "cameras").read_bytes() == (folder / "virtual_cameras.safetensors").read_bytes()
+
+
+def test_every_executor_keeps_the_version_that_the_fold_in_one_process_keeps(
+    runs: dict[str, Path], oracle: dict[str, Oracle], worlds: dict[str, World]
+) -> None:
+    run, made, world = run_of(runs[COMPARED]), oracle[COMPARED].run, worlds[COMPARED].photographs
+    assert [*made.versions] == [REFINED, JOINED, CUT]
+    assert_same(made.versions[CUT], load_ply(run / "cloud" / CUT_SCENE))
+    assert_same(made.versions[JOINED], load_ply(run / "cloud" / "scene.ply"))
+    cameras = world.scene.cameras.select(np.flatnonzero(held_out_mask(world.scene.cameras.names)))
+    views = load_training_views(world.images, cameras.scaled(SIDE_PX))
+    kept = keep_best(made, lambda splats: held_out_psnr_db(splats, views, "native"), Recorder())
+    result = read_json(run / "evaluation" / "result.json")
+    assert kept.choice is not None and result["version"] == kept.choice.version
+    assert result["versions"] == pytest.approx(dict(kept.choice.mean_db), abs=1e-9)
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -88,7 +88,7 @@ def one_core_executor(**options: object) -> local.LocalExecutor:
 
 def test_the_scene_is_that_of_a_run_on_one_machine_to_the_bit(runs: Runs) -> None:
     assert (runs.here.folder / "scene.ply").read_bytes() == (runs.far.folder / "scene.ply").read_bytes()
-    for name in ("psnr_db", "ssim", "num_gaussians", "missing", "not_refined", "refined", "num_unscored"):
+    for name in ("psnr_db", "ssim", "num_gaussians", "missing", "not_refined", "refined", "num_unscored", "version", "versions"):
         assert runs.here.metrics[name] == runs.far.metrics[name], name
     assert runs.far.metrics["refined"] and runs.far.metrics["missing"] == {}
 

@@ -79,6 +79,8 @@ class Joined:
     """How exposures of the models differ; None: not compared."""
     check: Check | None = None
     """Joined against cut; None: not compared."""
+    cut: Splats | None = None
+    """The cut that the joined model was better than; None: not compared, or the cut is kept."""
 
     @property
     def splats(self) -> Splats:
@@ -174,8 +176,9 @@ def _join(
     compared, cut_again = _sample(views, NUM_COMPARED), _cut(teachers, owned).splats
     joined_db, cut_db = (_pooled_db(_psnr_db(model, compared, options.backend)) for model in (whole, cut_again))
     check = Check(num_views=len(compared), joined_db=joined_db, cut_db=cut_db)
-    kept = joined if check.keeps_joined else replace(joined, trained=replace(made.trained, splats=cut_again))
-    return replace(kept, check=check)
+    if check.keeps_joined:
+        return replace(joined, check=check, cut=cut_again)
+    return replace(joined, trained=replace(made.trained, splats=cut_again), check=check)
 
 
 def _start(

@@ -63,7 +63,8 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
             options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
             teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]
             joined = _join(task, teachers, claims_of_cells(sites, weights), options, choice, reporter)
-            return SceneModel(splats=joined.splats, summary=training_summary(joined.trained), cut_for_memory=cut_for_memory, **found)
+            summary = training_summary(joined.trained)
+            return SceneModel(splats=joined.splats, summary=summary, cut_for_memory=cut_for_memory, cut=joined.cut, **found)
     merged = crop_merge(arrivals.models, sites, weights)
     counts = {"num_splats": len(merged), "num_dropped": sum(map(len, arrivals.models)) - len(merged)}
     return SceneModel(splats=merged, summary=counts, cut_for_memory=cut_for_memory, **found)

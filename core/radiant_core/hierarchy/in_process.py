@@ -6,12 +6,14 @@ What crosses between two nodes passes through the codec, so that the bits are th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
 from radiant_core.aggregate.tree import refined_at
+from radiant_core.choices import Version
 from radiant_core.frames import Sim3
+from radiant_core.hierarchy.choosing import CUT, JOINED, REFINED, Choice, choose_version
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.decisions import refinement_decision
 from radiant_core.hierarchy.device import train_device
@@ -23,6 +25,7 @@ from radiant_core.hierarchy.refining_plan import plan_refining
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
 from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
 from radiant_core.train.worth import worth_training
 
@@ -35,6 +38,20 @@ class InProcessRun:
     edges: Mapping[str, EdgeModel]
     refinements: Mapping[str, Refinement]
     """What was sent while the scene was refined, by the id of the node."""
+    joined: SceneModel
+    """The scene before it was refined."""
+    choice: Choice | None = None
+    """Which version of the scene this is; None: not compared by photographs held out."""
+
+    @property
+    def versions(self) -> dict[Version, Splats]:
+        """Of the scene, the one that is kept without a comparison first."""
+        made: tuple[tuple[Version, Splats | None], ...] = (
+            (REFINED, self.scene.splats if self.refinements else None),
+            (JOINED, self.joined.splats),
+            (CUT, self.joined.cut),
+        )
+        return {name: splats for name, splats in made if splats is not None}
 
 
 def run_in_process(
@@ -69,7 +86,7 @@ def run_in_process(
             sent[plan.edge_id] = passed_on(edge, recipe.upload)
             num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
     scene_model = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
-    joined_run = InProcessRun(scene=scene_model, edges=edges, refinements={})
+    joined_run = InProcessRun(scene=scene_model, edges=edges, refinements={}, joined=scene_model)
     return _refine(recipe, joined_run, scene, views, reporter_of)
 
 
@@ -103,6 +120,17 @@ def _refine(
     reporter = reporter_of(refined_at("cloud"))
     reporter.decide(refinement_decision(reporter.stage, [len(each.rows) for each in by_edge], splats))
     return replace(joined, scene=replace(joined.scene, splats=refine_scene(splats, by_edge)), refinements=sent)
+
+
+def keep_best(run: InProcessRun, compare: Callable[[Splats], Sequence[float]], reporter: Reporter) -> InProcessRun:
+    """The run with the version of its scene that is best by `compare`, which gives the PSNR of one
+    in photographs that were in no training."""
+    versions = run.versions
+    choice = choose_version([*versions], [{name: compare(splats) for name, splats in versions.items()}])
+    if choice is None:
+        return run
+    reporter.decide(choice.decision(reporter.stage))
+    return replace(run, scene=replace(run.scene, splats=versions[choice.version]), choice=choice)
 
 
 def devices_in(corrections: Mapping[str, Sim3 | None]) -> list[str]:

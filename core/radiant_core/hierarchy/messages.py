@@ -190,3 +190,5 @@ class SceneModel:
     summary: Mapping[str, float | int] = field(default_factory=dict)
     cut_for_memory: bool = False
     """Whether too little free memory made it cut models, which another try may join."""
+    cut: Splats | None = None
+    """The edges' models cut at their borders, where they were joined and that was compared."""

@@ -10,10 +10,12 @@ edge_model    model.safetensors, (virtual_cameras.safetensors, frame.json)  edge
 edge_task     task.json                                                             cloud → edge
 device_task   task.json, scene.safetensors, photos/, (masks/)                       edge → device
 field_task    task.json, (poses.safetensors), (poses/)                              edge → device
-score_task    task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)          edge → device
+score_task    task.json, inbox/: scene.ply, plan.json,
+              (joined.ply, cut.ply, lpips.safetensors)                              edge → device
 refine_task   task.json, scene.ply                                                  edge → device
 average_task  task.json, scene.ply                                                  cloud → edge
 refinement    refined.safetensors, rows.safetensors                     device → edge → cloud
+scores        scores.json                                                           device → edge
 
 The signature covers run, receiver and attempt, so that a delivery is worth nothing in another run
 or elsewhere; which attempt counts is decided by `acceptance.py`. A folder counts as one file: the
@@ -45,7 +47,16 @@ MAX_FILE_BYTES, MAX_FOLDER_BYTES = 2 * 10**10, 10**13
 MAX_ATTEMPT = 10**6
 
 Kind = Literal[
-    "device_model", "edge_model", "edge_task", "device_task", "field_task", "score_task", "refine_task", "average_task", "refinement"
+    "device_model",
+    "edge_model",
+    "edge_task",
+    "device_task",
+    "field_task",
+    "score_task",
+    "refine_task",
+    "average_task",
+    "refinement",
+    "scores",
 ]
 FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "device_model": (frozenset({"model.safetensors", "cameras.safetensors"}), frozenset({"frame.json"})),
@@ -53,10 +64,14 @@ FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "edge_task": (frozenset({"task.json"}), frozenset()),
     "device_task": (frozenset({"task.json", "scene.safetensors", "photos"}), frozenset({"masks"})),
     "field_task": (frozenset({"task.json"}), frozenset({"poses.safetensors", "poses"})),
-    "score_task": (frozenset({"task.json", "inbox/scene.ply", "inbox/plan.json"}), frozenset({"inbox/lpips.safetensors"})),
+    "score_task": (
+        frozenset({"task.json", "inbox/scene.ply", "inbox/plan.json"}),
+        frozenset({"inbox/joined.ply", "inbox/cut.ply", "inbox/lpips.safetensors"}),
+    ),
     "refine_task": (frozenset({"task.json", "scene.ply"}), frozenset()),
     "average_task": (frozenset({"task.json", "scene.ply"}), frozenset()),
     "refinement": (frozenset({"refined.safetensors", "rows.safetensors"}), frozenset()),
+    "scores": (frozenset({"scores.json"}), frozenset()),
 }
 """Files that a delivery has to have, and those it may have."""
 FOLDERS = frozenset({"poses", "photos", "masks"})

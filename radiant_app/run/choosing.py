@@ -1,0 +1,52 @@
+"""Keeps the version of a run's scene that is best in photographs that were in no training. Once per
+run, with its scoring.
+
+    versions ─ score, compare ─┬─→ the first is the best: it is scored
+                               └─→ another one is: that is kept, and scored in its place
+
+The photographs that choose are those that report the score. Where the usual version is kept, the
+score is what it would be without a choice; where not, the choice favours the one that is kept, and
+metrics.json has the figures of all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from radiant_app.events import Decided, Listener, Warned
+from radiant_app.run.dealing import Dealer
+from radiant_app.workers.evaluation import SCENE_NAME
+from radiant_core.choices import Version
+from radiant_core.hierarchy.choosing import choose_version
+from radiant_core.io.ply import load_ply
+from radiant_core.io.run_store import read_json
+
+STAGE = "evaluation"
+Score = Callable[[Mapping[Version, Path]], Mapping[str, Path]]
+"""Scores the first of several versions and compares all: files of scores by machine."""
+
+
+def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[str, Path], dict[str, Any]]:
+    """Compare the versions of the scene and keep the best one, `dealer.version`.
+
+    Returns:
+        Machine → file of the scores of that version; what metrics.json says of the choice.
+    """
+    dealer.chosen = None
+    scenes: dict[Version, Path] = {name: folder / SCENE_NAME for name, folder in dealer.versions.items()}
+    scores = score(scenes)
+    choice = choose_version([*scenes], [read_json(path, ("versions",))["versions"] for path in scores.values()])
+    if choice is None:
+        return scores, {"version": dealer.version}
+    decision = choice.decision(STAGE)
+    listen(Decided(decision=decision))
+    facts: dict[str, Any] = {"version": choice.version, "versions": dict(choice.mean_db)}
+    if choice.keeps_usual:
+        return scores, facts
+    listen(Warned(stage=STAGE, message=f"{decision.choice}, not the {next(iter(scenes))} one: {decision.reason}."))
+    dealer.chosen = choice.version
+    # The cloud's summary counts the joined one.
+    facts["num_gaussians"] = len(load_ply(scenes[choice.version]))
+    return score({choice.version: scenes[choice.version]}), facts
