@@ -59,6 +59,19 @@ SYSTEMS = {
     ),
 }
 
+# zig names processors with underscores. On macOS nanobind lists Python's names for Apple's linker, where zig's takes the one option
+# that means all of them; and zig 0.17 crashes on bundles, while Python loads a library as well.
+COMPILER = """arguments=()
+for one in "$@"; do
+  case "$one" in
+    -march=x86-64-v*) arguments+=("-march=x86_64_v${{one##*-v}}") ;;
+    *darwin-ld-*.sym) arguments+=(-Wl,-undefined,dynamic_lookup) ;;
+    -bundle) arguments+=(-dynamiclib) ;;
+    *) arguments+=("$one") ;;
+  esac
+done
+exec {zig} c++ -target {target} "${{arguments[@]}}" """
+
 # Windows keeps its own pyconfig.h with the source of Python; this is what the stable ABI's headers ask of it.
 WINDOWS_CONFIG = """#pragma once
 #define MS_WINDOWS 1
@@ -122,12 +135,7 @@ def configuration(folder: Path, system: System) -> list[str]:
     headers = folder / "python"
     folder.mkdir(parents=True, exist_ok=True)
     write_headers(headers, system)
-    # On macOS nanobind lists Python's names for Apple's linker; zig's takes the one option that means all of them.
-    write_program(
-        folder / "c++",
-        f'arguments=(); for one in "$@"; do case "$one" in *darwin-ld-*.sym) arguments+=(-Wl,-undefined,dynamic_lookup) ;; '
-        f'*) arguments+=("$one") ;; esac; done\nexec {zig()} c++ -target {system.zig_target} "${{arguments[@]}}"',
-    )
+    write_program(folder / "c++", COMPILER.format(zig=zig(), target=system.zig_target))
     for tool in ("ar", "ranlib"):
         write_program(folder / tool, f'exec {zig()} {tool} "$@"')
     settings = {
@@ -151,7 +159,9 @@ def configuration(folder: Path, system: System) -> list[str]:
     }
     if system.name == "Windows":
         write_windows_library(headers, folder / "python3.lib")
-        settings |= {"Python_LIBRARY": folder / "python3.lib", "Python_SABI_LIBRARY": folder / "python3.lib"}
+        # CMake reads the version in this name, and links only the stable one.
+        versioned = shutil.copy(folder / "python3.lib", folder / f"python{sys.version_info.major}{sys.version_info.minor}.lib")
+        settings |= {"Python_LIBRARY": versioned, "Python_SABI_LIBRARY": folder / "python3.lib"}
     return [f"-D{key}={value}" for key, value in settings.items()]
 
 

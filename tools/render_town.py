@@ -59,7 +59,7 @@ def record(run: Path, file: Path) -> None:
     cameras = scene.cameras.select(picked)
     given = {name: np.ascontiguousarray(array, np.float32) for name, array in splats.arrays().items()}
     given |= {"viewmats": cameras.cam_from_world, "Ks": cameras.Ks, "sizes_wh": cameras.sizes_wh, "sh_degree": np.array(splats.sh_degree)}
-    np.savez(file, **given, **render(_native, given))
+    np.savez(file, allow_pickle=False, **given, **render(_native, given))
     print(f"{len(splats):,} Gaussians from {', '.join(cameras.names)} on {describe(_native)}: {file}")
 
 
