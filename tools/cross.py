@@ -59,14 +59,16 @@ SYSTEMS = {
     ),
 }
 
-# zig names processors with underscores. On macOS nanobind lists Python's names for Apple's linker, where zig's takes the one option
-# that means all of them; and zig 0.17 crashes on bundles, while Python loads a library as well.
+# zig names processors with underscores. CMake asks the Python of this system what it links: libdl, which Windows has not. On macOS
+# nanobind lists Python's names for Apple's linker, where zig's takes the one option that means all of them; and zig 0.17 crashes on
+# bundles, while Python loads a library as well.
 COMPILER = """arguments=()
 for one in "$@"; do
   case "$one" in
     -march=x86-64-v*) arguments+=("-march=x86_64_v${{one##*-v}}") ;;
     *darwin-ld-*.sym) arguments+=(-Wl,-undefined,dynamic_lookup) ;;
     -bundle) arguments+=(-dynamiclib) ;;
+    -ldl) [[ {target} == *windows* ]] || arguments+=("$one") ;;
     *) arguments+=("$one") ;;
   esac
 done
