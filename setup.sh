@@ -3,11 +3,12 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 
-usage="usage: ./setup.sh [demo|test|check|help]
+usage="usage: ./setup.sh [demo|test|check|clang|help]
   (nothing)  set up and stop
   demo       set up, reconstruct a sample scene and name the report
   test       set up with everything the tests use, then run the checks and the tests
   check      the checks alone: import rules, linter, types
+  clang      set up, build the native module with clang too, and run the contract of the rasterizers on it
   help       this text"
 
 # Headers and a compiler for the native module; GL, EGL, Vulkan and a display for pictures; the libraries that Qt loads.
@@ -86,6 +87,34 @@ install_project() {
   exec 9<&-
 }
 
+install_clang() {
+  command -v clang++ >/dev/null && return
+  local line="apt-get update && apt-get install --yes --no-install-recommends clang"
+  [[ $EUID -eq 0 ]] || fail "there is no clang; run this line as root, then ./setup.sh clang again:
+$line"
+  echo "setup.sh: $line"
+  apt-get update
+  DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends clang
+}
+
+# A wheel in a folder of its own: the environment keeps what its own compiler made.
+build_with_clang() {
+  [[ "$(cat build/clang/made-of 2>/dev/null)" != "$(fingerprint)" ]] || return 0
+  rm -rf build/clang
+  CC=clang CXX=clang++ .venv/bin/python -m pip wheel --quiet --no-deps --wheel-dir build/clang --config-settings=build-dir=build/clang/cmake .
+  .venv/bin/python -m zipfile --extract build/clang/*.whl build/clang/packages
+  fingerprint >build/clang/made-of
+}
+
+# -S: otherwise the editable installation would come before what clang made.
+run_contract_of_clang() {
+  local installed
+  installed="$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
+  export PYTHONPATH="$PWD/build/clang/packages:$installed"
+  .venv/bin/python -S -c 'from radiant_core import _native as n; print("setup.sh:", n.compiler()); assert n.compiler().startswith("clang")'
+  .venv/bin/python -S -m pytest tests/contract/test_rasterizers.py tests/contract/test_absgrad.py -p no:cacheprovider
+}
+
 run_checks() {
   .venv/bin/lint-imports
   .venv/bin/ruff check
@@ -113,6 +142,12 @@ case "${1:-}" in
     run_checks
     # Two at a time even on larger machines: a worker holds up to 2 GB. By default, one of them would be given all of tests/app at once.
     .venv/bin/python -m pytest -n 2 --dist worksteal
+    ;;
+  clang)
+    install_project test
+    install_clang
+    build_with_clang
+    run_contract_of_clang
     ;;
   help | --help | -h) echo "$usage" ;;
   *) fail "unknown argument '$1'. Try ./setup.sh help." ;;

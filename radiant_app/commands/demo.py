@@ -12,11 +12,16 @@ DEMO_TRAINING = TrainOptions(preset="draft", long_side_px=400, num_steps=800, ma
 
 
 def sample_scenes_folder() -> Path:
-    """The folder `sample_scenes` of the project's source; BadInput in an install without it."""
-    folder = Path(radiant_app.__file__).resolve().parents[1] / "sample_scenes"
-    if not folder.is_dir():
-        raise BadInput("the sample scenes come with the project's source, not with the installed package: clone the repository.")
-    return folder
+    """The folder `sample_scenes` of the project's source, or that of the installed package, which has the town alone.
+
+    Raises:
+        BadInput: it is in neither place.
+    """
+    package = Path(radiant_app.__file__).resolve().parent
+    for folder in (package.parent / "sample_scenes", package / "sample_scenes"):
+        if (folder / "town").is_dir():
+            return folder
+    raise BadInput("the sample scenes are not in this installation: install Radiant's wheel again, or clone its repository.")
 
 
 def demo_config(out: Path) -> RunConfig:

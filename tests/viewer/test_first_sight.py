@@ -43,10 +43,15 @@ def drive():
         model = window.docks.cameras.sorted_cameras
         seen["names"] = [model.index(row, 0).data() for row in range(model.rowCount())]
         tree = window.layer_dock
+        window.select_index(0)
         tree.set_solo("Borders")
+        seen["marks in solo"] = window._marks.shown
+        window.select_index(1)
+        seen["selected in solo"] = window._marks.shown
         grey = [name for name, item in tree._items.items() if item.foreground(0).style().value]
         seen["grey in solo"] = len(grey) == len(tree._items) - 1 and "Borders" not in grey
         tree.set_solo(None)
+        seen["marks afterwards"] = window._marks.shown
         seen["grey afterwards"] = any(item.foreground(0).style().value for item in tree._items.values())
         window.save_window_picture(Path(picture))
         if resized:
@@ -79,5 +84,7 @@ def test_a_window_fills_the_screen_and_comes_back_as_it_was_left(tmp_path: Path)
     assert first["place 0"] != first["place 20"] and "(EPSG:" in first["place 0"]
     assert "Wheel" in first["keys"] and "Ctrl+G" in first["keys"]
     assert first["headline"].startswith("makespan: ") and "\nbound: " in first["headline"]
+    # What is selected meanwhile is shown.
+    assert first["marks in solo"] == [] and first["selected in solo"] == first["marks afterwards"] == ["Selected camera"]
     assert first["grey in solo"] and not first["grey afterwards"]
     assert len(first["names"]) > 10

@@ -26,6 +26,7 @@ from tests.viewer.made_up_run import made_up_town, save_run
 ROOT = Path(__file__).parents[2]
 DRIVER = """
 import json, sys
+from dataclasses import replace
 from pathlib import Path
 import numpy as np
 from PySide6.QtCore import QPoint, QTimer, Qt
@@ -206,6 +207,11 @@ def seams(window):
         assert dock.at == expected
     dock.step(-1)
     assert dock.at == 2 and dock.table.currentRow() == 2
+    plan = window.run.cloud_plan
+    for moved in (3.0, 0.0):
+        (layer,) = dock.show_plan(replace(plan, borders=tuple(border + moved for border in plan.borders)))
+        assert dock.edited.isHidden() == (moved == 0), moved
+        assert any("edits move no seam" in entry.text for entry in layer.legend) == (moved > 0), layer.legend
 
 def tools(window):
     window.reset_views()

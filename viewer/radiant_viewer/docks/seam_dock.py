@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
@@ -17,9 +19,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.layer import Layer, LegendEntry
-from radiant_viewer.layers.palette import VERMILLION, WHITE
+from radiant_viewer.layers.palette import GREY, VERMILLION, WHITE
 from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_findings import excess_text, observed_text, step_text
@@ -37,6 +40,8 @@ TIPS = (
     "A step is told where it is at least 10 levels and more than any line beside the border steps",
 )
 MARK = "Border of the tour"
+EDITED_SHORT = "At the run's own borders: edits move no seam"
+EDITED = "Measured in the model as it was trained, along the borders of its own plan: an edit moves no seam before the next run."
 
 
 class SeamDock(QDockWidget):
@@ -47,6 +52,7 @@ class SeamDock(QDockWidget):
         self.setObjectName("seams")
         self._host, self._unit = host, run.unit
         self._ground = ground_height(run.scene)
+        self._measured_borders = run.cloud_plan.borders
         self.stops = stops
         self.at: int | None = None
         self.previous, self.next, self.worst = QPushButton("‹ Previous"), QPushButton("Next ›"), QPushButton("Worst seam")
@@ -63,6 +69,9 @@ class SeamDock(QDockWidget):
         # A long sentence must not widen the window.
         self.text.setWordWrap(True)
         self.table = self._table()
+        self.edited = QLabel(EDITED)
+        self.edited.setWordWrap(True)
+        self.edited.hide()
         row = QHBoxLayout()
         for button in (self.worst, self.previous, self.next):
             row.addWidget(button)
@@ -71,8 +80,17 @@ class SeamDock(QDockWidget):
         layout = QVBoxLayout(body)
         layout.setContentsMargins(4, 2, 4, 4)
         layout.addLayout(row)
+        layout.addWidget(self.edited)
         layout.addWidget(self.table)
         self.setWidget(body)
+
+    def show_plan(self, plan: CloudPlan) -> list[Layer]:
+        """Say whether a plan has other borders than those that the seams lie at; returns the layer of
+        the seams with a legend that says so too."""
+        same = len(plan.borders) == len(self._measured_borders) and all(map(np.array_equal, plan.borders, self._measured_borders))
+        self.edited.setVisible(not same)
+        note = () if same else (LegendEntry(text=EDITED_SHORT, color=GREY, marker="line"),)
+        return [replace(layer, legend=(*layer.legend, *note)) for layer in self._host.layers if layer.name == "Seams"]
 
     def step(self, by: int) -> None:
         """Move by `by` stops, round from the last to the first."""

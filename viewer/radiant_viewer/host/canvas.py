@@ -113,14 +113,16 @@ class Canvas:
             self.show(layer.name, visible)
             return
         self.remove(layer.name)
-        actors = add_layer(self.plotter, shown, self.origin, flat_height=flat_height, detail=self.detail)
+        # Points and lines are in pixels of the screen, however dense; VTK scales letters alone.
+        scale = self.plotter.devicePixelRatioF()
+        actors = add_layer(self.plotter, shown, self.origin, line_scale=scale, flat_height=flat_height, detail=self.detail)
         if layer.polygons and self.is_map:
             actors[0].prop.opacity = self.fill_opacity
         self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in actors[-1:]:
                 # A view has a quarter of a picture's size: points as large would bury the rest.
-                actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
+                actor.prop.point_size = (CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX) * scale
         if layer.labels and self.is_map:
             self.actors[layer.name].append(add_map_labels(self.plotter, layer.labels, self.origin, height, self.theme, LABEL_SIZE))
         self.show(layer.name, visible)

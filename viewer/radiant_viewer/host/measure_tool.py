@@ -16,11 +16,12 @@ MARK, HINT = "Measurement", "Measure: click corners on the map; Backspace takes 
 
 
 class MeasureTool:
-    """Takes the clicks on the map while `is_active`; `corners` (K,2) are the clicked places."""
+    """Takes the clicks on the map while `is_active`; `corners` (K,2) are the clicked places, `mark`
+    names what shows them."""
 
     def __init__(self, host: Host, unit: str, height: float, *, mark: str = MARK, hint: str = HINT) -> None:
         self._host, self._unit, self._height = host, unit, height
-        self._mark, self._hint = mark, hint
+        self.mark, self._hint = mark, hint
         self.is_active = False
         self.corners: FloatArray = np.zeros((0, 2))
         host.map.click_takers.insert(0, self._on_click)
@@ -29,7 +30,7 @@ class MeasureTool:
         """Start with no corner, or end and remove the mark."""
         self.is_active = active
         self.corners = np.zeros((0, 2))
-        self._host.remove_mark(self._mark)
+        self._host.remove_mark(self.mark)
         self._host.render_views()
         self._host.show_status(self._hint if active else "")
 
@@ -62,14 +63,14 @@ class MeasureTool:
 
     def _draw(self) -> None:
         if not len(self.corners):
-            self._host.remove_mark(self._mark)
+            self._host.remove_mark(self.mark)
         else:
             places = np.column_stack([self.corners, np.full(len(self.corners), self._height)])
             ends = np.stack([places, np.roll(places, -1, axis=0)], axis=1)
             ends = ends if len(places) > 2 else ends[: len(places) - 1]
             self._host.draw_mark(
                 Layer(
-                    name=self._mark,
+                    name=self.mark,
                     points=places,
                     point_colors=np.tile(np.array(ORANGE, np.uint8), (len(places), 1)),
                     point_size_px=8,

@@ -38,7 +38,8 @@ def camera_layer(
 
 
 def highlight_layer(cameras: Cameras, index: int) -> Layer:
-    """Return one camera, enlarged, in a colour that no region has, as the mark of a selection."""
+    """Return a ring about one camera and its pyramid, enlarged, as the mark of a selection: to
+    deuteranopes vermillion is near orange (`palette.CATEGORIES`), but no camera is a ring."""
     one = cameras.select([index])
     size = _pyramid_depth(cameras)
     segments = pyramid_segments(one, 2 * size)
@@ -46,8 +47,9 @@ def highlight_layer(cameras: Cameras, index: int) -> Layer:
         name="Selected camera",
         points=one.centers,
         point_colors=np.array([VERMILLION], np.uint8),
-        point_size_px=15,
+        point_size_px=18,
         point_rim=True,
+        ring_points=True,
         segments=segments,
         segment_colors=np.tile(np.array(VERMILLION, np.uint8), (len(segments), 1)),
         line_width_px=3,

@@ -14,8 +14,8 @@ from radiant_viewer.layers.palette import INK, VERMILLION, YELLOW
 
 RING_PX = 9.0
 """Extra width of a ring over the dot of a camera."""
-SELECTED_PX = 3.0
-"""Extra width of a selected camera's dot: rings side by side would hide the map."""
+SELECTED_PX = 5.0
+"""Extra width of a selected camera's ring: wider ones side by side would hide the map."""
 
 
 def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
@@ -63,13 +63,14 @@ def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: 
 
 
 def selection_layer(positions: FloatArray) -> Layer:
-    """Return vermillion dots on selected cameras (K,3)."""
+    """Return vermillion rings about selected cameras (K,3)."""
     return Layer(
         name="Selection",
         points=positions,
         point_colors=np.tile(np.array(VERMILLION, np.uint8), (len(positions), 1)),
         point_size_px=_ring_px(len(positions)) - RING_PX + SELECTED_PX,
         point_rim=True,
+        ring_points=True,
         in_front=True,
         legend=(LegendEntry(text=f"Selected ({len(positions)})", color=VERMILLION, marker="ring"),) if len(positions) else (),
     )

@@ -26,8 +26,8 @@ SLOTS_PER_LAYER = 4
 """Heights that a flattened layer takes on a map: polygons, segments, rims, points."""
 RIM_PX = 3.5
 _Kind = Literal["polygons", "segments", "rims", "points"]
-ROUND_SHADER = "//VTK::Color::Impl\n  vec2 off = gl_PointCoord - vec2(0.5); if (dot(off, off) > 0.25) { discard; }\n"
-"""Flat discs: VTK's points are square, and its spheres rise over higher layers of a map."""
+RING_SHARE = 0.64
+"""Of the width of a ring, its hole."""
 FRONT_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = 0.001 * gl_FragCoord.z;\n"
 """Scale of depth for layers in front of all others, which keep their order."""
 BEHIND_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = min(1.0, gl_FragCoord.z + 1e-5);\n"
@@ -70,7 +70,7 @@ def has_same_structure(layer: Layer, other: Layer) -> bool:
     styles = [
         (
             [bool(len(part)) for part in (one.polygons, one.segments, one.points)],
-            (one.point_size_px, one.point_rim, one.square_points, one.in_front, one.behind, one.line_width_px),
+            (one.point_size_px, one.point_rim, one.square_points, one.ring_points, one.in_front, one.behind, one.line_width_px),
         )
         for one in (layer, other)
     ]
@@ -105,10 +105,20 @@ def _add_part(plotter: pv.Plotter, layer: Layer, part: tuple[_Kind, pv.PolyData]
     elif kind == "segments":
         actor.prop.line_width = layer.line_width_px * line_scale
     else:
-        actor.prop.point_size = (layer.point_size_px + (RIM_PX if kind == "rims" else 0.0)) * line_scale
+        size_px, hole_px = layer.point_size_px, RING_SHARE * layer.point_size_px if layer.ring_points else 0.0
+        if kind == "rims":
+            size_px, hole_px = size_px + RIM_PX, max(0.0, hole_px - RIM_PX)
+        actor.prop.point_size = size_px * line_scale
         if not layer.square_points:
-            actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Color::Impl", True, ROUND_SHADER, False)
+            actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Color::Impl", True, _round_shader(hole_px / size_px), False)
     return actor
+
+
+def _round_shader(hole: float) -> str:
+    """Flat discs, or rings with a hole of this share of their width: VTK's points are square, and
+    its spheres rise over higher layers of a map."""
+    away = "vec2 off = gl_PointCoord - vec2(0.5); float away = dot(off, off);"
+    return f"//VTK::Color::Impl\n  {away} if (away > 0.25 || away < {0.25 * hole**2:.6f}) {{ discard; }}\n"
 
 
 def _add_cloud(

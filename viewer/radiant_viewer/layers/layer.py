@@ -73,6 +73,9 @@ class Layer:
     """Whether each point has a dark rim, which sets off light colours; labels avoid such points."""
     square_points: bool = False
     """Whether points and rims are square instead of round."""
+    ring_points: bool = False
+    """Whether points are rings about their place: told by their shape from what they mark, which
+    stays visible inside."""
     in_front: bool = False
     """Whether a 3D view draws it in front of everything, as borders below a model need."""
     behind: bool = False

@@ -24,7 +24,8 @@ from radiant_core.numerics import FloatArray
 from radiant_viewer.docks.layer_dock import LayerDock
 from radiant_viewer.editing.plan_files import PlanSetting
 from radiant_viewer.editing.planning import make_planning
-from radiant_viewer.host.canvas import TOP_SLOT, Canvas
+from radiant_viewer.host.canvas import Canvas
+from radiant_viewer.host.marks import Marks
 from radiant_viewer.host.measure_tool import MeasureTool
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.layer import Layer, framing_positions
@@ -76,7 +77,6 @@ class InspectorWindow(QMainWindow):
         self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
         self.theme: Theme = LIGHT
         self.selected: int | None = None
-        self._marks: dict[str, Layer] = {}
         self._was_shown = False
         self._restore = restore
         self._tried, self._read_at_s = subject.stamps, time.monotonic()
@@ -87,6 +87,7 @@ class InspectorWindow(QMainWindow):
         splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin, unit=subject.unit)
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
+        self._marks = Marks((self.map, self.view))
         splitter.setStretchFactor(1, 1)
         self.splitter = splitter
         self.setCentralWidget(splitter)
@@ -153,19 +154,18 @@ class InspectorWindow(QMainWindow):
         self.run = run
         if self.docks.cameras is not None:
             self.docks.cameras.show_run(run)
+        if self.docks.seams is not None:
+            for layer in self.docks.seams.show_plan(run.cloud_plan):
+                self.layer_dock.update_legend(apply_theme(layer, self.theme))
 
     def visible_layers(self) -> list[Layer]:
         return [layer for layer in self.layers if self.layer_dock.is_visible(layer.name)]
 
     def draw_mark(self, layer: Layer) -> None:
-        self._marks[layer.name] = layer
-        for canvas in (self.map, self.view):
-            canvas.draw(layer, TOP_SLOT)
+        self._marks.draw(layer)
 
     def remove_mark(self, name: str) -> None:
-        self._marks.pop(name, None)
-        for canvas in (self.map, self.view):
-            canvas.remove(name)
+        self._marks.remove(name)
 
     def select_camera(self, name: str) -> None:
         if self.run is None or name not in self.run.photographs:
@@ -451,8 +451,7 @@ class InspectorWindow(QMainWindow):
     def _draw_all(self) -> None:
         for layer in self.layers:
             self._draw(layer)
-        for layer in list(self._marks.values()):
-            self.draw_mark(layer)
+        self._marks.redraw()
         self.render_views()
 
     def _draw(self, layer: Layer) -> None:
@@ -474,6 +473,7 @@ class InspectorWindow(QMainWindow):
         for layer in self.layers:
             for canvas in (self.map, self.view):
                 canvas.show(layer.name, self._draws(layer))
+        self._marks.follow_solo(self.layer_dock.solo is not None, (self.measure, self.docks.cleaning.polygon))
         if self.model is not None:
             self.model.set_shown(self.layer_dock.is_visible(MODEL_LAYER))
         self.render_views()

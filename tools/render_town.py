@@ -1,0 +1,102 @@
+"""The town's render on another system: written down where the reference runs, drawn again with numpy alone where the other does.
+
+    .venv/bin/python tools/render_town.py record RUN town.npz                    # RUN: a folder of `radiant demo`
+    qemu-aarch64-static -L ROOT ROOT/usr/bin/python3 tools/render_town.py replay MODULE town.npz
+
+MODULE is `_native.abi3.so` of that system, for example of `tools/cross.py`; ROOT a root of arm64
+with Python and numpy. The file holds what the native rasterizer is given for some cameras of the
+scene, and what it made of it here, so the other needs neither torch nor the rest of Radiant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import platform
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+TENSORS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")
+OUTPUTS = ("images", "alphas", "depths")
+NUM_VIEWS = 3
+# Of a colour or an opacity, and of a depth relative to the greatest.
+MOST_ERROR = 1e-5
+# A Gaussian counts from an opacity of 1/255 on and a ray ends at a transmittance of 1e-4. The last digit decides about those that
+# meet a limit, and one of them is worth up to 1/255; AVX-512 and the portable kernels of one machine differ at such values too.
+MOST_AT_A_LIMIT, MOST_STEP = 1e-5, 1 / 255
+
+
+def render(native: Any, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Images (C,H,W,3), alphas and depths (C,H,W) of the cameras that are given, by the rasterizer of one native module."""
+    (width, height), count = given["sizes_wh"][0].tolist(), len(given["means"])
+    shape = (len(given["Ks"]), height, width)
+    made = {"images": np.empty((*shape, 3), np.float32), "alphas": np.empty(shape, np.float32), "depths": np.empty(shape, np.float32)}
+    for i, (viewmat, K) in enumerate(zip(given["viewmats"], given["Ks"], strict=True)):
+        native.RenderedView().forward(
+            "", [given[name] for name in TENSORS], viewmat, K, width, height, int(given["sh_degree"]), 0.01, 1e10, False,
+            np.zeros(3, np.float32), *(made[name][i] for name in OUTPUTS),
+            np.empty((count, 2), np.float32), np.empty(count, np.float32), False, 1,
+        )  # fmt: skip
+    return made
+
+
+def describe(native: Any) -> str:
+    """Where and with what a module runs."""
+    return f"{platform.machine()}, {native.compiler()}, {native.instruction_sets()[0]}"
+
+
+def record(run: Path, file: Path) -> None:
+    """Write what the rasterizer is given for some cameras of a run's scene, and what it makes of it."""
+    from radiant_core import _native
+    from radiant_core.io.ply import load_ply
+    from radiant_core.io.records import load_scene
+
+    splats, scene = load_ply(run / "scene.ply"), load_scene(run / "sfm" / "scene.safetensors")
+    picked = np.linspace(0, len(scene.cameras) - 1, NUM_VIEWS).astype(np.int64)
+    cameras = scene.cameras.select(picked)
+    given = {name: np.ascontiguousarray(array, np.float32) for name, array in splats.arrays().items()}
+    given |= {"viewmats": cameras.cam_from_world, "Ks": cameras.Ks, "sizes_wh": cameras.sizes_wh, "sh_degree": np.array(splats.sh_degree)}
+    np.savez(file, allow_pickle=False, **given, **render(_native, given))
+    print(f"{len(splats):,} Gaussians from {', '.join(cameras.names)} on {describe(_native)}: {file}")
+
+
+def replay(module: Path, file: Path) -> None:
+    """Draw the same with another module; ends with an error where it differs by more than `MOST_ERROR`."""
+    spec = importlib.util.spec_from_file_location("_native", module)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"{module} is no module of this Python.")
+    native = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(native)
+    with np.load(file) as loaded:
+        given = dict(loaded)
+    started_s = time.monotonic()
+    made = render(native, given)
+    print(f"{describe(native)}: {NUM_VIEWS} views in {time.monotonic() - started_s:.1f} s")
+    differ = [name for name in OUTPUTS if not _agree(name, made[name], given[name])]
+    if differ:
+        raise SystemExit(f"{' and '.join(differ)} differ by more than {MOST_ERROR:.0e}.")
+
+
+def _agree(name: str, made: np.ndarray, expected: np.ndarray) -> bool:
+    """Whether all values but those at a limit are equal within `MOST_ERROR`; prints by how much they differ."""
+    difference = np.abs(made - expected) / max(1.0, float(expected.max()))
+    beyond, largest, rms = int((~(difference <= MOST_ERROR)).sum()), float(difference.max()), float(np.sqrt(np.mean(difference**2)))
+    print(f"  {name}: root mean square {rms:.1e}, largest {largest:.1e}, {beyond} of {difference.size:,} differ by over {MOST_ERROR:.0e}")
+    return beyond <= MOST_AT_A_LIMIT * difference.size and largest <= MOST_STEP
+
+
+def main() -> None:
+    """`record` or `replay`."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("what", choices=["record", "replay"])
+    parser.add_argument("source", type=Path, help="record: the folder of a run; replay: the native module")
+    parser.add_argument("file", type=Path, help="what is written or read, .npz")
+    options = parser.parse_args()
+    (record if options.what == "record" else replay)(options.source, options.file)
+
+
+if __name__ == "__main__":
+    main()
