@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QDockWidget, QMainWindow, QTabWidget, QWidget
 
 from radiant_viewer.docks.camera_dock import CameraDock
 from radiant_viewer.docks.cleaning_dock import CleaningDock
+from radiant_viewer.docks.control_dock import ControlDock
 from radiant_viewer.docks.fly_dock import FlyDock
 from radiant_viewer.docks.gantt_dock import GanttDock
 from radiant_viewer.docks.photo_dock import PhotoDock
@@ -35,10 +36,11 @@ class Docks:
     seams: SeamDock | None = None
     gantt: GanttDock | None = None
     progress: ProgressDock | None = None
+    control: ControlDock | None = None
 
     def all(self) -> list[QDockWidget]:
         """Return the docks that exist, in the order of their tabs."""
-        docks = (self.photo, self.cameras, self.seams, self.gantt, self.progress, self.fly, self.cleaning)
+        docks = (self.control, self.photo, self.cameras, self.seams, self.gantt, self.progress, self.fly, self.cleaning)
         return [dock for dock in docks if dock is not None]
 
 
@@ -58,13 +60,14 @@ def make_docks(host: Host, subject: Subject, feeds: RunFeeds, ply_path: Path | N
         seams=make_seam_dock(host, run),
         gantt=GanttDock(host, feeds),
         progress=ProgressDock(host, feeds),
+        control=ControlDock(host, run),
     )
 
 
 def place_docks(window: QMainWindow, docks: Docks) -> None:
     """Put pictures at the right and everything else below, each side as tabs."""
     right, bottom = Qt.DockWidgetArea.RightDockWidgetArea, Qt.DockWidgetArea.BottomDockWidgetArea
-    rights: list[QDockWidget] = [] if docks.photo is None else [docks.photo]
+    rights = [dock for dock in (docks.control, docks.photo) if dock is not None]
     bottoms = [dock for dock in docks.all() if dock not in rights]
     for dock in rights:
         window.addDockWidget(right, dock)
