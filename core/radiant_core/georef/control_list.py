@@ -68,7 +68,7 @@ class ControlList:
         """With a mark, in place of the point's former one in that photograph."""
         self.point(name)
         if photograph.split() != [photograph] or "#" in photograph:
-            raise BadInput(f"{photograph!r} has a blank or # in its name, which gcp_list.txt cannot hold: rename the photograph.")
+            raise BadInput(f"{photograph!r} has a blank or a hash in its name, which gcp_list.txt cannot hold: rename the photograph.")
         if not all(np.isfinite(pixel)):
             raise BadInput(f"a mark at {pixel} came, expected finite pixels.")
         return replace(self, marks={**self.marks, (name, photograph): (float(pixel[0]), float(pixel[1]))})

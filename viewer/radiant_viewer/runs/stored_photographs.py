@@ -48,8 +48,8 @@ def stored_size_wh(path: Path) -> tuple[int, int] | None:
 
 
 def load_stored(folder: Path, name: str) -> Image:
-    """A photograph (H,W,3) by its name in the scene, in the orientation of its pixels, whatever EXIF
-    says; BadInput where it is not in the folder or broken."""
+    """A photograph (H,W,3) by its name in the scene, in the orientation of its pixels, whatever
+    EXIF says; BadInput where it is not in the folder or broken."""
     parts = PurePosixPath(name)
     if parts.is_absolute() or ".." in parts.parts:
         raise BadInput(f"{name!r} is no name of a photograph inside {folder}.")

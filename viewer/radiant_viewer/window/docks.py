@@ -16,6 +16,7 @@ from radiant_viewer.docks.gantt_dock import GanttDock
 from radiant_viewer.docks.photo_dock import PhotoDock
 from radiant_viewer.docks.progress_dock import ProgressDock
 from radiant_viewer.docks.seam_dock import SeamDock, make_seam_dock
+from radiant_viewer.docks.survey_dock import SurveyDock
 from radiant_viewer.editing.planning import Planning
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.runs.run_feeds import RunFeeds
@@ -37,10 +38,30 @@ class Docks:
     gantt: GanttDock | None = None
     progress: ProgressDock | None = None
     control: ControlDock | None = None
+    survey: SurveyDock | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a film, a polygon or a measure is in progress."""
+        is_measuring = self.survey is not None and self.survey.is_busy
+        return is_measuring or self.fly.job is not None or self.cleaning.polygon.is_active
+
+    def undo_corner(self) -> None:
+        """Take the last clicked place or drawn corner back."""
+        self.cleaning.polygon.undo()
+        if self.survey is not None:
+            self.survey.tool.undo()
+
+    def end(self) -> None:
+        """Stop polling, films and what runs in processes of its own."""
+        self.fly.stop()
+        for dock in (self.progress, self.survey):
+            if dock is not None:
+                dock.end()
 
     def all(self) -> list[QDockWidget]:
         """Return the docks that exist, in the order of their tabs."""
-        docks = (self.control, self.photo, self.cameras, self.seams, self.gantt, self.progress, self.fly, self.cleaning)
+        docks = (self.control, self.photo, self.cameras, self.seams, self.gantt, self.progress, self.survey, self.fly, self.cleaning)
         return [dock for dock in docks if dock is not None]
 
 
@@ -61,6 +82,7 @@ def make_docks(host: Host, subject: Subject, feeds: RunFeeds, ply_path: Path | N
         gantt=GanttDock(host, feeds),
         progress=ProgressDock(host, feeds),
         control=ControlDock(host, run),
+        survey=SurveyDock(host, run, feeds.survey) if run.kind != "scene" else None,
     )
 
 
