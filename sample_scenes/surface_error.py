@@ -22,11 +22,8 @@ from typing import Any, cast
 import numpy as np
 import open3d as o3d
 
-from radiant_core.frames import geodetic_from_enu
-from radiant_core.geometry.surface import Surface, extract_surface, sharpen_opacities, surface_grid, trusted_depth
+from radiant_core.geometry.surface import Surface, extract_surface, sharpen_opacities, trusted_depth
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.export.geotiff import HeightGrid
-from radiant_core.map_projection import utm_from_geodetic
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
@@ -54,21 +51,17 @@ def main() -> None:
         return
     cameras = run.scene.cameras
     surface = extract_surface(require_splats(run), cameras, resolution=chosen.resolution, long_side_px=chosen.long_side_px)
-    grid = surface_grid(surface, run.scene.frame)
-    print(f"resolution {grid.cell:.3f} {run.unit}, {grid.heights.shape[1]} × {grid.heights.shape[0]} cells, {grid.known:.1%} known")
-    _print("sparse points", point_errors(grid, run.scene))
+    errors = point_errors(surface, run.scene)
+    print(f"resolution {surface.voxel:.3f} {run.unit}, known under {len(errors) / len(run.scene.points):.1%} of the sparse points")
+    _print("sparse points", errors)
     if chosen.known is not None:
         _print("generator's surface", truth_errors(surface, run.scene, chosen.known))
 
 
-def point_errors(grid: HeightGrid, scene: SfmScene) -> FloatArray:
-    """Height of the grid minus that of each sparse point over a known cell (K,): a point under a
+def point_errors(surface: Surface, scene: SfmScene) -> FloatArray:
+    """Height of the mesh minus that of each sparse point where it has one (K,): a point under a
     roof or a tree counts too."""
-    points = scene.points
-    if grid.epsg is not None:
-        places = geodetic_from_enu(points, scene.frame.origin_lat_lon_alt)
-        points = np.column_stack([utm_from_geodetic(places[:, :2], grid.epsg), places[:, 2]])
-    errors = grid.at(points[:, :2]) - points[:, 2]
+    errors = _heights(surface.mesh.vertices, surface.mesh.triangles, scene.points[:, :2]) - scene.points[:, 2]
     return errors[np.isfinite(errors)]
 
 

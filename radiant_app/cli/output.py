@@ -65,9 +65,13 @@ def export(
     resolution: Annotated[
         float | None, typer.Option(min=1e-6, help="Metres of a cell; else one pixel of the photographs (ortho), or two, or what fits.")
     ] = None,
-    long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the pictures for mesh, dsm and --clean.")] = 640,
+    long_side_px: Annotated[
+        int | None, typer.Option("--long-side-px", min=32, help="Long side of the pictures for a surface and --clean, else 640.")
+    ] = None,
     interval: Annotated[float | None, typer.Option(help="Metres from one contour to the next, else some twenty levels.")] = None,
-    tile_px: Annotated[int, typer.Option("--tile-px", min=16, max=8192, help="Side of a GeoTIFF's tiles, a multiple of 16.")] = 512,
+    tile_px: Annotated[
+        int | None, typer.Option("--tile-px", min=16, max=8192, help="Side of a GeoTIFF's tiles, a multiple of 16, else 512.")
+    ] = None,
     clean: Annotated[
         bool, typer.Option("--clean", help="A model: what too few photographs constrain goes into NAME_unconstrained.ply.")
     ] = False,

@@ -60,7 +60,7 @@ def measure(
 
 def _lines(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """A line for each measure: its figures with σ."""
+    from radiant_core.io.measures_file import figures_text
+
     for name, row in (result["measures"] if "measures" in result else {result["name"]: result}).items():
-        figures = [f"{figure} {about['value']:.3f} ± {about['sigma']:.3f} {about['unit']}" for figure, about in row["figures"].items()]
-        marked = f" ({100 * row['filled']:.0f} % filled)" if row["filled"] else ""
-        yield name, "; ".join(figures) + marked
+        yield name, figures_text(row)

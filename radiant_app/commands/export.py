@@ -11,6 +11,7 @@ from glob import escape as glob_escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+from radiant_app.commands.export_options import LEVELLED, OF_HEIGHTS, PLACED, require_options
 from radiant_app.commands.export_place import place_of
 from radiant_app.commands.export_request import ExportRequest, exported_model, placed, run_of
 from radiant_app.events import Decided, Warned
@@ -45,12 +46,6 @@ _WANTED = {
     "glb": (".glb",),
     "ortho": (".tif", ".tiff"),
 }
-_OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb")
-
-_CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod", "tiles")
-_PLACED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "mesh", "colmap")
-"""What a file beside it says the place of."""
-_LEVELLED: tuple[ExportFormat, ...] = ("lod", "tiles", "viewer")
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -65,30 +60,11 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         raise BadInput(f"{request.out} exists: choose another name.")
     if not request.out.parent.is_dir():
         raise BadInput(f"there is no folder {request.out.parent} to write {request.out.name} into: make it first.")
-    if (request.resolution is not None) and kind not in _OF_CELLS:
-        raise BadInput(
-            f"--resolution is of rasters and meshes, and {kind} is none: leave it out, or add --format {' or '.join(_OF_CELLS)}."
-        )
-    if request.interval is not None and kind != "contours":
-        raise BadInput(f"--interval is of contours, and {kind} has none: leave it out, or add --format contours.")
-    if request.clean and kind not in _CLEANED:
-        raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(_CLEANED)}.")
-    if request.crs is not None and kind in _LEVELLED:
-        raise BadInput(f"--crs is of files in map coordinates, and {kind} is in the scene's own metres: leave it out.")
-    if request.crs is not None and kind == "contours":
-        raise BadInput("contours are in longitude and latitude, as GeoJSON has it: leave --crs out, or export --format dsm or dtm.")
-    if request.as_trained and kind == "geojson":
-        raise BadInput("--uncleaned is of a model's Gaussians, and geojson has none: leave it out.")
-    if request.crs is not None or kind in _PLACED:
+    require_options(request, kind)
+    if request.crs is not None or kind in PLACED:
         require_no_sidecar(request.out)
-    if request.crs is not None and kind in _PLACED:
+    if request.crs is not None and kind in PLACED:
         _require_alone(request.out)
-    if (request.num_levels is not None or request.regions) and kind not in _LEVELLED:
-        raise BadInput(f"--levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
-    if request.photographs and kind != "viewer":
-        raise BadInput(f"--photographs is of a page, and {kind} has none: leave it out, or add --format viewer.")
-    if request.clean and request.side_file.exists():
-        raise BadInput(f"{request.side_file} exists, where --clean would put what it takes out: choose another name.")
     figures = _WRITERS[kind](request, display)
     return {"written": str(request.out), "format": kind, **figures}
 
@@ -167,7 +143,7 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.scene import save_colmap
 
     scene = _scene_without_repeats(run_of(request), display)
-    place = place_of(request.model, request.crs, lambda: scene.cameras.centers.mean(axis=0))
+    place = place_of(request.model, request.crs)
     if place.reference is not None:
         scene = place.reference.move_scene(scene)
     with create_folder(request.out):
@@ -197,7 +173,7 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     if surface.most_covered < MIN_KNOWN:
         text = f"its triangles could cover {_percent(surface.most_covered)} of the ground at most; {_ADVICE}"
         display(Warned(stage="surface", message=text))
-    place = place_of(request.model, request.crs, lambda: surface.mesh.vertices.mean(axis=0))
+    place = place_of(request.model, request.crs)
     vertices = surface.mesh.vertices if place.reference is None else place.reference.apply(surface.mesh.vertices)
     save_mesh(request.out, vertices, surface.mesh.triangles, surface.mesh.colors, place.comments)
     return {
@@ -230,8 +206,8 @@ def _of_surface(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[st
             model=request.model,
             out=request.out,
             resolution=request.resolution,
-            long_side_px=request.long_side_px,
-            tile_px=request.tile_px,
+            long_side_px=request.pictures_px,
+            tile_px=request.tiles_px,
             interval=request.interval,
             crs=request.crs,
             as_trained=request.as_trained,
@@ -259,7 +235,7 @@ def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface,
             splats,
             run.scene.cameras,
             resolution=request.resolution,
-            long_side_px=request.long_side_px,
+            long_side_px=request.pictures_px,
             memory_bytes=available_bytes(),
             scratch=request.out.parent,
             report=lambda done, total: report(done, total, "views"),
@@ -300,6 +276,6 @@ _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] 
     "colmap": _colmap,
     "mesh": _mesh,
     "ortho": _ortho,
-    **{kind: _levels(f"export_{kind}") for kind in _LEVELLED},
-    **{kind: _of_surface(f"export_{kind}") for kind in ("dsm", "dtm", "contours", "laz", "glb")},
+    **{kind: _levels(f"export_{kind}") for kind in LEVELLED},
+    **{kind: _of_surface(f"export_{kind}") for kind in OF_HEIGHTS},
 }

@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.commands.steps import stage_bar
-from radiant_app.commands.survey_parts import Survey, load_survey, support_of_survey
-from radiant_app.commands.survey_surface import SurfacePoints, points_of_survey, surface_of_survey
+from radiant_app.commands.survey_parts import Survey, cell_of, load_survey, support_of_survey
+from radiant_app.commands.survey_surface import PIXELS_PER_CELL, SurfacePoints, points_of_survey, surface_of_survey
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.extras import require_extra
+from radiant_core.georef.reference import map_offset
 from radiant_core.io.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.numerics import FloatArray
 from radiant_core.survey.heights import HeightMap
-from radiant_core.survey.map_grid import MapGrid
+from radiant_core.survey.map_grid import MapGrid, grid_over
+from radiant_core.survey.terrain import Contour
 
 BANDS = ("height", "standard deviation", "1 measured, 2 filled")
 GROUND_WITHIN_GSD = 4.0
@@ -68,8 +70,11 @@ class _Found:
 
 def _find(request: SurfaceExport, display: ProgressDisplay) -> _Found:
     survey = load_survey(request.model, request.crs, as_trained=request.as_trained)
+    # Before minutes of matching: a slip in what was asked for is told at once.
+    cell = cell_of(survey, request.resolution, PIXELS_PER_CELL)
+    grid_over(survey.ground.low, survey.ground.high, cell, survey.map_frame)
     points = points_of_survey(survey, display, request.long_side_px)
-    return _Found(survey=survey, points=points, heights=surface_of_survey(survey, points, request.resolution, display))
+    return _Found(survey=survey, points=points, heights=surface_of_survey(survey, points, cell, display))
 
 
 def export_dsm(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
@@ -96,9 +101,14 @@ def export_contours(request: SurfaceExport, display: ProgressDisplay) -> dict[st
     ground = terrain(found.heights, found.points.gsd)
     interval = request.interval if request.interval is not None else _usual_interval(ground)
     lines = contours(ground, interval)
-    features = [line_feature(found.survey.map_frame, line.line, {"height": round(line.height, 6)}) for line in lines]
+    features = [line_feature(found.survey.map_frame, _at(line), {"height": round(line.height, 6)}) for line in lines]
     write_json(request.out, to_geojson(found.survey.map_frame, features))
     return {**found.figures(ground), "interval": interval, "lines": len(lines)}
+
+
+def _at(line: Contour) -> FloatArray:
+    """The line (K,3) at its height."""
+    return np.column_stack([line.line, np.full(len(line.line), line.height)])
 
 
 def export_laz(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
@@ -110,7 +120,8 @@ def export_laz(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
     found = _find(request, display)
     ground, _ = terrain(found.heights, found.points.gsd).at(found.points.points[:, :2])
     is_ground = np.abs(found.points.points[:, 2] - ground) < GROUND_WITHIN_GSD * found.points.gsd
-    save_laz(request.out, found.points.points, found.points.colors, is_ground, found.survey.map_frame.epsg)
+    map_frame = found.survey.map_frame
+    save_laz(request.out, found.points.points, found.points.colors, is_ground, map_frame.epsg, map_frame.vertical_epsg)
     return {"points": len(is_ground), "ground": float(f"{is_ground.mean():.3g}"), **found.figures(found.heights)}
 
 
@@ -121,13 +132,16 @@ def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
     from radiant_core.survey.height_mesh import height_mesh
 
     found = _find(request, display)
-    mesh = height_mesh(found.heights)
+    map_frame = found.survey.map_frame
+    offset = np.zeros(3) if map_frame.system is None else map_offset(map_frame.from_world(np.zeros((1, 3)))[0])
+    mesh = height_mesh(found.heights, offset)
     picture = _picture(found, display)
-    about = {"crs": found.survey.map_frame.crs, "middle_east_north_height": mesh.middle.tolist(), "axes": "east, up, south"}
+    about = {"crs": map_frame.crs, "offset_east_north_height": offset.tolist(), "axes": "east, up, south"}
     save_glb(request.out, mesh.vertices, mesh.triangles, mesh.uv, picture, about)
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
+        "offset": f"{', '.join(f'{value:.10g}' for value in offset)} (add it to east, north, height)",
         "texture": f"{picture.shape[1]} x {picture.shape[0]}",
         **found.figures(found.heights),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
-from radiant_app.commands.export_request import ExportRequest, exported_model, run_of
+from radiant_app.commands.export_request import ExportRequest, exported_model, left_out_of, run_of
 from radiant_app.commands.lod_regions import lod_regions
 from radiant_app.commands.steps import stage_bar
 from radiant_app.events import Warned
@@ -61,9 +61,10 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
     from radiant_app.commands.view import scene_page
     from radiant_viewer.share.folder import save_page, save_single_page
 
-    splats = None if request.model.is_dir() else load_model(request.model, as_trained=request.as_trained).splats
+    model = load_model(request.model, as_trained=request.as_trained)
+    splats = None if request.model.is_dir() else model.splats
     page = scene_page(request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained)
-    shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs)}
+    shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs), **left_out_of(model)}
     if request.out.suffix.lower() == ".html":
         if request.num_levels is not None or request.regions:
             raise BadInput("--levels and --regions are of a folder, and one file has no levels: leave them out.")

@@ -25,7 +25,7 @@ MIN_SEEN = 0.5
 
 def export_ortho(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Write the orthophoto and return its figures; BadInput where nothing is seen from above."""
-    survey, tile_px = load_survey(request.model, request.crs, as_trained=request.as_trained), request.tile_px
+    survey, tile_px = load_survey(request.model, request.crs, as_trained=request.as_trained), request.tiles_px
     ground = survey.ground
     grid = grid_over(ground.low, ground.high, cell_of(survey, request.resolution, 1.0), survey.map_frame)
     raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=tile_px, dtype=np.uint8, colors=True)

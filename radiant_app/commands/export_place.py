@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
@@ -15,7 +12,6 @@ from radiant_core.frames import Frame
 from radiant_core.georef.crs import Crs, parse_crs
 from radiant_core.georef.reference import Georeference, georeference, local_comments, require_placed
 from radiant_core.georef.sidecar import save_sidecar
-from radiant_core.numerics import FloatArray
 
 MAX_STRETCH = 0.01
 """Of a raster's system; UTM stretches by 4e-4 within its zone."""
@@ -44,15 +40,15 @@ class ExportPlace:
         }
 
 
-def place_of(model: Path, crs: str | None, middle_m: Callable[[], FloatArray]) -> ExportPlace:
-    """What to write of a model's place; `middle_m` () → (3,) m, only called with a `crs`. BadInput
-    where the scene has no place, or the model is a file without a scene."""
+def place_of(model: Path, crs: str | None) -> ExportPlace:
+    """What to write of a model's place; BadInput where the scene has none, or the model is a file
+    without a scene."""
     frame = _frame_of(model)
     if crs is None:
         return ExportPlace(comments=() if frame is None else local_comments(frame))
     if frame is None:
         raise BadInput(f"{model} is a model without a scene that says where it lies: --crs needs the folder of a run.")
-    reference = georeference(frame, parse_crs(crs), middle_m())
+    reference = georeference(frame, parse_crs(crs))
     return ExportPlace(comments=reference.comments(), reference=reference)
 
 
@@ -66,7 +62,7 @@ def grid_crs(text: str, frame: Frame) -> Crs:
         )
     if crs.vertical_epsg is not None and not frame.altitude_known:
         raise BadInput(f"the scene's heights count from no datum and {crs.title} has one: name the system without its vertical part.")
-    scale = georeference(frame, crs, np.zeros(3)).file_from_model.scale
+    scale = georeference(frame, crs).file_from_model.scale
     if abs(scale - 1) > MAX_STRETCH:
         raise BadInput(f"{crs.title} makes {scale:.3g} m of a metre here: name a system made for this place, such as its UTM zone.")
     return crs

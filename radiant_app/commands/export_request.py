@@ -31,8 +31,10 @@ class ExportRequest:
     out: Path
     format: ExportFormat | None = None
     resolution: float | None = None
-    long_side_px: int = 640
-    tile_px: int = 512
+    long_side_px: int | None = None
+    """Of the pictures that a surface or `clean` is measured on; None: 640."""
+    tile_px: int | None = None
+    """Side of a raster's tiles; None: 512."""
     interval: float | None = None
     """Of contours, in the model's unit."""
     clean: bool = False
@@ -50,6 +52,16 @@ class ExportRequest:
     """Whether the page of a run shows its worst photographs beside the model."""
 
     @property
+    def pictures_px(self) -> int:
+        """Long side of the pictures that a surface or `clean` is measured on."""
+        return self.long_side_px or 640
+
+    @property
+    def tiles_px(self) -> int:
+        """Side of a raster's tiles."""
+        return self.tile_px or 512
+
+    @property
     def side_file(self) -> Path:
         """Where `clean` puts them."""
         return self.out.with_name(f"{self.out.stem}_unconstrained.ply")
@@ -63,29 +75,29 @@ def exported_model(request: ExportRequest, display: ProgressDisplay) -> tuple[Sp
         return _without_unconstrained(request, display)
     require_model(request.model)
     model = load_model(request.model, as_trained=request.as_trained)
-    return model.splats, _left_out(model)
+    return model.splats, left_out_of(model)
 
 
 def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
     """The model by its cleaning and a further step, whose Gaussians go into the side file."""
     run = run_of(request)
     model = require_cleaned_model(run)
-    support = measure_support(run, request.long_side_px, display)
+    support = measure_support(run, request.pictures_px, display)
     around = Surroundings(points=run.scene.points, support=lambda: support)
     loose = model.cleaned.kept & ~keeps(SupportStep(), model.whole, around)
     if not loose.any() or (loose == model.cleaned.kept).all():
         said = f"{int(loose.sum()):,} of {len(model.splats):,} Gaussians are unconstrained: nothing is left out."
         display(Warned(stage="clean", message=said))
-        return model.splats, {**_left_out(model), "left_out": 0}
+        return model.splats, {**left_out_of(model), "left_out": 0}
     save_ply(request.side_file, model.whole.select(loose))
     shown = support.shown_px
     shares = {"left_out_share_of_pixels": float(f"{shown[loose].sum() / max(shown[model.cleaned.kept].sum(), 1e-9):.3g}")}
-    figures = {**_left_out(model), "left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
+    figures = {**left_out_of(model), "left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
     return model.whole.select(model.cleaned.kept & ~loose), figures
 
 
-def _left_out(model: CleanedModel) -> dict[str, Any]:
-    """Nothing of a model without a cleaning."""
+def left_out_of(model: CleanedModel) -> dict[str, Any]:
+    """What a cleaning left out, for the command line: nothing of a model without a cleaning."""
     return {"left_out_by_cleaning": model.cleaned.num_left_out} if model.cleaning.steps else {}
 
 
@@ -100,5 +112,5 @@ def run_of(request: ExportRequest) -> RunView:
 
 def placed(request: ExportRequest, splats: Splats) -> tuple[Splats, ExportPlace]:
     """The Gaussians in the coordinates of the file, and what says where those lie."""
-    place = place_of(request.model, request.crs, lambda: splats.means.mean(axis=0))
+    place = place_of(request.model, request.crs)
     return (splats if place.reference is None else place.reference.move(splats)), place

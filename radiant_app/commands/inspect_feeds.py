@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,12 +25,19 @@ if TYPE_CHECKING:
 
 def feeds_of(run: Path) -> RunFeeds:
     """The feeds of a run folder; of anything else, feeds that know nothing."""
-    from radiant_viewer.runs.run_feeds import RunFeeds
+    from radiant_viewer.runs.run_feeds import RunFeeds, SurveyCommands
 
     if not (run / "manifest.json").is_file():
         return RunFeeds()
+    python = (sys.executable, "-m")
     return RunFeeds(
-        gantt_rows=lambda: _gantt_rows(run), gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)], progress=_Progress(run)
+        gantt_rows=lambda: _gantt_rows(run),
+        gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)],
+        progress=_Progress(run),
+        survey=SurveyCommands(
+            measuring=(*python, "radiant_app.commands.measure_worker", str(run)),
+            ortho=lambda out: (*python, "radiant_app", "export", str(run), str(out), "--format", "ortho"),
+        ),
     )
 
 

@@ -11,7 +11,9 @@ from radiant_app.commands.export_place import grid_crs
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
+from radiant_core.geometry.cleaning import Cleaning
 from radiant_core.geometry.support import Support
+from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_core.survey.map_grid import MapFrame, map_frame_of
 from radiant_core.survey.seen_ground import SeenGround, seen_ground
@@ -29,6 +31,16 @@ class Survey:
     splats: Splats
     map_frame: MapFrame
     ground: SeenGround
+
+    @property
+    def cleaning(self) -> Cleaning:
+        """The steps by which the model was cleaned."""
+        return Cleaning() if self.run.model is None else self.run.model.cleaning
+
+    @property
+    def regions(self) -> tuple[FloatArray, ...]:
+        """Borders (V,2) of the plan's regions in the world."""
+        return tuple(border for border in self.run.cloud_plan.borders if len(border) >= 3)
 
     @property
     def trained(self) -> list[int]:

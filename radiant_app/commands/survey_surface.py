@@ -11,15 +11,16 @@ import torch
 from numpy.typing import NDArray
 
 from radiant_app.commands.steps import stage_bar
-from radiant_app.commands.survey_parts import Survey, cell_of
+from radiant_app.commands.survey_parts import Survey
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.sources import has_scene, images_folder_of, masks_folder_of
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
+from radiant_core.geometry.cleaning import PolygonStep, RegionsStep, describe, keeps_land, keeps_places
 from radiant_core.numerics import FloatArray
 from radiant_core.survey.heights import MATCHING, RENDERING, HeightMap, filled, height_map
-from radiant_core.survey.map_grid import grid_over
+from radiant_core.survey.map_grid import MapGrid, grid_over
 from radiant_core.train.dense.fuse import DensePoints
 from radiant_core.train.dense.points import LONG_SIDE_PX
 from radiant_viewer.runs.unplanned import unplanned_photographs
@@ -53,22 +54,19 @@ def points_of_survey(survey: Survey, display: ProgressDisplay, long_side_px: int
     from_photographs = images is not None and not missing and len(scene.observations) > 0
     display(Decided(decision=_source_decision(survey, from_photographs)))
     size_px = LONG_SIDE_PX if from_photographs else long_side_px
+    if from_photographs:
+        _warn_of_steps(survey, display)
     with stage_bar(display, "surface") as report:
 
         def hear(done: int, total: int) -> None:
             report(done, total, "views")
 
-        if from_photographs and survey.run.model is not None and survey.run.model.cleaning.steps:
-            display(
-                Warned(
-                    stage="surface", message="heights are those that photographs agree on: the model's cleaning takes nothing from them."
-                )
-            )
         if from_photographs and images is not None:
             found = _matched(survey, images, hear)
         else:
             found = points_of_model(survey.splats, scene, long_side_px, survey.ground.reach, hear)
-        parts = [(survey.map_frame.from_world(part.points), part.colors) for part in found if len(part)]
+        parts = [_kept_part(survey, part.points, part.colors) for part in found if len(part)]
+    parts = [part for part in parts if len(part[0])]
     if not parts:
         raise BadInput("no three views agree on any point of the surface: train the model further, or add photographs that overlap.")
     widest = float(np.median(scene.cameras.sizes_wh.max(axis=1)))
@@ -80,12 +78,12 @@ def points_of_survey(survey: Survey, display: ProgressDisplay, long_side_px: int
     )
 
 
-def surface_of_survey(survey: Survey, points: SurfacePoints, resolution: float | None, display: ProgressDisplay) -> HeightMap:
-    """Heights over the ground that was seen, with marked fills; BadInput where most of it stays
-    unknown, a warning where much of it does."""
+def surface_of_survey(survey: Survey, points: SurfacePoints, cell: float, display: ProgressDisplay) -> HeightMap:
+    """Heights over the ground that was seen, in cells of a width, with marked fills; BadInput where
+    most of it stays unknown, a warning where much of it does."""
     ground = survey.ground
-    grid = grid_over(ground.low, ground.high, cell_of(survey, resolution, PIXELS_PER_CELL), survey.map_frame)
-    inside = ground.mask(grid)
+    grid = grid_over(ground.low, ground.high, cell, survey.map_frame)
+    inside = ground.mask(grid) & _kept_land(survey, grid)
     measured = height_map(points.points, grid, points.gsd, MATCHING if points.from_photographs else RENDERING)
     share = float((measured.source[inside] > 0).mean()) if inside.any() else 0.0
     if share < MIN_KNOWN:
@@ -99,6 +97,33 @@ def surface_of_survey(survey: Survey, points: SurfacePoints, resolution: float |
     if not survey.run.scene.frame.altitude_known:
         display(Warned(stage="surface", message=f"GPS has no altitude: heights count from {LEVEL}."))
     return filled(measured, inside)
+
+
+def _warn_of_steps(survey: Survey, display: ProgressDisplay) -> None:
+    """Tell which steps of a cleaning cannot hold for what photographs agree on."""
+    steps = survey.cleaning.steps
+    others = [describe(step, survey.run.unit) for step in steps if not isinstance(step, PolygonStep | RegionsStep)]
+    if others:
+        text = "heights are those that photographs agree on, for which the cleaning's polygons and regions hold, and not"
+        display(Warned(stage="surface", message=f"{text} what is about Gaussians: {'; '.join(others)}."))
+
+
+def _kept_part(survey: Survey, points: FloatArray, colors: NDArray[np.uint8]) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """Points on the map, and their colours, without what the cleaning leaves out."""
+    kept = keeps_places(survey.cleaning, points, survey.regions)
+    return survey.map_frame.from_world(points[kept]), colors[kept]
+
+
+def _kept_land(survey: Survey, grid: MapGrid) -> NDArray[np.bool_]:
+    """The cells (H,W) on which the cleaning leaves something."""
+    if not survey.cleaning.steps:
+        return np.ones(grid.shape, bool)
+    east, north = grid.centers()
+    kept = np.empty(grid.shape, bool)
+    for row, at in enumerate(north):
+        places = np.column_stack([east, np.full(len(east), at), np.full(len(east), survey.ground.level)])
+        kept[row] = keeps_land(survey.cleaning, survey.map_frame.to_world(places)[:, :2], survey.regions)
+    return kept
 
 
 def _matched(survey: Survey, images: Path, hear: Callable[[int, int], None]) -> Iterator[DensePoints]:

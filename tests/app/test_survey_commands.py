@@ -10,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
+from radiant_app.commands.measure_worker import Measuring
+from radiant_app.report.progress import terminal_display
 from radiant_core.errors import BadInput
 from radiant_core.survey.map_grid import map_frame_of
 from tests.viewer.made_up_run import made_up_town, save_run
@@ -49,6 +51,10 @@ def test_measures_are_kept_listed_exported_and_taken_out(tmp_path: Path) -> None
     [
         (("measure", "RUN", "--kind", "area"), "both --kind and --at"),
         (("measure", "RUN", "--export", "a.txt"), "geojson or .csv"),
+        (("measure", "RUN", "--name", "street"), "--name is of a new measure"),
+        (("measure", "RUN", "--base", "3"), "--base is of a new measure"),
+        (("measure", "RUN", "--resolution", "3"), "--resolution is of a new measure"),
+        (("measure", "RUN", "--kind", "distance", "--at", "1,2,nan 3,4,5"), "no list of places"),
         (("change", "RUN", "RUN", "--out", "OUT"), "given twice"),
         (("change", "RUN", "NONE", "--out", "OUT"), "no folder of a run"),
         (("change", "RUN", "OTHER", "--out", "OUT", "--min-area", "-1"), "above zero"),
@@ -60,3 +66,29 @@ def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path, arguments: tuple
     with pytest.raises(BadInput, match=sentence):
         radiant(*given)
     assert not (tmp_path / "OUT").exists()
+
+
+def test_clicks_in_the_window_are_measured_and_kept_as_by_the_command(tmp_path: Path) -> None:
+    town, run = made_up_town(), tmp_path / "run"
+    save_run(run, replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
+    measuring = Measuring(run, terminal_display())
+    eyes = [[-30.0, -40, 60], [30.0, -40, 60]]
+    # Haze halfway: what is meant is the ground behind it, at 0.5 m.
+    haze = [[-30.0, -20, 30.25], [30.0, -20, 30.25]]
+    assert measuring.answer({"measure": "distance", "points": haze, "eyes": eyes, "name": "a"}) == {"name": "a"}
+    # On the map the height is the surface's.
+    flat = [[-30.0, 0, None], [30, 0, None]]
+    assert measuring.answer({"measure": "distance", "points": flat, "eyes": eyes}) == {"name": "distance 1"}
+    kept = json.loads(radiant("measure", run, "--json"))["measures"]
+    for name in ("a", "distance 1"):
+        figure = kept[name]["figures"]["distance on the map"]
+        assert figure["value"] == pytest.approx(60, rel=3e-3) and 0 < figure["sigma"] < 1
+        world = map_frame_of(town.scene.frame).to_world(kept[name]["places"])
+        assert abs(world[:, 1]).max() < 1 and abs(world[:, 2] - 0.5).max() < 0.7
+    said = measuring.answer({"measure": "area", "points": [*flat, [60.0, 400, None]], "eyes": [*eyes, eyes[0]]})
+    assert "not known at place 3" in said["error"]
+    assert "no kind" in measuring.answer({"measure": "weight", "points": flat, "eyes": eyes})["error"]
+    assert "named 'a'" in measuring.answer({"measure": "distance", "points": flat, "eyes": eyes, "name": "a"})["error"]
+    assert measuring.answer({"export": str(tmp_path / "b.csv")}) == {"name": "b.csv"} and (tmp_path / "b.csv").is_file()
+    assert "exists" in measuring.answer({"export": str(tmp_path / "b.csv")})["error"]
+    assert measuring.answer({"remove": "a"}) == {"name": "a"} and "no measure" in measuring.answer({"remove": "a"})["error"]

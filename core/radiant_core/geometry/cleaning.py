@@ -158,15 +158,40 @@ def clean(splats: Splats, cleaning: Cleaning, around: Surroundings = Surrounding
 def keeps(step: CleaningStep, splats: Splats, around: Surroundings = Surroundings()) -> NDArray[np.bool_]:
     """Which Gaussians (N,) one step keeps; BadInput as `clean`."""
     if isinstance(step, PolygonStep):
-        return _polygon_keeps(step, splats)
+        return _polygon_keeps(step, splats.means)
     if isinstance(step, RegionsStep):
-        return _regions_keep(step, splats, around.regions)
+        return _regions_keep(step, splats.means, around.regions)
     if isinstance(step, SupportStep):
         return _support_keeps(step, splats, around)
     if isinstance(step, OpacityStep):
         # Compared as stored: no rounding of the logistic function decides.
         return splats.logit_opacities.astype(np.float64) >= np.log(step.at_least / (1 - step.at_least))
     return splats.log_scales.max(axis=1, initial=-np.inf).astype(np.float64) <= np.log(step.at_most)
+
+
+def keeps_places(cleaning: Cleaning, places: FloatArray, regions: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
+    """Which places (N,3) the polygons and regions of a cleaning keep; its other steps are about
+    Gaussians. Raises BadInput as `clean`."""
+    kept = np.ones(len(places), bool)
+    for step in cleaning.steps:
+        if isinstance(step, PolygonStep):
+            kept &= _polygon_keeps(step, places)
+        elif isinstance(step, RegionsStep):
+            kept &= _regions_keep(step, places, regions)
+    return kept
+
+
+def keeps_land(cleaning: Cleaning, places: FloatArray, regions: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
+    """On which land (N,2) something may be left at some height; BadInput as `clean`."""
+    kept = np.ones(len(places), bool)
+    for step in cleaning.steps:
+        if isinstance(step, PolygonStep):
+            has_heights = step.low is not None or step.high is not None
+            # What lies outside of the heights of a polygon that is taken out stays.
+            kept &= True if step.keep == "outside" and has_heights else _within(_polygon(step), places) == (step.keep == "inside")
+        elif isinstance(step, RegionsStep):
+            kept &= _regions_keep(step, places, regions)
+    return kept
 
 
 def describe(step: CleaningStep, unit: str) -> str:
@@ -191,11 +216,9 @@ def box_step(box: FloatArray) -> PolygonStep:
     return PolygonStep(corners=((west, south), (east, south), (east, north), (west, north)), low=low, high=high)
 
 
-def _polygon_keeps(step: PolygonStep, splats: Splats) -> NDArray[np.bool_]:
-    from shapely.geometry import Polygon
-
-    inside = _within(Polygon(step.corners), splats)
-    heights = splats.means[:, 2].astype(np.float64)
+def _polygon_keeps(step: PolygonStep, places: NDArray[Any]) -> NDArray[np.bool_]:
+    inside = _within(_polygon(step), places)
+    heights = places[:, 2].astype(np.float64)
     if step.low is not None:
         inside &= heights >= step.low
     if step.high is not None:
@@ -203,14 +226,20 @@ def _polygon_keeps(step: PolygonStep, splats: Splats) -> NDArray[np.bool_]:
     return inside if step.keep == "inside" else ~inside
 
 
-def _regions_keep(step: RegionsStep, splats: Splats, regions: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
+def _polygon(step: PolygonStep) -> Any:
+    from shapely.geometry import Polygon
+
+    return Polygon(step.corners)
+
+
+def _regions_keep(step: RegionsStep, places: NDArray[Any], regions: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
     from shapely import union_all
     from shapely.geometry import Polygon
 
     polygons = [Polygon(region) for region in regions if len(region) >= 3]
     if not polygons:
         raise BadInput("there are no regions to keep: this model was made without a plan; use a polygon instead.")
-    return _within(union_all([polygon.buffer(step.margin) for polygon in polygons]), splats)
+    return _within(union_all([polygon.buffer(step.margin) for polygon in polygons]), places)
 
 
 def _support_keeps(step: SupportStep, splats: Splats, around: Surroundings) -> NDArray[np.bool_]:
@@ -222,14 +251,15 @@ def _support_keeps(step: SupportStep, splats: Splats, around: Surroundings) -> N
     return ~unconstrained(splats, support, around.points, step.num_views, step.parallax_deg)
 
 
-def _within(shape: Any, splats: Splats) -> NDArray[np.bool_]:
+def _within(shape: Any, places: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which places (N,2 or more) lie inside of a shape."""
     from shapely import contains_xy, prepare
 
     prepare(shape)
-    places = splats.means[:, :2].astype(np.float64)
+    places = places[:, :2].astype(np.float64)
     west, south, east, north = shape.bounds
     near = ((places >= (west, south)) & (places <= (east, north))).all(axis=1)
-    inside = np.zeros(len(splats), bool)
+    inside = np.zeros(len(places), bool)
     inside[near] = contains_xy(shape, places[near])
     return inside
 

@@ -1,4 +1,4 @@
-"""A model's surface: depth of many cameras fused into a mesh, and its heights as a grid.
+"""A model's surface: depth of many cameras fused into a mesh.
 
     reach R = median over views of the median depth
     box = the cameras', R wider on each side, and in it depth up to `MAX_DEPTH` · R
@@ -22,11 +22,8 @@ from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.frames import Frame, enu_from_geodetic, geodetic_from_enu
 from radiant_core.geometry.fusion import FusionSettings, blocks_within, fuse_apart
-from radiant_core.geometry.open3d_ops import MAX_BLOCKS, DepthView, Mesh, heights_from_above
-from radiant_core.georef.crs import Crs, utm_of
-from radiant_core.io.export.geotiff import HeightGrid
+from radiant_core.geometry.open3d_ops import MAX_BLOCKS, DepthView, Mesh
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
@@ -40,7 +37,6 @@ MAX_JUMP = 0.04
 """Greatest range of depth among a pixel's neighbours, as a share of it: seen from straight above,
 640 px in 60°, a slope of 85°."""
 MAX_DEPTH = 3.0
-MAX_CELLS, CELLS_AT_ONCE = 100_000_000, 1 << 22
 PIXELS_PER_CELL = 2.0
 _REACH_VIEWS, _REACH_PX = 12, 96
 
@@ -151,60 +147,6 @@ def trusted_depth(view: RenderedView, max_depth: float) -> NDArray[np.float32]:
     kernel = np.ones((3, 3), np.uint8)
     jump = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)
     return np.where(jump <= MAX_JUMP * depth, depth, 0).astype(np.float32)
-
-
-def surface_grid(surface: Surface, frame: Frame, cell: float | None = None, crs: Crs | None = None) -> HeightGrid:
-    """Heights of the topmost surface over cells of `cell`, by default the surface's resolution.
-
-    With GPS the grid is in `crs`, by default the UTM zone, and heights are those of the frame, or
-    over the system's vertical datum; without it both are the model's own. Raises BadInput where the
-    grid would have more than 100 million cells.
-    """
-    cell = surface.voxel if cell is None else cell
-    mesh = surface.mesh
-    corners = _box_corners(mesh.vertices)
-    crs = None if frame.kind != "metric" else crs or utm_of(frame.origin_lat_lon_alt)
-    if crs is not None:
-        corners = crs.from_geodetic(geodetic_from_enu(corners, frame.origin_lat_lon_alt))
-    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
-    first, last = np.floor(low / cell), np.ceil(high / cell)
-    columns, rows = (int(count) for count in np.maximum(last - first, 1))
-    if rows * columns > MAX_CELLS:
-        raise BadInput(f"cells of {cell:.3g} give a grid of {columns} × {rows}, more than {MAX_CELLS:,}: choose larger cells.")
-    north_west = np.array([first[0], last[1]]) * cell
-    heights = np.full((rows, columns), np.nan)
-    level = float(np.median(mesh.vertices[:, 2]))
-    middle = np.append(mesh.vertices[:, :2].mean(axis=0), 0.0)
-    near = replace(mesh, vertices=mesh.vertices - middle)
-    east = north_west[0] + (np.arange(columns) + 0.5) * cell
-    # Strips bound the memory: each place takes some 100 bytes on its way.
-    strip = max(1, CELLS_AT_ONCE // columns)
-    for first_row in range(0, rows, strip):
-        x, y = np.meshgrid(east, north_west[1] - (np.arange(first_row, min(first_row + strip, rows)) + 0.5) * cell)
-        local = _local_places(np.column_stack([x.ravel(), y.ravel()]), crs, frame, level)
-        found = heights_from_above(near, local - middle[:2])
-        if crs is not None:
-            known = np.isfinite(found)
-            seen = np.column_stack([local[known], found[known]])
-            found[known] = crs.from_geodetic(geodetic_from_enu(seen, frame.origin_lat_lon_alt))[:, 2]
-        heights[first_row : first_row + strip] = found.reshape(-1, columns)
-    epsg, vertical_epsg = (None, None) if crs is None else (crs.horizontal_epsg, crs.vertical_epsg)
-    return HeightGrid(heights=heights, north_west=north_west, cell=cell, epsg=epsg, vertical_epsg=vertical_epsg)
-
-
-def _local_places(places: FloatArray, crs: Crs | None, frame: Frame, level: float) -> FloatArray:
-    """Where cells (P,2) of the grid lie in the model's frame (P,2), at the height `level`."""
-    if crs is None:
-        return places
-    lat_lon = crs.to_geodetic(np.column_stack([places, np.zeros(len(places))]))[:, :2]
-    altitudes = np.full(len(places), frame.origin_lat_lon_alt[2] + level)
-    return enu_from_geodetic(np.column_stack([lat_lon, altitudes]), frame.origin_lat_lon_alt)[:, :2]
-
-
-def _box_corners(vertices: FloatArray) -> FloatArray:
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    x, y, z = np.meshgrid(*np.stack([low, high], axis=1))
-    return np.column_stack([x.ravel(), y.ravel(), z.ravel()])
 
 
 def _reach(splats: Splats, cameras: Cameras) -> float:

@@ -79,7 +79,10 @@ class ControlPoints:
 
 
 @dataclass(frozen=True)
-class _Line:
+class ListLine:
+    """A line of the list: place in its system, pixel (column, row), photograph, name or nothing,
+    and whether the point is kept out."""
+
     place: tuple[float, float, float]
     pixel: tuple[float, float]
     image: str
@@ -109,18 +112,8 @@ def parse_control(request: ControlRequest) -> ControlPoints:
     rows = [(number, line) for number, line in rows if line]
     if len(rows) < 2:
         raise BadInput(f"{request.source} has no points: the system stands on its first line, then {HINT}.")
-    header, lines = rows[0][1], [_line(request.source, number, line) for number, line in rows[1:]]
-    first: dict[str, _Line] = {}
-    by_place: dict[tuple[float, float, float], str] = {}
-    point_of: list[str] = []
-    for line in lines:
-        name = line.name or by_place.setdefault(line.place, f"gcp-{len(by_place) + 1}")
-        before = first.setdefault(name, line)
-        if before.place != line.place:
-            raise BadInput(
-                f"{request.source}: point {name!r} has two places, {before.place} and {line.place}: give each point its own name."
-            )
-        point_of.append(name)
+    header, lines = rows[0][1], [list_line(request.source, number, line) for number, line in rows[1:]]
+    point_of, first = named_lines(lines, request.source)
     names = tuple(first)
     index = {name: row for row, name in enumerate(names)}
     places = np.array([first[name].place for name in names])
@@ -151,7 +144,23 @@ def _accuracy(text: str | None) -> tuple[float, float]:
     return parts[0], parts[-1]
 
 
-def _line(source: str, number: int, text: str) -> _Line:
+def named_lines(lines: Sequence[ListLine], source: str) -> tuple[list[str], dict[str, ListLine]]:
+    """The point of each line, and the first line of each point; lines without a name are one point
+    where their place is. BadInput for a point with two places."""
+    first: dict[str, ListLine] = {}
+    by_place: dict[tuple[float, float, float], str] = {}
+    point_of: list[str] = []
+    for line in lines:
+        name = line.name or by_place.setdefault(line.place, f"gcp-{len(by_place) + 1}")
+        before = first.setdefault(name, line)
+        if before.place != line.place:
+            raise BadInput(f"{source}: point {name!r} has two places, {before.place} and {line.place}: give each point its own name.")
+        point_of.append(name)
+    return point_of, first
+
+
+def list_line(source: str, number: int, text: str) -> ListLine:
+    """A mark of the list; BadInput names the line that is none."""
     words = text.split()
     try:
         if len(words) < 6:
@@ -163,7 +172,7 @@ def _line(source: str, number: int, text: str) -> _Line:
         raise BadInput(f"{source}, line {number}: a number is not finite or beyond 1e9: {HINT}.")
     east, north, up, column, row = values
     name = words[6] if len(words) > 6 else ""
-    return _Line((east, north, up), (column, row), words[5], name, CHECK in [word.lower() for word in words[7:]])
+    return ListLine((east, north, up), (column, row), words[5], name, CHECK in [word.lower() for word in words[7:]])
 
 
 def _in_metres(header: str, places: FloatArray, source: str) -> tuple[FloatArray, FloatArray | None, str]:

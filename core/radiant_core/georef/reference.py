@@ -5,7 +5,7 @@
 float32 positions keep a centimetre only within 100 km, so the offset (whole hundreds in the plane)
 stands beside the file and never in its numbers. Positions are moved one by one through the map,
 which is no similarity: over a kilometre the earth bends by 8 cm. Rotations and sizes are moved by
-the similarity that is nearest to the map at the middle: UTM stretches the plane by 4e-4 at most.
+the similarity that is nearest to the map at the origin: UTM stretches the plane by 4e-4 at most.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Georeference:
     frame: Frame
     offset: FloatArray
     file_from_model: Sim3
-    """The nearest similarity at the middle."""
+    """The nearest similarity at the origin."""
 
     def apply(self, points_m: FloatArray) -> FloatArray:
         """File coordinates (P,3) of points (P,3) m of the scene's frame."""
@@ -78,21 +78,27 @@ class Georeference:
         }
 
 
-def georeference(frame: Frame, crs: Crs, middle_m: FloatArray) -> Georeference:
-    """The scene's frame in `crs` with the offset of the place `middle_m` (3,) m; BadInput without a
-    place on the globe, in degrees, or with a vertical datum for heights that count from none."""
+def map_offset(origin: FloatArray) -> FloatArray:
+    """What is taken off the coordinates (3,) of all files of a scene, so that they lie on each
+    other; `origin` (3,) is that of the scene, on the map."""
+    return np.append(np.floor(np.asarray(origin, np.float64)[:2] / OFFSET_STEP) * OFFSET_STEP, 0.0)
+
+
+def georeference(frame: Frame, crs: Crs) -> Georeference:
+    """The scene's frame in `crs`, with the offset of its origin, the same for all files of a scene;
+    BadInput without a place on the globe, in degrees, or with a vertical datum for heights that
+    count from none."""
     require_placed(frame)
     if crs.unit == "degree":
         raise BadInput(f"{crs.title} counts in degrees, which no model is measured in: name a projected system, such as a UTM zone.")
     if crs.vertical_epsg is not None and not frame.altitude_known:
         raise BadInput(f"the scene's heights count from no datum and {crs.title} has one: name the system without its vertical part.")
-    at = np.asarray(middle_m, np.float64)
 
     def places(points_m: FloatArray) -> FloatArray:
         return crs.from_geodetic(geodetic_from_enu(points_m, frame.origin_lat_lon_alt))
 
-    middle = places(at[None])[0]
-    offset = np.append(np.floor(middle[:2] / OFFSET_STEP) * OFFSET_STEP, 0.0)
+    at = np.zeros(3)
+    offset = map_offset(places(at[None])[0])
     return Georeference(crs=crs, frame=frame, offset=offset, file_from_model=_nearest_similarity(places, at, offset))
 
 

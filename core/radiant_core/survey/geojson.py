@@ -27,8 +27,9 @@ def coordinates_of(map_frame: MapFrame, places: FloatArray) -> list[list[float]]
     places = np.asarray(places, np.float64)
     if map_frame.system is None or not len(places):
         return np.round(places, UNIT_DIGITS).tolist()
-    flat = np.column_stack([places[:, :2], np.zeros(len(places))])
-    lon_lat = np.round(map_frame.system.to_geodetic(flat)[:, 1::-1], DEGREE_DIGITS)
+    # Where a shift of datum depends on the height, that of the place counts.
+    lifted = np.column_stack([places[:, :2], places[:, 2] if places.shape[1] > 2 else np.zeros(len(places))])
+    lon_lat = np.round(map_frame.system.to_geodetic(lifted)[:, 1::-1], DEGREE_DIGITS)
     return [[*flat, *high] for flat, high in zip(lon_lat.tolist(), np.round(places[:, 2:], UNIT_DIGITS).tolist(), strict=True)]
 
 

@@ -16,31 +16,29 @@ MAX_VERTICES = 1_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeightMesh:
-    """vertices (V,3) from `middle` (3,) on the map; triangles (T,3), counter-clockwise from above;
-    uv (V,2) in the raster's picture, v upwards; step: every so many cells."""
+    """vertices (V,3) on the map, less an offset; triangles (T,3), counter-clockwise from above; uv
+    (V,2) in the raster's picture, v upwards; step: every so many cells."""
 
     vertices: FloatArray
     triangles: NDArray[np.int64]
     uv: FloatArray
-    middle: FloatArray
     step: int
 
 
-def height_mesh(surface: HeightMap, max_vertices: int = MAX_VERTICES) -> HeightMesh:
+def height_mesh(surface: HeightMap, offset: FloatArray, max_vertices: int = MAX_VERTICES) -> HeightMesh:
     """Two triangles for each square of four known cells, of every n-th cell so that no more than
-    `max_vertices` are there; T may be 0."""
+    `max_vertices` are there; T may be 0. `offset` (3,) is taken off the map's coordinates."""
     rows, columns = surface.grid.shape
     step = int(np.ceil(np.sqrt(max(1.0, rows * columns / max_vertices))))
     heights = np.where(surface.source != UNKNOWN, surface.heights, np.nan)[::step, ::step]
     east, north = (axis[::step] for axis in surface.grid.centers())
     known = np.isfinite(heights)
-    middle = np.array([east.mean(), north.mean(), np.nanmedian(heights) if known.any() else 0.0])
     number = np.full(heights.shape, -1)
     number[known] = np.arange(known.sum())
     at, across = np.nonzero(known)
-    vertices = np.column_stack([east[across], north[at], heights[known]]) - middle
+    vertices = np.column_stack([east[across], north[at], heights[known]]) - offset
     uv = np.column_stack([(across * step + 0.5) / columns, 1 - (at * step + 0.5) / rows])
     nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     whole = (nw >= 0) & (ne >= 0) & (sw >= 0) & (se >= 0)
     triangles = np.concatenate([np.stack([nw, sw, se], axis=-1)[whole], np.stack([nw, se, ne], axis=-1)[whole]])
-    return HeightMesh(vertices=vertices, triangles=triangles.astype(np.int64), uv=uv, middle=middle, step=step)
+    return HeightMesh(vertices=vertices, triangles=triangles.astype(np.int64), uv=uv, step=step)

@@ -71,28 +71,36 @@ class Measured:
     profile: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def measure(kind: MeasureKind, places: ArrayLike, surface: HeightMap, accuracy: Accuracy, base: float | None = None) -> Measured:
-    """Measure at places (P,2 or 3) of the map: east, north and, where given, height; else the
-    surface's. `base`: height of the level plane that a volume stands on, by default the plane that
-    fits the outline best.
+def measure(
+    kind: MeasureKind,
+    places: ArrayLike,
+    surface: HeightMap,
+    accuracy: Accuracy,
+    base: float | None = None,
+    sigmas: ArrayLike | None = None,
+) -> Measured:
+    """Measure at places (P,2 or 3) of the map: east, north and, where given and not NaN, height;
+    else the surface's. `base`: height of the level plane that a volume stands on, by default the
+    plane that fits the outline best; `sigmas` (P,): σ of the heights that are given, by default
+    that of the surface there.
 
     Raises BadInput for too few places, places that are not finite, off the surface or where it is
     unknown, and outlines that cross themselves or span nothing.
     """
     given = np.asarray(places, np.float64)
-    if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given).all():
+    if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given[:, :2]).all() or np.isinf(given).any():
         raise BadInput(f"places of shape {given.shape} came, expected (P, 2) or (P, 3) of finite numbers: east, north and perhaps height.")
     least, words = NUM_PLACES[kind]
     if len(given) < least or (kind == "height" and len(given) != 2):
         raise BadInput(f"{len(given)} places were given, and {kind} takes {words}.")
     if base is not None and not (np.isfinite(base) and kind == "volume"):
         raise BadInput(f"a base of {base} came with {kind}: it is the finite height of the plane of a volume.")
-    points, sigmas = _on_surface(given, surface)
+    points, deviations = _on_surface(given, surface, None if sigmas is None else np.asarray(sigmas, np.float64))
     if kind == "distance":
-        return _distance(points, sigmas, surface, accuracy)
+        return _distance(points, deviations, surface, accuracy)
     if kind == "height":
         rise = points[1, 2] - points[0, 2]
-        sigma = float(np.sqrt(np.square(sigmas).sum() + (accuracy.scale * rise) ** 2))
+        sigma = float(np.sqrt(np.square(deviations).sum() + (accuracy.scale * rise) ** 2))
         return Measured(kind=kind, places=points, figures=(Figure(name="height", value=float(rise), sigma=sigma, power=1),), filled=0.0)
     if kind == "profile":
         return _profile(points, surface, accuracy)
@@ -100,20 +108,24 @@ def measure(kind: MeasureKind, places: ArrayLike, surface: HeightMap, accuracy: 
     return _area(outline, surface, accuracy) if kind == "area" else _volume(outline, surface, accuracy, base)
 
 
-def _on_surface(given: FloatArray, surface: HeightMap) -> tuple[FloatArray, FloatArray]:
-    """Places (P,3) and σ (P,) of their heights; a given height has that of the surface there, or
-    its usual one."""
+def _on_surface(given: FloatArray, surface: HeightMap, of_given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Places (P,3) and σ (P,) of their heights; a given height has its own, else that of the
+    surface there, or its usual one."""
     heights, sigmas = surface.at(given[:, :2])
-    if given.shape[1] == 3:
-        usual = float(np.nanmedian(surface.sigma)) if (surface.source != UNKNOWN).any() else 0.0
-        return given.copy(), np.where(np.isfinite(sigmas), sigmas, usual)
-    unknown = ~np.isfinite(heights)
+    asked = given[:, 2] if given.shape[1] == 3 else np.full(len(given), np.nan)
+    is_given = np.isfinite(asked)
+    unknown = ~is_given & ~np.isfinite(heights)
     if unknown.any():
         row = int(np.argmax(unknown))
         raise BadInput(
             f"the surface is not known at place {row + 1}, {given[row, 0]:.3f}, {given[row, 1]:.3f}: give its height, or another place."
         )
-    return np.column_stack([given, heights]), sigmas
+    if of_given is None:
+        usual = float(np.nanmedian(surface.sigma)) if (surface.source != UNKNOWN).any() else 0.0
+        of_given = np.where(np.isfinite(sigmas), sigmas, usual)
+    elif of_given.shape != (len(given),) or not (np.isfinite(of_given[is_given]).all() and (of_given[is_given] >= 0).all()):
+        raise BadInput(f"σ of heights of shape {of_given.shape} came, expected ({len(given)},) from zero on.")
+    return np.column_stack([given[:, :2], np.where(is_given, asked, heights)]), np.where(is_given, of_given, sigmas)
 
 
 def _distance(points: FloatArray, sigmas: FloatArray, surface: HeightMap, accuracy: Accuracy) -> Measured:

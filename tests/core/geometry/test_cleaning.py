@@ -21,6 +21,8 @@ from radiant_core.geometry.cleaning import (
     box_step,
     clean,
     keeps,
+    keeps_land,
+    keeps_places,
 )
 from radiant_core.geometry.support import Support
 from radiant_core.io.cleaning_file import cleaning_path, load_cleaning, save_cleaning
@@ -120,6 +122,28 @@ def test_steps_count_what_they_alone_leave_out_and_undo_brings_it_back() -> None
     assert clean(splats, cleaning.undo(3)).kept.all()
     assert cleaning.undo().add(SizeStep(at_most=1.0)).undone == ()
     assert Cleaning().undo() == Cleaning() and Cleaning().redo() == Cleaning()
+
+
+def test_polygons_and_regions_hold_for_places_and_land_too() -> None:
+    places = np.array([[0.5, 0.5, 1.0], [0.5, 0.5, 9.0], [5.0, 5.0, 1.0]])
+    unit = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+    region = (np.array([[-1.0, -1], [3, -1], [3, 3], [-1, 3]]),)
+    about_gaussians = (OpacityStep(at_least=0.5), SizeStep(at_most=1.0), SupportStep())
+    for step, on_places, on_land in (
+        (PolygonStep(corners=unit), [True, True, False], [True, True, False]),
+        (PolygonStep(corners=unit, high=5.0), [True, False, False], [True, True, False]),
+        (PolygonStep(corners=unit, keep="outside"), [False, False, True], [False, False, True]),
+        # A tree over the ground that stays.
+        (PolygonStep(corners=unit, low=5.0, keep="outside"), [True, False, True], [True, True, True]),
+        (RegionsStep(), [True, True, False], [True, True, False]),
+        (RegionsStep(margin=4.0), [True, True, True], [True, True, True]),
+    ):
+        cleaning = Cleaning(steps=(*about_gaussians, step))
+        assert keeps_places(cleaning, places, region).tolist() == on_places
+        assert keeps_land(cleaning, places[:, :2], region).tolist() == on_land
+    with pytest.raises(BadInput, match="without a plan"):
+        keeps_places(Cleaning(steps=(RegionsStep(),)), places, ())
+    assert keeps_places(Cleaning(steps=(RegionsStep(),)), np.zeros((0, 3)), region).shape == (0,)
 
 
 def test_an_empty_model_is_cleaned_to_nothing() -> None:

@@ -1,5 +1,4 @@
-"""A surface model of a made-up block on flat ground has its heights, holes where nothing was seen,
-and its place on the globe."""
+"""A surface model of a made-up block on flat ground has its heights, and holes where nothing was seen."""
 
 from __future__ import annotations
 
@@ -11,16 +10,13 @@ import pytest
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.frames import Frame, geodetic_from_enu
-from radiant_core.geometry.surface import Surface, extract_surface, surface_grid
-from radiant_core.map_projection import utm_from_geodetic
+from radiant_core.geometry.open3d_ops import heights_from_above
+from radiant_core.geometry.surface import Surface, extract_surface
 from radiant_core.render.trajectories import Lens, cameras_looking_at
 from radiant_core.splats import SH_C0, Splats
 
 SHIFT = np.array([300.0, -200.0, 50.0])
 BLOCK_M, HEIGHT_M = 3.0, 4.0
-LOCAL = Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3))
-ON_EARTH = Frame(kind="metric", origin_lat_lon_alt=np.array([47.37, 8.54, 430.0]))
 
 
 @cache
@@ -56,11 +52,11 @@ def surface() -> Surface:
 
 
 def test_heights_of_ground_and_roof_are_right_and_what_nobody_saw_has_none() -> None:
-    grid = surface_grid(surface(), LOCAL)
+    mesh = replace(surface().mesh, vertices=surface().mesh.vertices - SHIFT)
     x, y = np.meshgrid(np.arange(-11, 11.1, 0.5), np.arange(-11, 11.1, 0.5))
     places = np.column_stack([x.ravel(), y.ravel()])
     reach = np.abs(places).max(axis=1)
-    heights = grid.at(places + SHIFT[:2]) - SHIFT[2]
+    heights = heights_from_above(mesh, places)
     roof, ground = heights[reach < BLOCK_M - 0.5], heights[(reach > BLOCK_M + 1.5) & (reach < 10)]
     assert np.isfinite(roof).all()
     assert np.isfinite(ground).mean() > 0.98
@@ -68,23 +64,11 @@ def test_heights_of_ground_and_roof_are_right_and_what_nobody_saw_has_none() -> 
     for found, truth in ((roof, HEIGHT_M), (ground, 0.0)):
         assert np.nanmedian(np.abs(found - truth)) < 0.03
         assert np.nanquantile(np.abs(found - truth), 0.95) < 0.15
-    assert np.isnan(grid.at(SHIFT[None, :2] + np.array([40.0, 0.0]))).all()
-    assert grid.epsg is None
-
-
-def test_on_the_globe_the_grid_lies_in_its_utm_zone_and_heights_are_altitudes() -> None:
-    grid = surface_grid(surface(), ON_EARTH, cell=0.25)
-    assert grid.epsg == 32632
-    for offset, height in (((0.0, 0.0), HEIGHT_M), ((7.0, -6.0), 0.0)):
-        place = geodetic_from_enu([[*(SHIFT[:2] + offset), SHIFT[2] + height]], ON_EARTH.origin_lat_lon_alt)[0]
-        found = grid.at(utm_from_geodetic(place[None, :2], 32632))[0]
-        assert found == pytest.approx(place[2], abs=0.05)
-    # The block's edge, seen in the grid, lies where the map says: half a cell and a voxel.
+    assert np.isnan(heights_from_above(mesh, [[40.0, 0.0]])).all()
+    # The block's edge lies within a voxel.
     east = np.arange(BLOCK_M - 2, BLOCK_M + 2, 0.05)
-    along = np.column_stack([SHIFT[0] + east, np.full(len(east), SHIFT[1]), np.full(len(east), SHIFT[2] + HEIGHT_M)])
-    utm = utm_from_geodetic(geodetic_from_enu(along, ON_EARTH.origin_lat_lon_alt)[:, :2], 32632)
-    high = grid.at(utm) > 430 + SHIFT[2] + HEIGHT_M / 2
-    assert abs(east[high].max() - BLOCK_M) < 0.45
+    high = heights_from_above(mesh, np.column_stack([east, np.zeros(len(east))])) > HEIGHT_M / 2
+    assert abs(east[high].max() - BLOCK_M) < 0.25
 
 
 def test_bad_input_says_what_to_do() -> None:
@@ -95,5 +79,3 @@ def test_bad_input_says_what_to_do() -> None:
     away = replace(block(), means=block().means + np.float32(1e4))
     with pytest.raises(BadInput, match="sees the model"):
         extract_surface(away, flight())
-    with pytest.raises(BadInput, match="larger cells"):
-        surface_grid(surface(), LOCAL, cell=1e-3)

@@ -31,7 +31,7 @@ def by_pyproj(points_m: np.ndarray, code: str) -> np.ndarray:
 @pytest.mark.parametrize("code", ["EPSG:32632", "EPSG:2056", "EPSG:25832"])
 def test_a_file_and_its_offset_are_the_places(code: str, tmp_path: Path) -> None:
     splats = ground_splats(half_side_m=300.0)
-    reference = georeference(FRAME, parse_crs(code), np.zeros(3))
+    reference = georeference(FRAME, parse_crs(code))
     save_ply(tmp_path / "a.ply", reference.move(splats), reference.comments())
     read = load_ply(tmp_path / "a.ply")
     assert np.abs(read.means[:, :2]).max() < 1000, "small enough for float32"
@@ -47,7 +47,7 @@ def test_cameras_move_with_what_they_see() -> None:
     cameras = cameras_above([(-80.0, 10.0), (120.0, -60.0)], height_m=60.0)
     points = np.array([[-80.0, 11.0, 0.0], [-79.0, 9.0, 1.0], [121.0, -58.0, 2.0]])
     scene = SfmScene(cameras=cameras, points=points, colors=np.zeros((3, 3)), observations=[[0, 0], [1, 0], [2, 1]], frame=FRAME)
-    moved = georeference(FRAME, parse_crs("EPSG:32632"), np.zeros(3)).move_scene(scene)
+    moved = georeference(FRAME, parse_crs("EPSG:32632")).move_scene(scene)
     for point, camera in scene.observations:
         before, after = (
             s.cameras.Ks[camera] @ (s.cameras.cam_from_world[camera, :3] @ np.append(s.points[point], 1)) for s in (scene, moved)
@@ -57,7 +57,7 @@ def test_cameras_move_with_what_they_see() -> None:
 
 
 def test_what_stands_beside_a_file_says_where_it_lies(tmp_path: Path) -> None:
-    reference = georeference(FRAME, parse_crs("EPSG:2056"), np.zeros(3))
+    reference = georeference(FRAME, parse_crs("EPSG:2056"))
     json_path, prj_path = save_sidecar(tmp_path / "model.spz", reference)
     record = json.loads(json_path.read_text())
     assert (record["crs"], record["epsg"], record["file"], record["unit"]) == ("EPSG:2056", 2056, "model.spz", "metre")
@@ -81,12 +81,12 @@ def test_scenes_without_a_place_have_no_coordinates() -> None:
     nowhere = Frame(kind="scaled", origin_lat_lon_alt=np.zeros(3))
     assert local_comments(nowhere) == ()
     with pytest.raises(BadInput, match="--gcp"):
-        georeference(nowhere, parse_crs("EPSG:32632"), np.zeros(3))
+        georeference(nowhere, parse_crs("EPSG:32632"))
     with pytest.raises(BadInput, match="degrees"):
-        georeference(FRAME, parse_crs("EPSG:4326"), np.zeros(3))
+        georeference(FRAME, parse_crs("EPSG:4326"))
     level = Frame(kind="metric", origin_lat_lon_alt=ORIGIN, residual_m=0.1, altitude_known=False)
     with pytest.raises(BadInput, match="no datum"):
-        georeference(level, parse_crs("EPSG:32632+5773"), np.zeros(3))
+        georeference(level, parse_crs("EPSG:32632+5773"))
 
 
 def test_features_are_where_pyproj_puts_them() -> None:

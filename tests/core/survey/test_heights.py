@@ -122,7 +122,7 @@ def test_terrain_leaves_the_house_and_keeps_the_hill() -> None:
     )
     with pytest.raises(BadInput, match="no terrain"):
         terrain(nothing, GSD)
-    assert contours(nothing, 1.0) == [] and not len(height_mesh(nothing).triangles)
+    assert contours(nothing, 1.0) == [] and not len(height_mesh(nothing, np.zeros(3)).triangles)
 
 
 def cone() -> HeightMap:
@@ -155,7 +155,11 @@ def test_laspy_reads_points_colours_classes_and_the_system(tmp_path: Path) -> No
     np.testing.assert_array_equal(np.column_stack([np.asarray(read[channel]) for channel in ("red", "green", "blue")]) // 257, colors)
     np.testing.assert_array_equal(np.asarray(read.classification) == GROUND, ground)
     keys = getattr(read.header.vlrs.get("GeoKeyDirectoryVlr")[0], "geo_keys")  # noqa: B009, laspy types its records too widely
-    assert 32632 in {key.value_offset for key in keys}
+    assert 32632 in {key.value_offset for key in keys} and 4096 not in {key.id for key in keys}
+    save_laz(tmp_path / "a.laz", points, colors, ground, 25832, 7837)
+    keys = getattr(laspy.read(tmp_path / "a.laz").header.vlrs.get("GeoKeyDirectoryVlr")[0], "geo_keys")  # noqa: B009
+    # Map, metres, DHHN2016, metres.
+    assert {key.id: key.value_offset for key in keys} == {1024: 1, 3072: 25832, 3076: 9001, 4096: 7837, 4099: 9001}
     with pytest.raises(BadInput, match="no points"):
         save_laz(tmp_path / "b.laz", np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, bool), None)
     with pytest.raises(BadInput, match="2,000 km"):
@@ -165,7 +169,10 @@ def test_laspy_reads_points_colours_classes_and_the_system(tmp_path: Path) -> No
 
 def test_open3d_and_trimesh_read_the_textured_mesh(tmp_path: Path) -> None:
     surface = cone()
-    mesh = height_mesh(surface, max_vertices=2_000)
+    offset = np.array([500_000.0, 5_200_000, 0])
+    mesh = height_mesh(surface, offset, max_vertices=2_000)
+    first = offset + mesh.vertices[0]
+    np.testing.assert_allclose(first[2], surface.at(first[None, :2])[0][0], atol=1e-9)
     assert mesh.step == 4 and len(mesh.vertices) <= 2_000
     corners = mesh.vertices[mesh.triangles]
     assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all(), "seen from above"
@@ -179,7 +186,7 @@ def test_open3d_and_trimesh_read_the_textured_mesh(tmp_path: Path) -> None:
     scene = trimesh.load(tmp_path / "a.glb")
     geometry = next(iter(scene.geometry.values()))  # pyright: ignore[reportAttributeAccessIssue]
     texture = np.asarray(geometry.visual.material.baseColorTexture)
-    north = geometry.vertices[:, 2] < -10
+    north = geometry.vertices[:, 2] < np.median(geometry.vertices[:, 2]) - 10
     v = geometry.visual.uv[north, 1]
     assert texture.shape[:2] == (60, 80) and (v > 0.5).all() and texture[0, 0, 0] > 200, "the north of the picture is its top"
     with pytest.raises(BadInput, match="no triangle"):

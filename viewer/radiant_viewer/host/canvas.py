@@ -34,6 +34,8 @@ from radiant_viewer.pictures.view_pose import ViewPose
 CLICK_PX = 4
 LABEL_SIZE = 11
 CLOUD_POINT_PX, CLOUD_POINT_3D_PX = 2.6, 3.2
+PICTURE_FILL = 0.3
+"""Opacity of regions over an orthophoto."""
 TOP_SLOT = 400
 """Slot of the map on which marks of selections and tools lie: above a hundred layers."""
 ClickTaker = Callable[["Canvas", tuple[int, int]], bool]
@@ -117,7 +119,7 @@ class Canvas:
         scale = self.plotter.devicePixelRatioF()
         actors = add_layer(self.plotter, shown, self.origin, line_scale=scale, flat_height=flat_height, detail=self.detail)
         if layer.polygons and self.is_map:
-            actors[0].prop.opacity = self.fill_opacity
+            actors[0].prop.opacity = self.shown_fill_opacity
         self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in actors[-1:]:
@@ -130,9 +132,19 @@ class Canvas:
     def set_fill_opacity(self, opacity: float) -> None:
         """Let polygons of a map show (less than 1) or hide what lies below them."""
         self.fill_opacity = opacity
+        self._fill()
+
+    @property
+    def shown_fill_opacity(self) -> float:
+        """Of the map's polygons: over an orthophoto they always show what is below."""
+        pictures = [name for name, (_, _, layer) in self._drawn.items() if layer.picture is not None]
+        over_picture = any(actor.GetVisibility() for name in pictures for actor in self.actors[name])
+        return min(self.fill_opacity, PICTURE_FILL) if over_picture else self.fill_opacity
+
+    def _fill(self) -> None:
         for name, (_, _, layer) in self._drawn.items():
             if layer.polygons and self.is_map:
-                cast("list[pv.Actor]", self.actors[name])[0].prop.opacity = opacity
+                cast("list[pv.Actor]", self.actors[name])[0].prop.opacity = self.shown_fill_opacity
 
     def remove(self, name: str) -> None:
         """Remove a layer, if it is drawn."""
@@ -144,6 +156,8 @@ class Canvas:
         """Show or hide the actors of a layer."""
         for actor in self.actors.get(name, []):
             actor.SetVisibility(visible)
+        if name in self._drawn and self._drawn[name][2].picture is not None:
+            self._fill()
 
     def render(self) -> None:
         """Request a frame; several requests before Qt paints give one."""

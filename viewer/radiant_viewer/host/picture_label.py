@@ -3,10 +3,13 @@ extra.
 
 The wheel zooms to the pointer, up to `CLOSEST` pixels of the screen for one of the picture; the
 right button, or the middle one, moves the picture; a double click changes between the whole picture
-and 100 %.
+and 100 %, unless clicks are `picked`.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from PySide6.QtCore import QPoint, QPointF, QRect, QSize, Qt, Signal
@@ -17,6 +20,17 @@ from radiant_viewer.pictures.images import Image
 
 MIN_WH = (160, 110)
 CLOSEST, WHEEL_FACTOR = 8.0, 1.25
+GUESS_PX, CROSS_PX = 22, 12
+"""Of the screen: the radius of a guess, and the arms of a mark."""
+
+
+@dataclass(frozen=True)
+class PictureMark:
+    """A place of the picture, px from its corner: a cross, or a ring where it is only a guess."""
+
+    column: float
+    row: float
+    is_guess: bool = False
 
 
 class PictureLabel(QWidget):
@@ -25,6 +39,8 @@ class PictureLabel(QWidget):
     wiped = Signal(float)
     zoomed = Signal(float)
     """Carries how many pixels of the screen one of the picture takes."""
+    picked = Signal(float, float)
+    """Carries column and row of a click in the picture, where `picks` is set."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -38,6 +54,8 @@ class PictureLabel(QWidget):
         self._zoom: float | None = None
         self._middle = QPointF(0.5, 0.5)
         self._grabbed: QPointF | None = None
+        self.picks = False
+        self._marks: tuple[PictureMark, ...] = ()
 
     def sizeHint(self) -> QSize:
         return QSize(360, 270)
@@ -46,6 +64,19 @@ class PictureLabel(QWidget):
         """Replace what is shown; pictures (H,W,3)."""
         self._left, self._right = (None if image is None else pixmap_of(image) for image in (left, right))
         self._names, self.message = names, message
+        self._changed()
+
+    def show_marks(self, marks: Sequence[PictureMark]) -> None:
+        """Replace the marks that lie over the picture."""
+        self._marks = tuple(marks)
+        self.update()
+
+    def look_at(self, column: float, row: float, zoom: float) -> None:
+        """Show a place of the picture, px, in the middle of the widget."""
+        if self._left is None:
+            return
+        self._zoom = float(np.clip(zoom, min(self._fitting(), 1.0), CLOSEST))
+        self._middle = QPointF(column / self._left.width(), row / self._left.height())
         self._changed()
 
     @property
@@ -103,6 +134,7 @@ class PictureLabel(QWidget):
             painter.drawLine(x, place.top(), x, place.bottom())
             painter.setPen(QPen(QColor(255, 255, 255), 1))
             painter.drawLine(x, place.top(), x, place.bottom())
+        self._draw_marks(painter, place)
         self._draw_names(painter, place)
 
     def wheelEvent(self, event: QWheelEvent) -> None:
@@ -111,6 +143,8 @@ class PictureLabel(QWidget):
 
     def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
         """Change between the whole picture and 100 % of the place under the pointer."""
+        if self.picks:
+            return
         self.toggle_zoom(at=event.position())
 
     def toggle_zoom(self, _: bool = False, at: QPointF | None = None) -> None:
@@ -125,6 +159,9 @@ class PictureLabel(QWidget):
         if event.button() != Qt.MouseButton.LeftButton:
             self._grabbed = event.position()
             return
+        if self.picks:
+            self._pick(event.position())
+            return
         self._wipe_to(event.position().toPoint())
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
@@ -134,7 +171,8 @@ class PictureLabel(QWidget):
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """Move the wipe, or the picture, with the pointer."""
         if self._grabbed is None:
-            self._wipe_to(event.position().toPoint())
+            if not self.picks:
+                self._wipe_to(event.position().toPoint())
             return
         if self._left is not None and self._zoom is not None:
             moved, size = event.position() - self._grabbed, self._place().size()
@@ -147,6 +185,13 @@ class PictureLabel(QWidget):
             place = self._place()
             self.set_share((point.x() - place.left()) / max(place.width(), 1))
             self.wiped.emit(self.share)
+
+    def _pick(self, point: QPointF) -> None:
+        if self._left is None:
+            return
+        share = self._share_at(point)
+        if 0 <= share.x() < 1 and 0 <= share.y() < 1:
+            self.picked.emit(share.x() * self._left.width(), share.y() * self._left.height())
 
     def _changed(self) -> None:
         self._middle = QPointF(*(float(np.clip(share, 0, 1)) for share in (self._middle.x(), self._middle.y())))
@@ -172,6 +217,22 @@ class PictureLabel(QWidget):
         return QRect(
             QPoint(round(center.x() - self._middle.x() * size.width()), round(center.y() - self._middle.y() * size.height())), size
         )
+
+    def _draw_marks(self, painter: QPainter, place: QRect) -> None:
+        assert self._left is not None
+        scale = place.width() / self._left.width(), place.height() / self._left.height()
+        for mark in self._marks:
+            center = QPointF(place.left() + scale[0] * mark.column, place.top() + scale[1] * mark.row)
+            # Dark below light, to be seen on snow and in shadow.
+            for pen in (QPen(QColor(0, 0, 0, 190), 3), QPen(QColor(255, 210, 60), 1)):
+                painter.setPen(pen)
+                if mark.is_guess:
+                    painter.drawEllipse(center, GUESS_PX, GUESS_PX)
+                    continue
+                for step in (QPointF(CROSS_PX, 0), QPointF(0, CROSS_PX)):
+                    # Open in the middle: what is marked stays visible.
+                    painter.drawLine(center - step, center - step / 4)
+                    painter.drawLine(center + step / 4, center + step)
 
     def _draw_names(self, painter: QPainter, place: QRect) -> None:
         for name, is_left in zip(self._names, (True, False), strict=True):

@@ -25,7 +25,7 @@ from radiant_viewer.layers.point_detail import PointDetail, local_cloud, point_m
 SLOTS_PER_LAYER = 4
 """Heights that a flattened layer takes on a map: polygons, segments, rims, points."""
 RIM_PX = 3.5
-_Kind = Literal["polygons", "segments", "rims", "points"]
+_Kind = Literal["picture", "polygons", "segments", "rims", "points"]
 RING_SHARE = 0.64
 """Of the width of a ring, its hole."""
 FRONT_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = 0.001 * gl_FragCoord.z;\n"
@@ -69,7 +69,7 @@ def has_same_structure(layer: Layer, other: Layer) -> bool:
     """Return whether layers differ only in positions, colours, labels, and none is thinned."""
     styles = [
         (
-            [bool(len(part)) for part in (one.polygons, one.segments, one.points)],
+            [one.picture is None, *(bool(len(part)) for part in (one.polygons, one.segments, one.points))],
             (one.point_size_px, one.point_rim, one.square_points, one.ring_points, one.in_front, one.behind, one.line_width_px),
         )
         for one in (layer, other)
@@ -81,6 +81,10 @@ def _parts(layer: Layer, origin: FloatArray, flat_height: float | None) -> list[
     """Return the meshes of a layer in drawing order."""
     slots = [None if flat_height is None else flat_height + slot for slot in range(SLOTS_PER_LAYER)]
     parts: list[tuple[_Kind, pv.PolyData]] = []
+    if layer.picture is not None and flat_height is not None:
+        corners = pv.PolyData(_local_positions(layer.picture.corners, origin, slots[0]), faces=np.array([4, 0, 1, 2, 3]))
+        corners.active_texture_coordinates = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+        parts.append(("picture", corners))
     if layer.polygons:
         parts.append(("polygons", _polygon_mesh(layer, origin, slots[0])))
     if len(layer.segments):
@@ -100,7 +104,13 @@ def _parts(layer: Layer, origin: FloatArray, flat_height: float | None) -> list[
 def _add_part(plotter: pv.Plotter, layer: Layer, part: tuple[_Kind, pv.PolyData], line_scale: float, flat_height: float | None) -> pv.Actor:
     kind, mesh = part
     actor = _add(plotter, mesh)
-    if kind == "polygons":
+    if kind == "picture":
+        assert layer.picture is not None
+        actor.texture = pv.Texture(layer.picture.image)
+        actor.texture.interpolate = True
+        # Else its colours are multiplied by those of pyvista's theme.
+        actor.prop.color = "white"
+    elif kind == "polygons":
         actor.prop.opacity = 0.4 if flat_height is None else 1.0
     elif kind == "segments":
         actor.prop.line_width = layer.line_width_px * line_scale

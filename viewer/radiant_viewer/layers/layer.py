@@ -60,6 +60,19 @@ class Label:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class LayerPicture:
+    """image (H,W,4) uint8, rows downwards, and where its corners lie (4,3): upper left, upper
+    right, lower right, lower left."""
+
+    image: NDArray[np.uint8]
+    corners: FloatArray
+
+    def __post_init__(self) -> None:
+        check_array("the picture of a layer", self.image, (None, None, 4), np.uint8)
+        object.__setattr__(self, "corners", check_array("the corners of a layer's picture", self.corners, (4, 3)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
     """points (N,3), segments (S,2,3) and polygons R × (V,3), each with one colour; later layers lie
     over earlier ones on a map. Raises BadInput when a shape is wrong, colours do not match in
@@ -88,6 +101,8 @@ class Layer:
     polygon_colors: ColorArray = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     pale_fills: bool = False
     """Whether fills are mixed with white, in a dark theme with its ground; other fills are data."""
+    picture: LayerPicture | None = None
+    """Drawn on maps alone, below the rest of the layer."""
     labels: tuple[Label, ...] = ()
     legend: tuple[LegendEntry, ...] = ()
     heat: HeatScale | None = None
@@ -114,6 +129,7 @@ def framing_positions(layers: Sequence[Layer]) -> FloatArray:
     clouds = [layer.points[:: 1 + len(layer.points) // REACH_POINTS] for layer in layers if len(layer.points) >= CLOUD_SIZE]
     markers = [layer.points for layer in layers if len(layer.points) < CLOUD_SIZE]
     lines = [part for layer in layers for part in (layer.segments.reshape(-1, 3), *layer.polygons)]
+    lines += [layer.picture.corners for layer in layers if layer.picture is not None]
     firm = np.concatenate([np.zeros((0, 3)), *markers, *lines])
     cloud = np.concatenate([np.zeros((0, 3)), *clouds])
     if not len(firm) + len(cloud):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -57,9 +58,20 @@ def no_rows() -> Sequence[GanttRow]:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SurveyCommands:
+    """Command lines of the application that a window runs in processes of their own: `measuring`
+    answers requests about measures (`radiant_app.commands.measure_worker`), `ortho` of a path
+    writes the orthophoto there."""
+
+    measuring: tuple[str, ...]
+    ortho: Callable[[Path], tuple[str, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunFeeds:
     """Functions that read the present state; they raise BadInput or StoreDamaged if they cannot."""
 
     gantt_rows: Callable[[], Sequence[GanttRow]] = no_rows
     gantt_detail: Callable[[], str] = str
     progress: Callable[[], RunProgress] = RunProgress
+    survey: SurveyCommands | None = None

@@ -27,6 +27,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.layers.camera_roles import NOBODY, CameraRoles, camera_roles
+from radiant_viewer.layers.ortho_layer import ORTHO
 from radiant_viewer.runs.cleaned_model import CleanedModel, cleaned_model, find_support, surroundings
 from radiant_viewer.runs.field_files import local_file_names
 from radiant_viewer.runs.growing_model import growing_files, growing_model
@@ -202,7 +203,7 @@ def file_stamps(path: Path) -> FileStamps:
     """Return name, time and length of the files that `load_run_view` reads, or of the file `path`;
     equal stamps mean equal content."""
     delivered = (f"{DELIVERED}/{PLAN_NAME}", f"{DELIVERED}/scene.safetensors")
-    names = (SCENE_NAME, "scene.safetensors", PLAN_NAME, PLY_NAME, METRICS_NAME, CLEANING_NAME, *delivered)
+    names = (SCENE_NAME, "scene.safetensors", PLAN_NAME, PLY_NAME, METRICS_NAME, CLEANING_NAME, ORTHO, *delivered)
     stamps = []
     files = [path / name for name in names] if path.is_dir() else [path, cleaning_path(path)]
     if path.is_dir() and not (path / PLY_NAME).is_file():

@@ -64,8 +64,8 @@ def unplanned_scene(folder: Path) -> SfmScene:
 
 def unplanned_photographs(folder: Path) -> Path | None:
     """Return the folder of undistorted photographs of a training or a scene; None if unknown."""
-    source = _settings(folder).get("source")
-    for owner in [folder / "sfm", folder, *([Path(source) / "sfm", Path(source)] if isinstance(source, str) else [])]:
+    source = source_of(folder)
+    for owner in [folder / "sfm", folder, *([] if source is None else [source / "sfm", source])]:
         try:
             images = read_json(owner / "result.json", ("images",))["images"] if (owner / "result.json").is_file() else None
         except StoreDamaged:
@@ -73,6 +73,12 @@ def unplanned_photographs(folder: Path) -> Path | None:
         if isinstance(images, str):
             return owner / images
     return None
+
+
+def source_of(folder: Path) -> Path | None:
+    """Return what a run or a training was made from, by its manifest; None if unknown."""
+    source = _settings(folder).get("source")
+    return Path(source) if isinstance(source, str) else None
 
 
 def has_unplanned_scene(folder: Path) -> bool:

@@ -10,11 +10,13 @@ from PySide6.QtWidgets import QDockWidget, QMainWindow, QTabWidget, QWidget
 
 from radiant_viewer.docks.camera_dock import CameraDock
 from radiant_viewer.docks.cleaning_dock import CleaningDock
+from radiant_viewer.docks.control_dock import ControlDock
 from radiant_viewer.docks.fly_dock import FlyDock
 from radiant_viewer.docks.gantt_dock import GanttDock
 from radiant_viewer.docks.photo_dock import PhotoDock
 from radiant_viewer.docks.progress_dock import ProgressDock
 from radiant_viewer.docks.seam_dock import SeamDock, make_seam_dock
+from radiant_viewer.docks.survey_dock import SurveyDock
 from radiant_viewer.editing.planning import Planning
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.runs.run_feeds import RunFeeds
@@ -35,10 +37,31 @@ class Docks:
     seams: SeamDock | None = None
     gantt: GanttDock | None = None
     progress: ProgressDock | None = None
+    control: ControlDock | None = None
+    survey: SurveyDock | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a film, a polygon or a measure is in progress."""
+        is_measuring = self.survey is not None and self.survey.is_busy
+        return is_measuring or self.fly.job is not None or self.cleaning.polygon.is_active
+
+    def undo_corner(self) -> None:
+        """Take the last clicked place or drawn corner back."""
+        self.cleaning.polygon.undo()
+        if self.survey is not None:
+            self.survey.tool.undo()
+
+    def end(self) -> None:
+        """Stop polling, films and what runs in processes of its own."""
+        self.fly.stop()
+        for dock in (self.progress, self.survey):
+            if dock is not None:
+                dock.end()
 
     def all(self) -> list[QDockWidget]:
         """Return the docks that exist, in the order of their tabs."""
-        docks = (self.photo, self.cameras, self.seams, self.gantt, self.progress, self.fly, self.cleaning)
+        docks = (self.control, self.photo, self.cameras, self.seams, self.gantt, self.progress, self.survey, self.fly, self.cleaning)
         return [dock for dock in docks if dock is not None]
 
 
@@ -58,13 +81,15 @@ def make_docks(host: Host, subject: Subject, feeds: RunFeeds, ply_path: Path | N
         seams=make_seam_dock(host, run),
         gantt=GanttDock(host, feeds),
         progress=ProgressDock(host, feeds),
+        control=ControlDock(host, run),
+        survey=SurveyDock(host, run, feeds.survey) if run.kind != "scene" else None,
     )
 
 
 def place_docks(window: QMainWindow, docks: Docks) -> None:
     """Put pictures at the right and everything else below, each side as tabs."""
     right, bottom = Qt.DockWidgetArea.RightDockWidgetArea, Qt.DockWidgetArea.BottomDockWidgetArea
-    rights: list[QDockWidget] = [] if docks.photo is None else [docks.photo]
+    rights = [dock for dock in (docks.control, docks.photo) if dock is not None]
     bottoms = [dock for dock in docks.all() if dock not in rights]
     for dock in rights:
         window.addDockWidget(right, dock)

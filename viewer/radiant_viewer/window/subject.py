@@ -10,6 +10,7 @@ from radiant_core.geometry.cleaning import Surroundings
 from radiant_core.scene import SfmScene
 from radiant_viewer.editing.plan_layers import add_planning_layers
 from radiant_viewer.layers.layer import Layer
+from radiant_viewer.layers.ortho_layer import ortho_layer
 from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.runs.cleaned_model import CleanedModel, surroundings
 from radiant_viewer.runs.cleaning_session import CleaningSession
@@ -75,12 +76,23 @@ def run_subject(run: RunView) -> Subject:
     dealt = f"{len(roles.edge_ids)} regions, {len(roles.device_ids)} devices"
     if run.kind != "run":
         dealt = f"{len(run.scene.points):,} points"
+    ground, below = _below(run)
+    layers = add_planning_layers(run, run_layers(run)) if run.kind == "run" else run_layers(run)
     return Subject(
         path=run.folder,
-        layers=tuple(add_planning_layers(run, run_layers(run)) if run.kind == "run" else run_layers(run)),
+        layers=(*ground, *layers),
         model=run.model,
         run=run,
         unit=run.unit,
         ground=ground_height(run.scene),
-        summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}",
+        summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}{below}",
     )
+
+
+def _below(run: RunView) -> tuple[list[Layer], str]:
+    """The orthophoto, if the run has one, and why it cannot be shown."""
+    try:
+        layer = ortho_layer(run.folder, run.scene.frame, ground_height(run.scene))
+    except BadInput as error:
+        return [], f".   {error}"
+    return ([] if layer is None else [layer]), ""

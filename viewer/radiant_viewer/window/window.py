@@ -300,10 +300,9 @@ class InspectorWindow(QMainWindow):
 
     def end(self) -> None:
         """Stop renderers, polling, films, planning; edits being solved stay in their file."""
-        for part in (self.model, self.docks.progress):
-            if part is not None:
-                part.end()
-        self.docks.fly.stop()
+        if self.model is not None:
+            self.model.end()
+        self.docks.end()
         if self.planning is not None:
             self.planning.end()
 
@@ -334,18 +333,9 @@ class InspectorWindow(QMainWindow):
 
     def _is_busy(self) -> bool:
         is_editing = self.planning is not None and self.planning.is_busy
-        is_filming = self.docks.fly.job is not None
         has_dialog = QApplication.activeModalWidget() is not None or QApplication.activePopupWidget() is not None
         is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
-        return (
-            is_editing
-            or is_filming
-            or has_dialog
-            or is_pressed
-            or self.measure.is_active
-            or self.docks.cleaning.polygon.is_active
-            or self.crop_box is not None
-        )
+        return is_editing or has_dialog or is_pressed or self.measure.is_active or self.docks.is_busy or self.crop_box is not None
 
     def _add_actions(self) -> None:
         bar = self.addToolBar("View")
@@ -430,7 +420,7 @@ class InspectorWindow(QMainWindow):
 
     def _undo_corner(self) -> None:
         self.measure.undo()
-        self.docks.cleaning.polygon.undo()
+        self.docks.undo_corner()
 
     def _on_cleaned(self) -> None:
         """Show the model without what its cleaning leaves out now."""

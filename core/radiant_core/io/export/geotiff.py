@@ -1,5 +1,5 @@
-"""Rasters on a map as GeoTIFF (OGC 19-008), north up: heights as float32, unknown −9999, or tiles
-of any bands, written one after another. Once per raster.
+"""Rasters on a map as GeoTIFF (OGC 19-008), north up, in tiles of any bands, written one after
+another. Once per raster.
 
 Cell (row, column) covers east₀ + column · cell … + cell and north₀ − row · cell … − cell. With an
 EPSG code the grid is that projected system's; without one it stands in the model's own coordinates.
@@ -7,7 +7,6 @@ EPSG code the grid is that projected system's; without one it stands in the mode
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from radiant_core import __version__
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import atomic_path, write_atomic
+from radiant_core.io.run_store import atomic_path
 from radiant_core.numerics import FloatArray
 
 NO_DATA = -9999.0
@@ -74,58 +73,6 @@ class TiledRaster:
             raise BadInput(f"tiles of {self.tile_px} px came, but TIFF has tiles of a multiple of 16: choose one, such as 512.")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HeightGrid:
-    """heights (H,W) float64, NaN where nothing was seen; north_west (2,) the outer corner; cell
-    > 0; epsg None in the model's own frame."""
-
-    heights: FloatArray
-    north_west: FloatArray
-    cell: float
-    epsg: int | None
-    vertical_epsg: int | None = None
-    """What heights count from, where it has a code."""
-
-    def __post_init__(self) -> None:
-        if self.heights.ndim != 2 or 0 in self.heights.shape or np.isinf(self.heights).any():
-            raise BadInput(f"heights of shape {self.heights.shape} came, expected (H, W) of finite numbers or NaN.")
-        if not (np.isfinite(self.cell) and self.cell > 0 and np.isfinite(self.north_west).all()):
-            raise BadInput(f"a grid with cells of {self.cell} from {self.north_west} came, expected finite numbers and cells above zero.")
-
-    @property
-    def known(self) -> float:
-        """Share of the cells that have a height."""
-        return float(np.isfinite(self.heights).mean())
-
-    def at(self, places: FloatArray) -> FloatArray:
-        """Heights (P,) of the cells that places (P,2) fall into; NaN outside and where unknown."""
-        columns = np.floor((places[:, 0] - self.north_west[0]) / self.cell)
-        rows = np.floor((self.north_west[1] - places[:, 1]) / self.cell)
-        inside = (columns >= 0) & (rows >= 0) & (columns < self.heights.shape[1]) & (rows < self.heights.shape[0])
-        found = np.full(len(places), np.nan)
-        found[inside] = self.heights[rows[inside].astype(np.int64), columns[inside].astype(np.int64)]
-        return found
-
-
-def save_geotiff(path: Path, grid: HeightGrid) -> None:
-    """Write the grid to `path`, atomically, as float32 (0.03 mm at 500 m); BadInput if it fails."""
-    import tifffile
-
-    values = np.where(np.isfinite(grid.heights), grid.heights, NO_DATA).astype(np.float32)
-    content = io.BytesIO()
-    tifffile.imwrite(
-        content,
-        values,
-        photometric="minisblack",
-        compression="zlib",
-        rowsperstrip=64,
-        metadata=None,
-        software=f"radiant {__version__}",
-        extratags=_geo_tags(grid),
-    )
-    write_atomic(path, content.getvalue())
-
-
 def save_tiles(path: Path, raster: TiledRaster, tiles: Iterable[NDArray[Any]]) -> None:
     """Write tiles (T,T,B) row by row from the north-west as they come, atomically: what is held is
     one tile. Those at the east and the south reach beyond the raster. CannotWrite if it fails."""
@@ -177,10 +124,6 @@ def _band_tags(raster: TiledRaster) -> list[tuple[int, int, int, object, bool]]:
     ]
     tags: list[tuple[int, int, int, object, bool]] = [(_GDAL_METADATA, _ASCII, 0, f"<GDALMetadata>{''.join(items)}</GDALMetadata>", True)]
     return tags if raster.no_data is None else [*tags, (_GDAL_NODATA, _ASCII, 0, f"{raster.no_data:.0f}", True)]
-
-
-def _geo_tags(grid: HeightGrid) -> list[tuple[int, int, int, object, bool]]:
-    return [*_place_tags(grid), (_GDAL_NODATA, _ASCII, 0, f"{NO_DATA:.0f}", True)]
 
 
 def _place_tags(grid: Placed) -> list[tuple[int, int, int, object, bool]]:

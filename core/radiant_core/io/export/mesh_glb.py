@@ -1,8 +1,8 @@
 """A raster of heights with a picture on it as a textured mesh in one GLB file, by trimesh. Once per
 export.
 
-glTF has y up: (x, y, z) = (east, up, −north) from the middle of the raster, in metres; where that
-middle lies stands in the scene's `extras`.
+glTF has y up: (x, y, z) = (east, up, −north) on the map, in metres, less an offset that stands in
+the scene's `extras`.
 """
 
 from __future__ import annotations

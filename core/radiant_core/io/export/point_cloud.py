@@ -1,8 +1,9 @@
 """Points of a surface as LAZ (LAS 1.2, format 2: position, class and colour). Once per export.
 
 Positions are whole multiples of `step` from the middle of the points, so a millimetre at UTM
-northings costs four bytes. Class 2 is ground, 1 is not classified (ASPRS). The map's EPSG code
-goes into the GeoTIFF keys that LAS 1.2 has for it. Written by laspy with lazrs.
+northings costs four bytes. Class 2 is ground, 1 is not classified (ASPRS). The EPSG codes of the
+map and of its heights go into the GeoTIFF keys that LAS 1.2 has for them. Written by laspy with
+lazrs.
 """
 
 from __future__ import annotations
@@ -22,9 +23,17 @@ STEP = 0.001
 AT_ONCE = 1 << 20
 UNCLASSIFIED, GROUND = 1, 2
 _MODEL_TYPE, _PROJECTED_CRS, _PROJECTED, _USER_DEFINED = 1024, 3072, 1, 32767
+_LINEAR_UNITS, _VERTICAL_CRS, _VERTICAL_UNITS, _METRE = 3076, 4096, 4099, 9001
 
 
-def save_laz(path: Path, points: ArrayLike, colors: NDArray[np.uint8], is_ground: NDArray[np.bool_], epsg: int | None) -> None:
+def save_laz(
+    path: Path,
+    points: ArrayLike,
+    colors: NDArray[np.uint8],
+    is_ground: NDArray[np.bool_],
+    epsg: int | None,
+    vertical_epsg: int | None = None,
+) -> None:
     """Write points (N,3) on the map, their colors (N,3), and which are ground (N,), atomically.
 
     Raises BadInput without points or where they spread over more than 2,000 km, CannotWrite if it
@@ -42,7 +51,7 @@ def save_laz(path: Path, points: ArrayLike, colors: NDArray[np.uint8], is_ground
     header = laspy.LasHeader(version="1.2", point_format=2)
     header.offsets, header.scales = middle, np.full(3, STEP)
     header.generating_software = f"radiant {__version__}"
-    header.vlrs.append(_geo_keys(epsg))
+    header.vlrs.append(_geo_keys(epsg, vertical_epsg))
     with (
         atomic_path(path) as temporary,
         temporary.open("xb") as file,
@@ -58,11 +67,15 @@ def save_laz(path: Path, points: ArrayLike, colors: NDArray[np.uint8], is_ground
             writer.write_points(record)
 
 
-def _geo_keys(epsg: int | None) -> Any:
+def _geo_keys(epsg: int | None, vertical_epsg: int | None) -> Any:
     from laspy import VLR
 
-    keys = [(_MODEL_TYPE, 0, 1, _PROJECTED), (_PROJECTED_CRS, 0, 1, epsg)] if epsg else [(_MODEL_TYPE, 0, 1, _USER_DEFINED)]
-    directory = [1, 1, 0, len(keys), *(number for key in keys for number in key)]
+    keys = [(_MODEL_TYPE, _PROJECTED if epsg else _USER_DEFINED)]
+    if epsg:
+        keys += [(_PROJECTED_CRS, epsg), (_LINEAR_UNITS, _METRE)]
+    if epsg and vertical_epsg:
+        keys += [(_VERTICAL_CRS, vertical_epsg), (_VERTICAL_UNITS, _METRE)]
+    directory = [1, 1, 0, len(keys), *(number for key, value in keys for number in (key, 0, 1, value))]
     return VLR(
         user_id="LASF_Projection", record_id=34735, description="GeoKeyDirectoryTag", record_data=np.array(directory, "<u2").tobytes()
     )

@@ -1,0 +1,221 @@
+"""Measuring in the 3D view with σ, and the map's orthophoto. Needs the `desktop` extra.
+
+Clicks make the places of a measure; `radiant measure` keeps it with the run, in a process of its
+own that makes the surface once. The table shows all that is kept.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, get_args
+
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QComboBox,
+    QDockWidget,
+    QFileDialog,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from radiant_core.choices import MeasureKind
+from radiant_core.errors import BadInput, RadiantError
+from radiant_core.io.measures_file import figures_text, load_measures
+from radiant_core.survey.map_grid import map_frame_of
+from radiant_viewer.docks.ortho_job import OrthoJob
+from radiant_viewer.host.line_process import LineProcess
+from radiant_viewer.host.place_tool import PlaceTool
+from radiant_viewer.host.protocols import Host
+from radiant_viewer.layers.measure_layer import CLICKED, KEPT, clicked_layer, kept_layer
+from radiant_viewer.runs.run_feeds import SurveyCommands
+from radiant_viewer.runs.run_layers import ground_height
+from radiant_viewer.runs.run_view import RunView
+
+LEAST: dict[str, int] = {"distance": 2, "height": 2, "area": 3, "volume": 3, "profile": 2}
+HINT = "Choose what to measure, press 'Click places' and click in the 3D view or on the map; then 'Measure'."
+WITHOUT_MODEL = "A measure needs a finished model: finish the run first."
+FIELD_PX = 110
+
+
+class SurveyDock(QDockWidget):
+    """Measures of a run; disabled, with the reason, where it has no finished model."""
+
+    def __init__(self, host: Host, run: RunView, commands: SurveyCommands | None) -> None:
+        super().__init__("Measures")
+        self.setObjectName("measures")
+        self._host, self._run = host, run
+        self._map = map_frame_of(run.scene.frame)
+        self._sent: list[str] = []
+        can_measure = commands is not None and run.model is not None and not run.is_growing
+        self.process = LineProcess(self, commands.measuring if commands is not None else ())
+        self.ortho = OrthoJob(host, self, run.folder, commands)
+        self.tool = PlaceTool(host, ground_height(run.scene), self._on_points)
+        self.kind, self.name, self.base = QComboBox(), QLineEdit(), QLineEdit()
+        self.kind.addItems(get_args(MeasureKind))
+        self.name.setPlaceholderText("name")
+        self.base.setPlaceholderText("base height")
+        self.base.setToolTip("Of a volume: a level plane at this height, else the plane that fits its corners")
+        self.click, self.measure = QPushButton("Click places"), QPushButton("Measure")
+        self.remove, self.export = QPushButton("Remove"), QPushButton("Export…")
+        self.click.setCheckable(True)
+        self.click.setToolTip("Clicks in both views add places; Backspace takes the last one back")
+        self.text = QLabel(HINT if can_measure else WITHOUT_MODEL)
+        self.text.setWordWrap(True)
+        self.table = QTableWidget(0, 2)
+        self.table.setHorizontalHeaderLabels(["Measure", "Figures with their standard deviation"])
+        self._lay_out()
+        for widget in (self.kind, self.name, self.base, self.click, self.measure, self.remove, self.export, self.ortho.button):
+            widget.setEnabled(can_measure)
+        self._connect()
+        self.show_kept()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether places are being clicked, or something is being made."""
+        return self.tool.is_active or bool(self._sent) or self.ortho.is_running
+
+    def show_kept(self) -> None:
+        """Show the measures that are kept now, in the table and in both views."""
+        try:
+            kept = load_measures(self._run.folder)
+        except RadiantError as error:
+            self.text.setText(str(error))
+            kept = {}
+        self.table.setRowCount(len(kept))
+        for number, (name, row) in enumerate(kept.items()):
+            for column, cell in enumerate((name, figures_text(row))):
+                self.table.setItem(number, column, QTableWidgetItem(cell))
+        if kept:
+            self._host.draw_mark(kept_layer(kept, self._map))
+        else:
+            self._host.remove_mark(KEPT)
+        self._host.render_views()
+
+    def take(self) -> None:
+        """Measure at the clicked places; BadInput where there are too few or too many."""
+        kind, points = self.kind.currentText(), self.tool.points
+        if len(points) < LEAST[kind]:
+            raise BadInput(f"{kind} takes {LEAST[kind]} places or more, and {len(points)} are clicked so far.")
+        if kind == "height" and len(points) > LEAST[kind]:
+            raise BadInput(f"height is from one place to another, and there are {len(points)}: Backspace takes the last one back.")
+        request = {
+            "measure": kind,
+            "points": [[None if value != value else value for value in point] for point in points.tolist()],
+            "eyes": self.tool.eyes.tolist(),
+            "name": self.name.text().strip() or None,
+            "base": self._base_height() if kind == "volume" else None,
+        }
+        self._send(request, f"Measuring: {kind}…")
+
+    def remove_chosen(self) -> None:
+        """Take the measure of the chosen row out; BadInput without one."""
+        item = self.table.item(self.table.currentRow(), 0)
+        if item is None:
+            raise BadInput("no measure is chosen: click its row in the table.")
+        self._send({"remove": item.text()}, "Removing…")
+
+    def export_to(self, path: Path) -> None:
+        """Write all that is kept as .geojson or .csv."""
+        self._send({"export": str(path)}, f"Writing {path.name}…")
+
+    def end(self) -> None:
+        """Stop the processes."""
+        self.process.end()
+        self.ortho.end()
+
+    def _base_height(self) -> float | None:
+        text = self.base.text().strip()
+        try:
+            return float(text) if text else None
+        except ValueError:
+            raise BadInput(f"{text!r} is no height of a base: give a number, or nothing.") from None
+
+    def _send(self, request: dict[str, Any], doing: str) -> None:
+        if self._sent:
+            raise BadInput("something is being measured: wait for it.")
+        self._sent.append(doing)
+        self.text.setText(doing)
+        self.process.send(request)
+
+    def _on_answer(self, answer: dict[str, Any]) -> None:
+        doing = self._sent.pop() if self._sent else ""
+        if "error" in answer:
+            self.text.setText(answer["error"])
+            self._host.show_status(answer["error"])
+            return
+        self.show_kept()
+        self.name.clear()
+        if doing.startswith("Measuring"):
+            self.tool.clear()
+            rows = [row for row in range(self.table.rowCount()) if self._cell(row, 0) == answer["name"]]
+            self.table.selectRow(rows[-1] if rows else -1)
+            self.text.setText("; ".join(f"{self._cell(row, 0)}: {self._cell(row, 1)}" for row in rows))
+        else:
+            self.text.setText(f"{doing.removesuffix('…')}: done.")
+
+    def _cell(self, row: int, column: int) -> str:
+        item = self.table.item(row, column)
+        return "" if item is None else item.text()
+
+    def _on_ended(self, _: bool, words: str) -> None:
+        self._sent.clear()
+        self.text.setText(f"Measuring ended: {words}")
+
+    def _on_said(self, words: str) -> None:
+        if self._sent:
+            self.text.setText(f"{self._sent[-1]} {words}")
+
+    def _on_points(self) -> None:
+        # Asked for while the dock is made.
+        kind = self.kind.currentText() if hasattr(self, "kind") else ""
+        if len(self.tool.points):
+            self._host.draw_mark(clicked_layer(self.tool.drawn, kind))
+            self._host.show_status(f"{len(self.tool.points)} places of {kind}; Backspace takes the last one back, 'Measure' measures.")
+        else:
+            self._host.remove_mark(CLICKED)
+        self._host.render_views()
+
+    def _connect(self) -> None:
+        self.click.toggled.connect(self.tool.set_active)
+        self.kind.currentIndexChanged.connect(lambda _: self._on_points())
+        self.measure.clicked.connect(lambda: self._host.attempt(self.take))
+        self.remove.clicked.connect(lambda: self._host.attempt(self.remove_chosen))
+        self.export.clicked.connect(self._ask_export)
+        self.process.answered.connect(self._on_answer)
+        self.process.said.connect(self._on_said)
+        self.process.ended.connect(self._on_ended)
+
+    def _ask_export(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(
+            self, "Export measures", str(Path.cwd() / "measures.geojson"), "GeoJSON (*.geojson);;CSV (*.csv)"
+        )
+        if path:
+            self._host.attempt(lambda: self.export_to(Path(path)))
+
+    def _lay_out(self) -> None:
+        row = QHBoxLayout()
+        for widget in (self.kind, self.click, self.name, self.base, self.measure, self.remove, self.export):
+            row.addWidget(widget)
+        for field in (self.name, self.base):
+            field.setMaximumWidth(FIELD_PX)
+        row.addStretch(1)
+        row.addWidget(self.ortho.button)
+        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.table.verticalHeader().hide()
+        self.table.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        self.table.horizontalHeader().setSectionResizeMode(1, QHeaderView.ResizeMode.Stretch)
+        body = QWidget()
+        layout = QVBoxLayout(body)
+        layout.setContentsMargins(4, 2, 4, 4)
+        layout.addLayout(row)
+        layout.addWidget(self.text)
+        layout.addWidget(self.table, stretch=1)
+        self.setWidget(body)
