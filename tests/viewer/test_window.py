@@ -312,7 +312,8 @@ def navigation(window):
     view, start = window.view, window.view.pose
     plotter, left, right = view.plotter, Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton
     until(lambda: window.model.shown_is_full)
-    middle = plotter.rect().center()
+    middle, samples = plotter.rect().center(), []
+    plotter.renderer.AddObserver("StartEvent", lambda *_: samples.append(plotter.render_window.GetMultiSamples()))
     def level():
         return abs(view.pose.rotation[0][2]) < 1e-9
     QTest.mousePress(plotter, left, pos=middle)
@@ -320,6 +321,8 @@ def navigation(window):
     QTest.mouseRelease(plotter, left, pos=middle + QPoint(60, -20))
     orbited = view.pose
     assert np.linalg.norm(orbited.position - start.position) > 5 and level(), "nothing was orbited"
+    until(lambda: window.model.shown_is_full and samples[-1] == 4)
+    assert 0 in samples, "a moving view was drawn with all samples"
     QTest.mouseDClick(plotter, left, pos=middle)
     # A double click of QTest ends with the button down.
     QTest.mouseRelease(plotter, left, pos=middle)
