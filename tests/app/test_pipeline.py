@@ -82,7 +82,10 @@ def test_every_output_is_there_and_reads(finished: tuple[RunConfig, RunResult, l
     for row in (*result.metrics["images"], result.metrics, result.metrics["median"]):
         assert row["psnr_cc_db"] >= row["psnr_db"] - 1e-6 and 0 < row["ssim_cc"] <= 1
     page = result.report.read_text()
-    assert not re.findall(r'(?:src|href)="(?!data:)', page), "the report must be self-contained"
+    assert re.findall(r'(?:src|href)="(?!data:)[^"]*', page) == ['href="scene.html'], "the report needs nothing but itself to be read"
+    flight = (config.out / "scene.html").read_text()
+    assert "createViewer" in flight and not re.findall(r'(?:src|href)="(?!data:)', flight)
+    assert len(flight) < 30_000_000
 
 
 def test_every_training_photograph_went_to_exactly_one_device(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
