@@ -355,6 +355,8 @@ def film_and_splats(window):
     fly.add_view()
     window.docks.seams.go(0)
     fly.add_view()
+    kept = json.loads((window.subject.path / "flight.json").read_text())["keyframes"]
+    assert np.allclose([row["position"] for row in kept], [pose.position for pose in fly.keyframes]) and len(kept) == 2
     fly.seconds.setValue(0.2)
     fly.write(out / "layers.gif", source="Layers alone", size_wh=(96, 64))
     until(lambda: fly.job is None)
