@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any
 
+from radiant_app.commands.export_place import ExportPlace
 from radiant_app.commands.export_request import ExportRequest, exported_model, left_out_of, run_of
 from radiant_app.commands.lod_regions import lod_regions
 from radiant_app.commands.steps import stage_bar
@@ -18,7 +19,7 @@ from radiant_viewer.runs.model_file import load_model
 
 def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """A folder of streamed SOG; its figures."""
-    from radiant_core.io.export.lod import save_lod
+    from radiant_core.io.export.lod import META_NAME, save_lod
 
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
@@ -30,18 +31,20 @@ def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, An
             LodLimits(num_levels=request.num_levels),
             lambda done, total: report(done, total, "Gaussians"),
         )
+        place = _place_of(request).write_local(request.out / META_NAME)
     errors = {name: float(f"{value:.3g}") for name, value in asdict(figures.errors).items()}
     levels = {"levels": ", ".join(f"{count:,}" for count in figures.counts), "far_field": figures.num_far, "chunks": figures.num_chunks}
-    return {"gaussians": len(splats), **levels, **errors, **cleaned}
+    return {"gaussians": len(splats), **levels, **errors, **cleaned, **place}
 
 
 def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """A folder of 3D Tiles, on the globe where the run has GPS; its figures."""
-    from radiant_core.io.export.tiles import TILE_LIMITS, save_tiles
+    from radiant_core.io.export.tiles import TILE_LIMITS, TILESET_NAME, save_tiles
 
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
-    frame = run_of(request).scene.frame if request.model.is_dir() else None
+    place = _place_of(request)
+    frame = place.frame
     if frame is None or frame.kind != "metric":
         display(Warned(stage="export", message="no GPS says where the model lies: the tiles have no place on the globe."))
     with create_folder(request.out), stage_bar(display, "tiles") as report:
@@ -53,7 +56,8 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
             replace(TILE_LIMITS, num_levels=request.num_levels),
             lambda done, total: report(done, total, "Gaussians"),
         )
-    return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **cleaned}
+        written = place.write_local(request.out / TILESET_NAME)
+    return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **cleaned, **written}
 
 
 def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -73,3 +77,8 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
     with create_folder(request.out), stage_bar(display, "page") as report:
         figures = save_page(request.out, page, regions, limits, lambda done, total: report(done, total, "Gaussians"))
     return {**shown, "levels": ", ".join(f"{count:,}" for count in figures.counts), "open": "on any static host: index.html"}
+
+
+def _place_of(request: ExportRequest) -> ExportPlace:
+    """Where the scene's own metres lie; of a run in the field as its delivery says."""
+    return ExportPlace(frame=run_of(request).scene.frame if request.model.is_dir() else None)

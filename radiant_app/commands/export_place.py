@@ -10,8 +10,8 @@ from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.georef.crs import Crs, parse_crs
-from radiant_core.georef.reference import Georeference, georeference, local_comments, require_placed
-from radiant_core.georef.sidecar import save_sidecar
+from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_placed
+from radiant_core.georef.sidecar import save_local_sidecar, save_sidecar
 
 MAX_STRETCH = 0.01
 """Of a raster's system; UTM stretches by 4e-4 within its zone."""
@@ -25,6 +25,15 @@ class ExportPlace:
     """For the header of a PLY."""
     reference: Georeference | None = None
     """How the scene becomes coordinates of `--crs`; None without it."""
+    frame: Frame | None = None
+    """Of the scene, None of a model without one."""
+
+    def write_local(self, out: Path) -> dict[str, Any]:
+        """Write beside a file in the scene's own metres where on the globe those lie, if that is
+        known; figures for the command line."""
+        if self.frame is None or self.frame.kind != "metric":
+            return {}
+        return {"georeference": save_local_sidecar(out, local_record(self.frame)).name}
 
     def write(self, out: Path) -> dict[str, Any]:
         """Write what stands beside the file; figures for the command line."""
@@ -45,7 +54,7 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
     without a scene."""
     frame = _frame_of(model)
     if crs is None:
-        return ExportPlace(comments=() if frame is None else local_comments(frame))
+        return ExportPlace(comments=() if frame is None else local_comments(frame), frame=frame)
     if frame is None:
         raise BadInput(f"{model} is a model without a scene that says where it lies: --crs needs the folder of a run.")
     reference = georeference(frame, parse_crs(crs))

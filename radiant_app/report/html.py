@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 MAX_COMPARISONS = 12
 """Photographs shown beside their renders: the worst, the best and some between."""
 
+FLIGHT_NAME, MAX_FLIGHT_GAUSSIANS = "scene.html", 500_000
+"""The page of the model beside the report, and up to which size a run makes it: some 15 MB."""
 JPEG_QUALITY = 84
 OF_THE_MODEL = ("seams",)
 """Pictures that are too large as PNG."""
@@ -69,7 +71,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
     """Make the pictures and the page; returns the page's path."""
     cloud_plan, edge_plans = load_plan(run / "plan.json")
     pictures = _save_pictures(run, manifest, has_borders=sum(len(border) > 0 for border in cloud_plan.borders) > 1)
-    sides = _save_sides(run)
+    sides, flight = _save_sides(run), _save_flight(run)
     survey = _survey(run, manifest)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("radiant_app"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -81,6 +83,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         verdict=verdict_of(metrics),
         gaps=gaps_of(metrics, manifest.warnings, survey.frame),
         sides=sides,
+        flight=flight,
         duration=clock_text(manifest.ended_s) + (" min" if manifest.ended_s < 3600 else " h"),
         manifest=manifest,
         metrics=metrics,
@@ -284,6 +287,20 @@ def _save_sides(run: Path) -> list[str]:
     images = list(turntable(require_splats(view), framed_box(view), NUM_SIDES, SIZE_WH))
     save_png(run / "pictures" / "model.png", images[0])
     return [_jpeg(image) for image in images]
+
+
+def _save_flight(run: Path) -> str:
+    """The page that flies through the model, one file beside the report; its name, or nothing where
+    the model is large: `radiant view` streams it."""
+    from radiant_viewer.runs.run_view import load_run_view, require_splats
+    from radiant_viewer.share.folder import page_of_run, save_single_page
+
+    view = load_run_view(run)
+    if len(require_splats(view)) > MAX_FLIGHT_GAUSSIANS:
+        (run / FLIGHT_NAME).unlink(missing_ok=True)
+        return ""
+    save_single_page(run / FLIGHT_NAME, page_of_run(view, with_photographs=False))
+    return FLIGHT_NAME
 
 
 def _jpeg(image: Image) -> str:

@@ -45,6 +45,22 @@ def test_a_model_is_where_proj_puts_it(tmp_path: Path) -> None:
     }
 
 
+def test_levels_and_tiles_say_where_on_the_globe_their_metres_lie(tmp_path: Path) -> None:
+    frame = load_scene_of(RUN).frame
+    point_m = np.array([[12.0, -7.0, 3.0]])
+    ecef = Transformer.from_crs("EPSG:4979", "EPSG:4978").transform(*geodetic_from_enu(point_m, frame.origin_lat_lon_alt)[0])
+    for kind, name in (("lod", "lod-meta"), ("tiles", "tileset")):
+        assert f"{name}.georef.json" in export(tmp_path / kind, "--format", kind)
+        record = json.loads((tmp_path / kind / f"{name}.georef.json").read_text())
+        assert record["file"] == f"{name}.json" and record["origin_lat_lon_alt"] == frame.origin_lat_lon_alt.tolist()
+        placed = np.array(record["ecef_from_file"]) @ np.append(point_m[0], 1.0)
+        assert np.abs(placed[:3] - ecef).max() < 1e-6  # m: rounding of numbers of 6e6 m
+        # What no model may carry: names of photographs, and places of cameras.
+        text = (tmp_path / kind / f"{name}.georef.json").read_text()
+        assert not [one for one in load_scene_of(RUN).cameras.names if one in text]
+        assert set(record) == {"schema", "version", "crs", "unit", "axes", "origin_lat_lon_alt", "ecef_from_file", "file"}
+
+
 def test_cameras_are_where_proj_puts_them(tmp_path: Path) -> None:
     export(tmp_path / "project", "--crs", "EPSG:2056")
     offset = json.loads((tmp_path / "project.georef.json").read_text())["offset"]

@@ -290,6 +290,10 @@ def test_levels_of_detail_belong_to_the_regions_of_the_run_and_say_nothing_but_g
     assert len(chunks) == said["chunks"] == 3, "one for each of the town's regions"
     again = json.loads(radiant("export", run / "scene.ply", tmp_path / "again", "--lod", "--levels", "3", "--regions", run, "--json"))
     assert again["chunks"] == 3
+    placed = tmp_path / "lod" / "lod-meta.georef.json"
+    assert set(json.loads(placed.read_text())) & {"cameras", "names", "poses"} == set()
+    # A file alone has no place on the globe.
+    placed.unlink()
     for path in (tmp_path / "lod").rglob("*.*"):
         assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "lod")).read_bytes()
         assert not any(name.encode() in path.read_bytes() for name in load_run_view(run).scene.cameras.names)

@@ -21,6 +21,8 @@ from rich.console import Console
 from radiant_app.bench.cells import ModelCache, run_cell
 from radiant_app.bench.methods import MethodBench, bench_methods
 from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.export import export
+from radiant_app.commands.export_request import ExportRequest
 from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, TrainOptions
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
@@ -82,7 +84,10 @@ def test_every_output_is_there_and_reads(finished: tuple[RunConfig, RunResult, l
     for row in (*result.metrics["images"], result.metrics, result.metrics["median"]):
         assert row["psnr_cc_db"] >= row["psnr_db"] - 1e-6 and 0 < row["ssim_cc"] <= 1
     page = result.report.read_text()
-    assert not re.findall(r'(?:src|href)="(?!data:)', page), "the report must be self-contained"
+    assert re.findall(r'(?:src|href)="(?!data:)[^"]*', page) == ['href="scene.html'], "the report needs nothing but itself to be read"
+    flight = (config.out / "scene.html").read_text()
+    assert "createViewer" in flight and not re.findall(r'(?:src|href)="(?!data:)', flight)
+    assert len(flight) < 30_000_000
 
 
 def test_every_training_photograph_went_to_exactly_one_device(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
@@ -387,6 +392,26 @@ def test_a_run_is_extended_by_another_and_by_a_region_of_the_plan(
         with pytest.raises(BadInput, match=said):
             extend(ExtendRequest(**asked), display)
         assert not (tmp_path / "y.ply").exists()
+
+
+def test_after_an_extension_chunks_outside_the_changed_region_keep_their_bytes(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    out, display = finished[0].out, ProgressDisplay(Console(quiet=True))
+    origin = load_scene(out / "sfm" / "scene.safetensors").frame.origin_lat_lon_alt
+    border = load_plan(out / "plan.json")[0].borders[0]
+    inner = border.mean(axis=0) + 0.6 * (border - border.mean(axis=0))
+    ring = geodetic_from_enu(np.column_stack([inner, np.zeros(len(inner))])[[*range(len(inner)), 0]], origin)[:, 1::-1].tolist()
+    (tmp_path / "inner.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    asked = ExtendRequest(old=out, new=out, out=tmp_path / "x.ply", region=tmp_path / "inner.geojson", margin_m=0.5, num_epochs=1)
+    made = extend(asked, display)
+    assert made["new"] > 0
+    for model, name in ((out / "scene.ply", "before"), (tmp_path / "x.ply", "after")):
+        export(ExportRequest(model=model, out=tmp_path / name, format="lod", num_levels=2, regions=(out,)), display)
+    chunks = {path.relative_to(tmp_path / "before") for path in (tmp_path / "before").rglob("[01]_*/*")}
+    differ = {path.parts[0] for path in chunks if (tmp_path / "before" / path).read_bytes() != (tmp_path / "after" / path).read_bytes()}
+    # Of the first region alone, whose number is 0.
+    assert differ == {"0_0", "1_0"} and len({path.parts[0] for path in chunks}) >= 4
 
 
 def test_a_scene_with_an_origin_of_its_own_is_extended_by_a_later_run(

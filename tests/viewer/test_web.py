@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -21,6 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.runs.run_layers import run_layers
 from radiant_viewer.runs.run_view import load_run_view
+from radiant_viewer.web.browser_splats import MARK_COLOR
 from radiant_viewer.web.rows import camera_headers, camera_pictures, camera_rows, layer_row, run_camera_figures
 from radiant_viewer.web.server import address_text, open_page, require_web
 from tests.viewer.made_up_run import made_up_town, save_run
@@ -31,6 +33,8 @@ CHROMIUM_ARGUMENTS = [
     "--no-sandbox",
     *(f"--disable-{part}" for part in ("gpu", "quic", "background-networking", "component-update", "sync")),
     "--no-first-run",
+    # No WebGL: what the server draws is in sight.
+    "--disable-3d-apis",
 ]
 DEADLINE_S = 120
 """For each step, on a busy machine; a step takes under a second on an idle one."""
@@ -107,9 +111,9 @@ def conflict_resolved(page: Any, view: str) -> np.ndarray:
     return until(page, view, is_still, "it came to rest")
 
 
-def marked(image: np.ndarray) -> int:
+def marked(image: np.ndarray, color: tuple[int, int, int] = VERMILLION) -> int:
     """Pixels in the colour of the chosen camera."""
-    return int((np.abs(image.astype(int) - VERMILLION[::-1]).max(axis=2) < 30).sum())
+    return int((np.abs(image.astype(int) - color[::-1]).max(axis=2) < 30).sum())
 
 
 def first_cells(page: Any) -> list[str]:
@@ -176,11 +180,52 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     page.wait_for_function(f"{bright}.backgroundColor.match(/\\d+/g).map(Number))")
     assert (outside, errors) == ([], [])
 
+    assert page.locator("iframe[data-loaded]").count() == 0, "without WebGL 2 the server's picture stays in sight"
     stranger = browser.new_page()
     stranger.goto(f"{own}/?secret=guessed")
     stranger.wait_for_timeout(1500)
     assert "DJI_" not in stranger.content()
     assert stranger.locator("[data-layer]").count() == 0
+
+
+@pytest.fixture
+def drawing_browser() -> Iterator[Any]:
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: it comes with the extra 'test'")
+    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
+    with playwright.sync_playwright() as tool:
+        opened = tool.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield opened
+        opened.close()
+
+
+def test_a_browser_with_webgl_draws_the_model_itself_and_follows_the_page(drawing_browser: Any, address: str) -> None:
+    page = drawing_browser.new_page(viewport={"width": 1100, "height": 700})
+    page.set_default_timeout(1000 * DEADLINE_S)
+    outside, errors = [], []
+    own = address.split("/?", maxsplit=1)[0]
+    page.on("request", lambda request: outside.append(request.url) if not request.url.startswith((own, "data:", "blob:")) else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(address)
+    page.locator("iframe[data-loaded]").wait_for()
+    frame = page.locator("iframe").element_handle().content_frame()
+    assert re.fullmatch(rf"{own}/splats-\S{{22}}/index\.html\?webgl", frame.url)
+    position = "viewer => radiantViewer.app.root.findByName('camera').getPosition().toString()"
+    stood = frame.evaluate(position)
+    drawn = until(page, "3D", lambda now: now.std() > 12, "the browser draws the model")
+    page.locator("tr[data-camera='DJI_0016.JPG']").click()
+    until(page, "3D", lambda now: marked(now, MARK_COLOR) > 20, "the selected camera is marked")
+    page.locator("[data-action='fly']").click()
+    until(page, "3D", lambda now: changed_share(drawn, now) > 0.2, "the browser's view flies to the camera")
+    assert frame.evaluate(position) != stood
+    if os.environ.get("RADIANT_SHOT"):
+        page.screenshot(path=os.environ["RADIANT_SHOT"])
+    page.locator("[data-action='splats']").click()
+    page.wait_for_function("getComputedStyle(document.querySelector('iframe')).display === 'none'")
+    assert (outside, errors) == ([], [])
+    guess = page.request.get(f"{own}/splats-guessed/index.html")
+    assert guess.status == 404
 
 
 def test_rows_say_every_figure_once_with_its_unit(run_folder: Path) -> None:

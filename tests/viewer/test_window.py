@@ -318,7 +318,8 @@ def navigation(window):
     view, start = window.view, window.view.pose
     plotter, left, right = view.plotter, Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton
     until(lambda: window.model.shown_is_full)
-    middle = plotter.rect().center()
+    middle, samples = plotter.rect().center(), []
+    plotter.renderer.AddObserver("StartEvent", lambda *_: samples.append(plotter.render_window.GetMultiSamples()))
     def level():
         return abs(view.pose.rotation[0][2]) < 1e-9
     QTest.mousePress(plotter, left, pos=middle)
@@ -326,6 +327,8 @@ def navigation(window):
     QTest.mouseRelease(plotter, left, pos=middle + QPoint(60, -20))
     orbited = view.pose
     assert np.linalg.norm(orbited.position - start.position) > 5 and level(), "nothing was orbited"
+    until(lambda: window.model.shown_is_full and samples[-1] == 4)
+    assert 0 in samples, "a moving view was drawn with all samples"
     QTest.mouseDClick(plotter, left, pos=middle)
     # A double click of QTest ends with the button down.
     QTest.mouseRelease(plotter, left, pos=middle)
@@ -358,6 +361,8 @@ def film_and_splats(window):
     fly.add_view()
     window.docks.seams.go(0)
     fly.add_view()
+    kept = json.loads((window.subject.path / "flight.json").read_text())["keyframes"]
+    assert np.allclose([row["position"] for row in kept], [pose.position for pose in fly.keyframes]) and len(kept) == 2
     fly.seconds.setValue(0.2)
     fly.write(out / "layers.gif", source="Layers alone", size_wh=(96, 64))
     until(lambda: fly.job is None)

@@ -84,6 +84,16 @@ def test_levels_keep_the_mass_of_faint_models_and_groups_of_one_keep_their_bits(
         assert np.array_equal(getattr(merged, name)[groups[lone]], array[lone]), name
 
 
+def test_what_is_opaque_keeps_the_area_that_it_covers() -> None:
+    # Four opaque Gaussians in one place cover four times what one of their size can.
+    base = made_up(1)
+    four = Splats(**{**base.select(np.zeros(4, int)).arrays(), "logit_opacities": np.full(4, 20.0)})
+    one = merge_groups(four, np.zeros(4, np.int64))
+    assert masses_of(one)[0] == pytest.approx(masses_of(four).sum(), rel=1e-5)
+    assert one.log_scales.max() - base.log_scales.max() == pytest.approx(np.log(4 / MAX_OPACITY) / 2, abs=1e-4)
+    assert np.array_equal(one.means, base.means)
+
+
 def test_a_group_joins_what_is_near_and_alike() -> None:
     pairs = np.repeat(np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0]]), 2, axis=0) + np.tile([[0, 0, 0], [0.1, 0, 0]], (3, 1))
     base = made_up(1)

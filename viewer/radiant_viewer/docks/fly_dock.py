@@ -7,6 +7,7 @@ usable, and closing it leaves no partial film.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from PySide6.QtCore import QTimer
@@ -24,11 +25,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from radiant_core.errors import StoreDamaged
 from radiant_viewer.docks.flight_job import FlightJob, SceneFrames
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.fly_through import flight_poses
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
+from radiant_viewer.runs.flight_file import FlightFile
 from radiant_viewer.splats.splat_process import Part
 
 SIZES = {"640 × 360": (640, 360), "1280 × 720": (1280, 720), "1920 × 1080": (1920, 1080)}
@@ -36,12 +39,13 @@ SCENE, MODEL, LAYERS = "As the 3D view", "Model alone", "Layers alone"
 
 
 class FlyDock(QDockWidget):
-    """`keyframes` in the order of the flight; `job` is the film being written, or None."""
+    """`keyframes` in the order of the flight, kept beside the run; `job` is the film being written,
+    or None."""
 
-    def __init__(self, host: Host, ply_path: Path | None) -> None:
+    def __init__(self, host: Host, ply_path: Path | None, file: FlightFile) -> None:
         super().__init__("Fly-through")
         self.setObjectName("fly-through")
-        self._host, self._ply_path = host, ply_path
+        self._host, self._ply_path, self._file = host, ply_path, file
         self.keyframes: list[ViewPose] = []
         self.job: FlightJob | None = None
         self.list = QListWidget()
@@ -69,16 +73,27 @@ class FlyDock(QDockWidget):
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._show_next)
         self._update()
+        try:
+            self.set_keyframes(file.load())
+        except StoreDamaged as error:
+            self.note.setText(str(error))
 
     def add_view(self) -> None:
         """Append the present 3D view as a keyframe."""
         self.add_keyframe(self._host.view.pose)
 
     def add_keyframe(self, pose: ViewPose) -> None:
-        """Append a keyframe."""
-        self.keyframes.append(pose)
-        x, y, z = pose.position
-        self.list.addItem(f"{len(self.keyframes)}:  east {x:.1f}, north {y:.1f}, up {z:.1f}")
+        """Append a keyframe, and keep the flight."""
+        self.set_keyframes([*self.keyframes, pose])
+        self._host.attempt(lambda: self._file.keep(self.keyframes))
+
+    def set_keyframes(self, keyframes: Sequence[ViewPose]) -> None:
+        """Show the keyframes of another flight, which is not written."""
+        self.keyframes = list(keyframes)
+        self.list.clear()
+        for number, pose in enumerate(self.keyframes, 1):
+            x, y, z = pose.position
+            self.list.addItem(f"{number}:  east {x:.1f}, north {y:.1f}, up {z:.1f}")
         self._update()
 
     def poses(self) -> list[ViewPose]:
@@ -143,9 +158,8 @@ class FlyDock(QDockWidget):
     def _remove_current(self) -> None:
         row = self.list.currentRow() if self.list.currentRow() >= 0 else len(self.keyframes) - 1
         if row >= 0:
-            self.keyframes.pop(row)
-            self.list.takeItem(row)
-            self._update()
+            self.set_keyframes(self.keyframes[:row] + self.keyframes[row + 1 :])
+            self._host.attempt(lambda: self._file.keep(self.keyframes))
 
     def _update(self) -> None:
         flies = len(self.keyframes) > 1

@@ -70,13 +70,13 @@ def settings(start: PagePlace, places: Sequence[PagePlace]) -> dict[str, Any]:
         "background": {"color": [0, 0, 0]},
         "postEffectSettings": effects,
         "animTracks": [],
-        "cameras": [{"initial": _camera(start)}],
+        "cameras": [{"initial": viewer_camera(start)}],
         "annotations": [
             {
                 "position": page_points(place.view.focal_point),
                 "title": place.title,
                 "text": place.text,
-                "camera": {"initial": _camera(place)},
+                "camera": {"initial": viewer_camera(place)},
             }
             for place in places
         ],
@@ -168,19 +168,21 @@ def _regions(run: RunView, names: Sequence[str], ground: float) -> dict[str, Any
     return {**_layer("Regions", _hex(rgb(colors[0])), lines), "labels": labels}
 
 
+def frustum_line(run: RunView, index: int, color: str, width: float) -> dict[str, Any]:
+    """The pyramid of a camera as one line of the page."""
+    cameras, length = run.scene.cameras, FRUSTUM_SHARE * max(_diagonal(run), 1e-6)
+    width_px, height_px = cameras.sizes_wh[index]
+    corners_px = np.array([[0, 0, 1], [width_px, 0, 1], [width_px, height_px, 1], [0, height_px, 1]], np.float64)
+    rays = corners_px @ np.linalg.inv(cameras.Ks[index]).T @ cameras.cam_from_world[index, :3, :3]
+    center = cameras.centers[index]
+    a, b, c, d = center + length * rays
+    return {"points": page_points(np.stack([a, b, c, d, a, center, b, c, center, d])), "color": color, "width": width}
+
+
 def _frusta(run: RunView) -> list[dict[str, Any]]:
-    cameras = run.scene.cameras
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, min(len(cameras), MAX_CAMERAS)).round().astype(np.int64))
-    length, lines = FRUSTUM_SHARE * max(_diagonal(run), 1e-6), []
-    for index in chosen:
-        width, height = cameras.sizes_wh[index]
-        corners_px = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]], np.float64)
-        rays = corners_px @ np.linalg.inv(cameras.Ks[index]).T @ cameras.cam_from_world[index, :3, :3]
-        center = cameras.centers[index]
-        a, b, c, d = center + length * rays
-        path = np.stack([a, b, c, d, a, center, b, c, center, d])
-        lines.append({"points": page_points(path), "color": CAMERA_COLOR, "width": 1.0})
-    return lines
+    count = len(run.scene.cameras)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, MAX_CAMERAS)).round().astype(np.int64))
+    return [frustum_line(run, int(index), CAMERA_COLOR, 1.0) for index in chosen]
 
 
 def _layer(name: str, color: str, lines: list[dict[str, Any]]) -> dict[str, Any]:
@@ -192,8 +194,8 @@ def _line(points: FloatArray, height: float, color: str, width: float) -> dict[s
     return {"points": page_points(raised), "color": color, "width": width}
 
 
-def _camera(place: PagePlace) -> dict[str, Any]:
-    """The viewer's field of view goes across the wider side of its window."""
+def viewer_camera(place: PagePlace) -> dict[str, Any]:
+    """A place as the viewer has it; its field of view goes across the wider side of its window."""
     half = np.tan(np.radians(place.view.angle_deg) / 2) * max(place.aspect, 1.0)
     angle_deg = float(np.clip(np.degrees(2 * np.arctan(half)), 10.0, 120.0))
     return {

@@ -1,17 +1,20 @@
 """`ModelRenderer`: a model drawn again and again, colour and depth in one picture.
 
 Once per frame of a view. The model is checked and copied once, not per picture: that costs as much
-as drawing 100,000 Gaussians.
+as drawing 100,000 Gaussians. What is done to whole pictures is numpy's: torch's threads would spin
+on after each operation and take a core from the rasterizer and from the window.
 """
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 
 from radiant_core.cameras import Cameras
 from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import Splats
+from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.pictures.splat_picture import OPAQUE
 
 
@@ -23,7 +26,7 @@ class ModelRenderer:
         self._sh_degree = splats.sh_degree
         self._tensors = SplatTensors.from_splats(splats, device=device_of(backend))
 
-    def draw(self, camera: Cameras, background: tuple[int, int, int], into: torch.Tensor) -> None:
+    def draw(self, camera: Cameras, background: tuple[int, int, int], into: Rgbd) -> None:
         """Write the picture of one camera over a background (0 to 255): (H,W,4) float32, colours 0
         to 1 and depth in metres, 0 where the model fills less than `OPAQUE`."""
         width, height = (int(side) for side in camera.sizes_wh[0])
@@ -31,5 +34,6 @@ class ModelRenderer:
         viewmats, Ks = torch.tensor(camera.cam_from_world), torch.tensor(camera.Ks)
         with torch.no_grad():
             output = rasterize(self._tensors, viewmats, Ks, width, height, sh_degree=self._sh_degree, background=behind)
-            into[..., :3] = output.images[0].clamp_(0, 1)
-            into[..., 3] = torch.where(output.alphas[0] >= OPAQUE, output.depths[0], 0.0)
+        colors, alphas, depths = (drawn[0].cpu().numpy() for drawn in (output.images, output.alphas, output.depths))
+        np.clip(colors, 0, 1, out=into[..., :3])
+        into[..., 3] = np.where(alphas >= OPAQUE, depths, 0.0)

@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import RadiantError
 from radiant_core.io.ply import load_ply
 from radiant_core.splats import Splats
+from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.layers.splat_layer import inside_box
 from radiant_viewer.splats.rgbd import ModelRenderer
 
@@ -82,20 +82,20 @@ def serve(path: Path, frames: str, requests: IO[bytes], answers: IO[bytes]) -> N
         renderer = parts.renderer(request["box"], request["max_gaussians"], request["kept"])
         picture = _map_frame(Path(f"{frames}{int(request['slot'])}"), width, height)
         if renderer is None:
-            picture[:] = torch.tensor([red / 255, green / 255, blue / 255, 0.0])
+            picture[:] = (red / 255, green / 255, blue / 255, 0.0)
         else:
             renderer.draw(camera, (red, green, blue), picture)
         _answer(answers, {"id": request["id"], "size_wh": [width, height], "seconds": time.monotonic() - began})
 
 
-def _map_frame(path: Path, width: int, height: int) -> torch.Tensor:
+def _map_frame(path: Path, width: int, height: int) -> Rgbd:
     """Map the start of a file as a picture (H,W,4). It is never made shorter: somebody may have
     mapped it."""
     num_bytes = 16 * width * height
     with path.open("a+b") as file:
         if os.fstat(file.fileno()).st_size < num_bytes:
             os.ftruncate(file.fileno(), num_bytes)
-    return torch.from_numpy(np.memmap(path, np.float32, "r+", shape=(height, width, 4)))
+    return np.asarray(np.memmap(path, np.float32, "r+", shape=(height, width, 4)))
 
 
 def _answer(answers: IO[bytes], header: dict[str, Any]) -> None:

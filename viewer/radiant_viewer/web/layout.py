@@ -19,7 +19,8 @@ HEADERS = {
     # Vue compiles its templates in the browser; all files come from this machine.
     "Content-Security-Policy": (
         "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-        "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws: wss:; frame-ancestors 'none'"
+        "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws: wss: blob: data:; worker-src 'self' blob:; "
+        "frame-ancestors 'self'"
     ),
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
@@ -44,6 +45,10 @@ html, body { overflow: hidden !important; }
 .rad-pane .rad-name { position: absolute; left: 8px; top: 6px; z-index: 2; font-size: 12px; font-weight: 600; padding: 1px 7px;
   border-radius: 4px; pointer-events: none; background: rgba(var(--v-theme-surface), .82); }
 .rad-pane.rad-second { border-left: 1px solid rgba(128,128,128,.35); }
+.rad-pane iframe { position: absolute; inset: 0; width: 100%; height: 100%; border: 0; z-index: 1; visibility: hidden; }
+/* The frame says so itself, once it has drawn. */
+.rad-pane iframe[data-loaded] { visibility: visible; }
+.rad-pane .rad-drawn { position: absolute; right: 8px; top: 5px; z-index: 2; }
 .rad-tab { flex: 1 1 0; min-height: 0; overflow: auto; }
 .rad-table table { font-size: 12.5px; }
 .rad-table th, .rad-table tr[data-camera] td,
@@ -153,7 +158,31 @@ def _views(page: PageActions) -> tuple[Any, Any]:
             with html.Div(v_show=f"panes !== '{other}'", classes=f"rad-pane{second}", raw_attrs=[f'data-view="{name}"']):
                 html.Div(name, classes="rad-name")
                 images.append(vtk.VtkRemoteView(view.plotter.render_window, interactive_quality=75, interactive_ratio=1, still_quality=94))
+                if name == "3D":
+                    _browser_splats()
     return images[0], images[1]
+
+
+def _browser_splats() -> None:
+    """The model drawn by the browser over the server's picture, and the button between the two."""
+    html.Div("{{ splats_reason }}", v_if="splats_reason", classes="rad-soft rad-drawn")
+    html.Iframe(
+        v_if="splats_page",
+        v_show="splats_shown",
+        src=("splats_page",),
+        title="The model",
+        raw_attrs=[':data-told="JSON.stringify(splats_told)"', "data-splats"],
+    )
+    v3.VBtn(
+        "{{ splats_shown ? 'Layers by depth' : 'Model' }}",
+        v_if="splats_page",
+        click="splats_shown = !splats_shown",
+        title="The model, drawn by your browser, or the layers as the server draws them",
+        size="x-small",
+        variant="flat",
+        classes="rad-drawn text-none",
+        raw_attrs=['data-action="splats"'],
+    )
 
 
 def _lower_half() -> None:

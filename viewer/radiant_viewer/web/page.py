@@ -1,7 +1,8 @@
 """`WebPage`: the state of the page and its actions. Import only after `web.require_web`.
 
-The browser holds the lists; this machine renders. All open pages share one view and one selection,
-and the run is not changed. Traffic: the lists once, pictures per selection, frames as JPEG.
+The browser holds the lists and draws the model where it can; this machine renders all else. All
+open pages share one view and one selection, and the run is not changed. Traffic: the lists and the
+model once, pictures per selection, frames as JPEG.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from radiant_viewer.runs.run_figures import FIGURES
 from radiant_viewer.runs.run_layers import color_step_layer, ground_height, hidden_at_first, run_layers
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
+from radiant_viewer.share.scene_page import PagePlace
+from radiant_viewer.web.browser_splats import BrowserSplats
 from radiant_viewer.web.layout import HEADERS, build_layout
 from radiant_viewer.web.rows import (
     Row,
@@ -48,7 +51,9 @@ class WebPage:
         self.scene = WebScene(layers, hidden_at_first(layers), self._later)
         self.stops: tuple[SeamStop, ...] = ()
         self.before_solo: list[str] | None = None
+        self.splats = BrowserSplats(run)
         self.server: Any = get_server(f"radiant-{id(self)}", client_type="vue3")
+        self.server.enable_module({"serve": self.splats.served})
         self._fill_state()
         self.images = build_layout(self.server, self)
         self.server.state.change("visible")(self._on_visible)
@@ -65,7 +70,7 @@ class WebPage:
 
         def on_ready(**_: object) -> None:
             ready(self.server.port)
-            self._spawn(self._find_seams())
+            self._spawn(self._prepare())
 
         self.server.controller.on_server_ready.add(on_ready)
         try:
@@ -75,9 +80,11 @@ class WebPage:
             )  # fmt: skip
         finally:
             self.scene.close()
+            self.splats.close()
 
     def push(self) -> None:
         """Send a frame of both views."""
+        self.server.state.splats_told = self.splats.told
         for image in self.images:
             image.update()
 
@@ -87,6 +94,7 @@ class WebPage:
         if not 0 <= index < len(cameras):
             raise BadInput(f"there is no camera {index}: this run has {len(cameras)}.")
         self.scene.set_mark(highlight_layer(cameras, index))
+        self.splats.mark(index)
         state = self.server.state
         state.selected = index
         state.pictures = camera_pictures(self.run, index)
@@ -107,6 +115,8 @@ class WebPage:
         pose = camera_pose(cameras, int(index), distance)
         self.scene.view.look(pose, distance)
         self.scene.map.look(pose, 0.25 * self._side())
+        width, height = cameras.sizes_wh[int(index)]
+        self.splats.look(PagePlace(title="", text="", view=pose, aspect=float(width) / float(height)))
         self.push()
 
     def go_to_seam(self, index: int) -> None:
@@ -118,6 +128,7 @@ class WebPage:
         self.server.state.seam = place
         pose = stop.view(ground_height(self.run.scene))
         self.scene.view.look(pose, stop.length)
+        self.splats.look(PagePlace(title="", text="", view=pose, aspect=1.0))
         self.scene.map.look(pose, 0.6 * stop.length)
         shown = {*self.server.state.visible, "Seams"}
         self.server.state.visible = [layer.name for layer in self.scene.layers if layer.name in shown]
@@ -136,6 +147,7 @@ class WebPage:
     def fit(self) -> None:
         """Fit all layers into both views."""
         self.scene.fit()
+        self.splats.fit()
         self.push()
 
     def _layer_rows(self) -> list[Row]:
@@ -157,12 +169,14 @@ class WebPage:
         state.sort_by = [{"key": "psnr_db" if scored else "name", "order": "asc"}]
         state.order = sort_rows(self.figures, state.sort_by[0]["key"]).tolist()
         state.gantt = picture_url(run.folder / "pictures" / "gantt.png")
+        state.update({"splats_page": "", "splats_told": self.splats.told, "splats_shown": True, "splats_reason": ""})
         state.update({"dark": False, "solo": "", "seams": [], "seam": -1, "seams_note": "Measuring the seams …", "selected": None})
         state.update({"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both"})
 
     def _on_visible(self, visible: list[str], **_: object) -> None:
         if set(visible) != self.scene.visible:
             self.scene.set_visible(visible)
+            self.splats.show(visible)
             if self.server.state.solo and set(visible) != {self.server.state.solo}:
                 self.server.state.solo = ""
             self.push()
@@ -182,6 +196,18 @@ class WebPage:
     def _on_panes(self, **_: object) -> None:
         # The browser sends the new size first; the map keeps its scale.
         self._later(0.3, self.push)
+
+    async def _prepare(self) -> None:
+        """What takes seconds, while the page is in use: the seams, then the browser's model."""
+        await self._find_seams()
+        if self.run.splats is None:
+            return
+        reason = await asyncio.to_thread(self.splats.write)
+        with self.server.state as state:
+            self.splats.show(state.visible)
+            state.splats_told = self.splats.told
+            state.splats_page = "" if reason else self.splats.address
+            state.splats_reason = reason and f"The browser cannot draw the model: {reason}"
 
     async def _find_seams(self) -> None:
         run, state = self.run, self.server.state

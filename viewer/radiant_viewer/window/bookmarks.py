@@ -15,24 +15,17 @@ from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.run_store import read_bounded, write_json
 from radiant_core.io.strict import Strict, problem_sentence
 from radiant_viewer.pictures.view_pose import ViewPose
+from radiant_viewer.runs.flight_file import PoseRecord, pose_record
 
 SCHEMA, VERSION = "radiant.views", 1
 NUMBERS = range(1, 10)
 MAX_FILE_BYTES = 1 << 20
-Triple = tuple[float, float, float]
-
-
-class _View(Strict):
-    position: Triple
-    focal_point: Triple
-    up: Triple
-    angle_deg: float
 
 
 class _File(Strict):
     schema_: Literal["radiant.views"] = Field(alias="schema")
     version: Literal[1]
-    views: dict[Annotated[str, Field(pattern="^[1-9]$")], _View]
+    views: dict[Annotated[str, Field(pattern="^[1-9]$")], PoseRecord]
 
 
 class Bookmarks:
@@ -48,7 +41,7 @@ class Bookmarks:
             return {}
         try:
             file = _File.model_validate_json(read_bounded(self.path, MAX_FILE_BYTES))
-            return {int(number): ViewPose(**view.model_dump()) for number, view in file.views.items()}
+            return {int(number): view.pose() for number, view in file.views.items()}
         except ValidationError as error:
             problem = problem_sentence(error, "file of views")
         except BadInput as error:
@@ -58,10 +51,7 @@ class Bookmarks:
     def keep(self, number: int, pose: ViewPose) -> str:
         """Bookmark a view and return what to say; raises as `load` and `write_json`."""
         views = {**self.load(), number: pose}
-        records = {
-            str(key): {name: getattr(view, name).tolist() for name in ("position", "focal_point", "up")} | {"angle_deg": view.angle_deg}
-            for key, view in sorted(views.items())
-        }
+        records = {str(key): pose_record(view) for key, view in sorted(views.items())}
         write_json(self.path, {"schema": SCHEMA, "version": VERSION, "views": records})
         return f"View {number} is bookmarked in {self.path.name}: Alt+{number} brings it back."
 

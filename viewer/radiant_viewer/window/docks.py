@@ -19,6 +19,7 @@ from radiant_viewer.docks.seam_dock import SeamDock, make_seam_dock
 from radiant_viewer.docks.survey_dock import SurveyDock
 from radiant_viewer.editing.planning import Planning
 from radiant_viewer.host.protocols import Host
+from radiant_viewer.runs.flight_file import FlightFile
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_figures import image_figures
 from radiant_viewer.window.subject import Subject
@@ -68,7 +69,7 @@ class Docks:
 def make_docks(host: Host, subject: Subject, feeds: RunFeeds, ply_path: Path | None) -> Docks:
     """Make the docks for what a window shows, its model as a file; `place_docks` places them."""
     run = subject.run
-    fly = FlyDock(host, ply_path)
+    fly = FlyDock(host, ply_path, FlightFile(subject.path))
     cleaning = CleaningDock(host, subject.cleaning_session(), subject.unit, subject.ground)
     if run is None:
         return Docks(fly=fly, cleaning=cleaning)

@@ -64,8 +64,7 @@ def restore_window(window: InspectorWindow, state: WindowState) -> None:
         window.layer_dock.set_solo(state.solo)
     if state.is_editing and window.edit_button is not None:
         window.edit_button.setChecked(True)
-    for pose in state.keyframes:
-        window.docks.fly.add_keyframe(pose)
+    window.docks.fly.set_keyframes(state.keyframes)
     if window.run is not None and state.camera in window.run.scene.cameras.names:
         window.select_camera(state.camera)
     window.view.set_pose(state.pose)

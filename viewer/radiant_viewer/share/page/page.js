@@ -5,6 +5,8 @@ import { createViewer } from './supersplat-viewer.js';
 const byId = (id) => document.getElementById(id);
 const scene = JSON.parse(byId('scene-data').textContent) ?? (await (await fetch('./scene.json')).json());
 const options = new URL(location.href).searchParams;
+// The 3D view of the inspector's page, which has controls of its own.
+const frame = window.frameElement;
 
 const viewer = await createViewer({
   container: byId('scene'),
@@ -14,7 +16,11 @@ const viewer = await createViewer({
   aa: scene.antialiased,
   renderer: options.has('webgl') ? 'webgl' : 'webgpu',
   fullload: options.has('fullload'),
-  noanim: true
+  noanim: true,
+  ui: !frame
+}).catch((error) => {
+  byId('about').textContent = `This browser cannot draw the model: ${error.message}.`;
+  return new Promise(() => {});
 });
 window.radiantViewer = viewer;
 // The model's z is up, the viewer's is y.
@@ -26,6 +32,7 @@ viewer.app.root.on('childinsert', turn);
 const canvas = byId('lines');
 const pen = canvas.getContext('2d');
 const shown = new Set(scene.layers.filter((layer) => layer.shown).map((layer) => layer.name));
+let marks = [];
 const repaint = () => { viewer.app.renderNextFrame = true; draw(); };
 
 // Ends of a segment in clip coordinates, cut at the near plane; null behind it.
@@ -52,8 +59,8 @@ function draw() {
   const times = (m, q) => [0, 1, 2, 3].map((row) => m[row] * q[0] + m[row + 4] * q[1] + m[row + 8] * q[2] + m[row + 12] * q[3]);
   const clip = (point) => times(p, times(v, [point[0], point[1], point[2], 1]));
   const screen = (q) => [(q[0] / q[3] + 1) / 2 * width, (1 - q[1] / q[3]) / 2 * height];
-  for (const layer of scene.layers) {
-    if (!shown.has(layer.name)) continue;
+  for (const layer of [...scene.layers, { lines: marks, labels: [] }]) {
+    if (layer.name && !shown.has(layer.name)) continue;
     for (const line of layer.lines) {
       pen.strokeStyle = line.color;
       pen.lineWidth = line.width;
@@ -140,3 +147,29 @@ open.addEventListener('click', () => fold(!panel.hidden));
 const arrange = () => fold(narrow.matches);
 narrow.addEventListener('change', arrange);
 arrange();
+
+// ---- inside the inspector's page: it says where to look and what to show --------------------
+if (frame) {
+  document.body.className = 'framed';
+  let looked = 0;
+  const obey = () => {
+    const told = JSON.parse(frame.dataset.told || 'null');
+    if (!told || !viewer.state.loaded) return;
+    shown.clear();
+    told.layers.forEach((name) => shown.add(name));
+    marks = told.mark ? [told.mark] : [];
+    if (told.look && told.look.number !== looked) {
+      looked = told.look.number;
+      // The viewer flies to annotations only; this one is gone before it is drawn.
+      const place = { title: '', text: '', extras: {}, position: told.look.target, camera: { initial: told.look } };
+      viewer.selectAnnotation(viewer.annotations.push(place) - 1);
+      viewer.annotations.pop();
+      viewer.selectAnnotation(null);
+    }
+    repaint();
+  };
+  new MutationObserver(obey).observe(frame, { attributes: true, attributeFilter: ['data-told'] });
+  const ready = () => { if (viewer.state.loaded) { frame.dataset.loaded = ''; obey(); } };
+  viewer.events.on('loaded:changed', ready);
+  ready();
+}

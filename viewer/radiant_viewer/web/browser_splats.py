@@ -1,0 +1,80 @@
+"""The model drawn by the browser itself, in the page's 3D view: the page of a scene in a frame.
+
+The frame is the page that `radiant view` serves, under the same address and port, in a folder whose
+name is a secret that only authorised browsers are told. The frame draws nothing where the browser
+has no WebGL 2; then the picture of the server behind it stays in sight. Once per server.
+"""
+
+from __future__ import annotations
+
+import secrets
+import tempfile
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+from radiant_core.errors import RadiantError
+from radiant_core.lod.cells import whole_region
+from radiant_core.lod.levels import LodLimits
+from radiant_viewer.layers.palette import PURPLE
+from radiant_viewer.layers.themes import hex_color
+from radiant_viewer.runs.run_view import RunView
+from radiant_viewer.share.folder import page_of_run, save_page
+from radiant_viewer.share.scene_page import PagePlace, frustum_line, run_overview, viewer_camera
+
+MARK_WIDTH_PX, MARK_COLOR = 4.0, PURPLE
+"""Steps of seams are red here."""
+
+
+class BrowserSplats:
+    """The frame of one run: a folder to serve, and what the frame is told to show."""
+
+    def __init__(self, run: RunView) -> None:
+        self._run = run
+        self._folder = tempfile.TemporaryDirectory(prefix="radiant-web-")
+        self.route = f"splats-{secrets.token_urlsafe(16)}"
+        self.told: dict[str, Any] = {"look": None, "layers": [], "mark": None}
+        self._layers: list[str] = []
+        self._num_looks = 0
+
+    @property
+    def served(self) -> dict[str, str]:
+        """What the server serves: folder by route."""
+        return {self.route: self._folder.name}
+
+    @property
+    def address(self) -> str:
+        """Of the frame, beside the page's own."""
+        return f"{self.route}/index.html?webgl"
+
+    def write(self) -> str:
+        """Write the folder; returns why it cannot be, or nothing. Takes seconds: for a thread."""
+        try:
+            page = page_of_run(self._run, with_photographs=False)
+            save_page(Path(self._folder.name), page, [whole_region(page.splats.means)], LodLimits(), lambda done, total: None)
+        except RadiantError as error:
+            return str(error)
+        self._layers = [layer["name"] for layer in page.layers]
+        return ""
+
+    def show(self, visible: Collection[str]) -> None:
+        """Show the layers of these names, "Cameras by PSNR" and the like as cameras."""
+        kinds = {name.split(":")[0]: name for name in self._layers}
+        self.told = {**self.told, "layers": [name for kind, name in kinds.items() if any(one.startswith(kind) for one in visible)]}
+
+    def look(self, place: PagePlace) -> None:
+        """Fly to a place."""
+        self._num_looks += 1
+        self.told = {**self.told, "look": {**viewer_camera(place), "number": self._num_looks}}
+
+    def fit(self) -> None:
+        """Fly to where the whole scene is seen."""
+        self.look(run_overview(self._run))
+
+    def mark(self, camera: int) -> None:
+        """Draw the pyramid of the selected camera over all."""
+        self.told = {**self.told, "mark": frustum_line(self._run, camera, hex_color(MARK_COLOR), MARK_WIDTH_PX)}
+
+    def close(self) -> None:
+        """Remove the folder."""
+        self._folder.cleanup()
