@@ -19,16 +19,10 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from radiant_core.aggregate.tree import refined_at
+from radiant_core.aggregate.tree import refined_at, scored_at
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.plan.system import Device, Edge, System
-
-
-def compared_at(node: str) -> str:
-    """The stage in which a device compares versions of the scene."""
-    return f"{node}/score"
-
 
 CLOUD_SPEED = 1.0
 """As of an edge: the paper names its cloud without its speed."""
@@ -110,7 +104,7 @@ def _refined_s(system: System, work_of: Mapping[str, NodeWork]) -> float:
 
 def _compared_s(system: System, work_of: Mapping[str, NodeWork]) -> float:
     """How long devices take to compare versions of the scene; 0 where there is one."""
-    works = ((device, work_of.get(compared_at(f"devices/{device.id}"))) for device in system.devices)
+    works = ((device, work_of.get(scored_at(f"devices/{device.id}"))) for device in system.devices)
     return max((_spent_s(device, work) for device, work in works if work is not None), default=0.0)
 
 

@@ -34,7 +34,7 @@ from scipy.spatial import KDTree
 
 from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
-from radiant_app.bench.emulated_latency import NodeClock, NodeWork, compared_at
+from radiant_app.bench.emulated_latency import NodeClock, NodeWork
 from radiant_app.bench.off_path import off_path_metrics
 from radiant_app.bench.rivals import FIELD_STEPS, RIVALS, FieldSettings, rival_arms
 from radiant_app.report.progress import track_items
@@ -43,7 +43,7 @@ from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.aggregate.tree import refined_at
+from radiant_core.aggregate.tree import refined_at, scored_at
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import CutBy, UploadFormat
 from radiant_core.errors import BadInput, StageFailed
@@ -173,7 +173,7 @@ def _comparisons(cell: Cell, recipe: Recipe, run: InProcessRun) -> list[NodeWork
         own, begun_s = held_out.select(np.flatnonzero(owners == device)), time.process_time()
         for splats in run.versions.values():
             held_out_psnr_db(splats, own, recipe.backend)
-        works.append(NodeWork(stage=compared_at(f"devices/{device}"), cpu_s=time.process_time() - begun_s, sent_bytes=COMPARISON_BYTES))
+        works.append(NodeWork(stage=scored_at(f"devices/{device}"), cpu_s=time.process_time() - begun_s, sent_bytes=COMPARISON_BYTES))
     return works
 
 

@@ -50,7 +50,7 @@ SYSTEMS = {"paper_1": "System 1", "paper_2": "System 2"}
 """Names on the page by files of `radiant_app/systems`; a quick run has the first."""
 QUICK_PLANS: tuple[PlanMethod, ...] = ("exact", "even")
 SERVER = "Fed3DGS"
-PHASES = ("devices train and send", "edges join and send", "the cloud joins", "the scene is refined and compared")
+PHASES = ("devices train and send", "edges join and send", "the cloud joins", "refined and compared")
 
 
 @dataclass(frozen=True, kw_only=True)

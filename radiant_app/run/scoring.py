@@ -25,7 +25,7 @@ from radiant_app.workers.delivering import DELIVERIES, find_refusals, identify_p
 from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, SCENE_NAME, SCORES_NAME, summarize_scores, version_file
 from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__
-from radiant_core.aggregate.tree import Tree
+from radiant_core.aggregate.tree import Tree, scored_at
 from radiant_core.choices import LpipsNetwork, Version
 from radiant_core.errors import StageFailed
 from radiant_core.evaluate.seam_excess import BorderError, SeamExcess, excess_by_border, pooled_excess
@@ -107,13 +107,13 @@ class Scoring:
         run, found = self.config.out, {}
         for edge in sorted({machine.edge for machine in machines if machine.edge is not None}):
             places = {Path(own.stage).parent.name: run / own.stage for own in machines if own.edge == edge}
-            part = run / edge / "score"
+            part = run / scored_at(edge)
             shutil.rmtree(part / DELIVERIES, ignore_errors=True)
-            identify_part(run, f"{edge}/score", edge, "cloud")
+            identify_part(run, scored_at(edge), edge, "cloud")
             for device, place in places.items():
                 deal_files(place, [RECORD_NAME, SIGNATURE_NAME], part / DELIVERIES / device)
             refused = find_refusals(part, [*places], places, "scores", run / edge)
-            found |= {f"devices/{device}/score": reason for device, reason in refused.items()}
+            found |= {scored_at(f"devices/{device}"): reason for device, reason in refused.items()}
         return found
 
     def _prepare(self, node: Tree) -> NodeTask | None:

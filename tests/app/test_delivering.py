@@ -98,9 +98,14 @@ def test_introduced_again_keys_stay_and_a_changed_registration_is_not_healed(run
 
 
 def test_a_node_that_lost_its_key_gets_one_that_is_registered_and_has_to_sign_again(run: Path) -> None:
+    later = [run / "devices/a/refine/delivery.sig", run / "devices/a/score/delivery.sig"]
+    for signature in later:
+        signature.parent.mkdir()
+        signature.touch()
     (run / "devices/a/identity" / KEY_NAME).unlink()
     made_run(run)
     assert not (run / "devices/a/delivery.sig").exists() and (run / "devices/b/delivery.sig").exists()
+    assert not any(signature.exists() for signature in later), "what it refined and scored was signed by the older key"
     assert list(refused(run)) == ["a"]
     sent(run, "devices/a", "model.safetensors", "cameras.safetensors")
     arrived(run, "devices/a", EDGE)

@@ -7,11 +7,14 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.charts.curve_chart import CurvePoint, curve_picture
-from radiant_viewer.charts.end_to_end_chart import LABEL_PX, PANEL_PX, MethodLatency, SystemLatency, end_to_end_picture
+from radiant_viewer.charts.end_to_end_chart import KEYS_PX, LABEL_PX, PANEL_PX, MethodLatency, SystemLatency, end_to_end_picture
 from radiant_viewer.charts.healing_chart import CAPTION_PX, CELL_PX, FOOT_PX, GAP_PX, TOP_PX, Healed, healing_picture
 from radiant_viewer.charts.latency_chart import DeviceLatency, PlanLatency, latency_picture
 from radiant_viewer.charts.line_chart import Line, Panel, line_picture
 from radiant_viewer.layers.palette import BLUE, CURVE_COLORS, GREEN, ORANGE, curve_style
+
+PHASES = ("devices train and send", "edges join and send", "the cloud joins", "refined and compared")
+SIMULATED = "simulated, until the edges are done"
 
 
 def of_color(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
@@ -94,7 +97,9 @@ def test_phases_follow_each_other_on_one_axis_of_all_systems() -> None:
         SystemLatency(name="two", methods=(method(5.0, 5.0, 20.0),)),
     ]
     picture = end_to_end_picture(systems, ("a", "b", "c"), "simulated", "Title", "")
-    panel = picture[:-40, LABEL_PX : LABEL_PX + PANEL_PX]
+    panel = picture[:-KEYS_PX, LABEL_PX : LABEL_PX + PANEL_PX]
+    named = end_to_end_picture(systems, PHASES, SIMULATED, "Title", "")
+    assert (named[-KEYS_PX:, -8:] == named[-1, -1]).all(), "the key ends within the picture"
     for color, seconds in ((BLUE, (4, 5)), (ORANGE, (2,)), (GREEN, (4, 15))):
         lengths = of_color(panel, color).sum(axis=1)
         drawn = sorted({int(length) for length in lengths[lengths > 10]})

@@ -45,6 +45,11 @@ def refined_at(node_id: str) -> str:
     return f"{node_id}/refine"
 
 
+def scored_at(node_id: str) -> str:
+    """The id of the node at which a device scores versions of the scene."""
+    return f"{node_id}/score"
+
+
 def tree_of_plan(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> Tree:
     """Cloud over edges and devices with cameras."""
     edges = []

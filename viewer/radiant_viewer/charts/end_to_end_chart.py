@@ -15,7 +15,7 @@ from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, titled_figure
 
 PANEL_PX, LABEL_PX, NOTE_PX, ROW_PX, TOP_PX, HEAD_PX, FOOT_PX = 620, 250, 190, 46, 62, 30, 46
-KEYS_PX = 34
+KEYS_PX = 52
 COLORS = tuple(map(unit_rgb, (BLUE, ORANGE, GREEN, PURPLE)))
 """Of the phases in turn."""
 
@@ -66,7 +66,7 @@ def end_to_end_picture(systems: Sequence[SystemLatency], phases: Sequence[str], 
     for phase, color in zip(phases, COLORS, strict=False):
         keys.barh([-9], [0], color=color, label=phase)
     keys.barh([-9], [0], facecolor="white", edgecolor=unit_rgb(GREY), linewidth=1, label=simulated)
-    keys.legend(fontsize=8.5, frameon=False, loc="center left", ncols=len(phases) + 1, borderpad=0)
+    keys.legend(fontsize=8.5, frameon=False, loc="center left", ncols=(len(phases) + 2) // 2, borderpad=0)
     return figure_image(figure)
 
 
