@@ -101,6 +101,7 @@ $line"
 build_with_clang() {
   [[ "$(cat build/clang/made-of 2>/dev/null)" != "$(fingerprint)" ]] || return 0
   rm -rf build/clang
+  mkdir -p build/clang
   CC=clang CXX=clang++ .venv/bin/python -m pip wheel --quiet --no-deps --wheel-dir build/clang --config-settings=build-dir=build/clang/cmake .
   .venv/bin/python -m zipfile --extract build/clang/*.whl build/clang/packages
   fingerprint >build/clang/made-of

@@ -12,7 +12,8 @@ DEMO_TRAINING = TrainOptions(preset="draft", long_side_px=400, num_steps=800, ma
 
 
 def sample_scenes_folder() -> Path:
-    """The folder `sample_scenes` of the project's source, or that of the installed package, which has the town alone.
+    """The folder `sample_scenes` of the project's source, or that of the installed package, which
+    has the town alone.
 
     Raises:
         BadInput: it is in neither place.

@@ -51,6 +51,17 @@ def setup(checkout: Path, *arguments: str) -> list[str]:
     return [line for line in (checkout / "log.txt").read_text().splitlines() if line != "python -m pip --version"]
 
 
+def test_clang_builds_in_a_folder_of_its_own_and_again_only_after_a_change(checkout: Path) -> None:
+    program(checkout / "bin/clang++", "exit 1")
+    wheel = "python -m pip wheel --quiet --no-deps --wheel-dir build/clang --config-settings=build-dir=build/clang/cmake ."
+    contract = "python -S -m pytest tests/contract/test_rasterizers.py tests/contract/test_absgrad.py -p no:cacheprovider"
+    first, second = setup(checkout, "clang"), setup(checkout, "clang")
+    assert wheel in first and first[-1] == contract
+    assert wheel not in second and second[-1] == contract
+    (checkout / NATIVE_SOURCE).write_text("changed")
+    assert wheel in setup(checkout, "clang")
+
+
 def test_the_demo_brings_what_inspect_needs_and_is_not_set_up_twice(checkout: Path) -> None:
     assert setup(checkout, "demo") == [f"python {EVERYDAY}", "radiant demo"]
     assert setup(checkout, "demo") == ["radiant demo"]

@@ -1,5 +1,5 @@
-"""`Marks`: layers over all others in both views, of a selection, a comparison or a tool. *Solo* hides
-those that were there before it. Needs the `desktop` extra."""
+"""`Marks`: layers over all others in both views, of a selection, a comparison or a tool. *Solo*
+hides those that were there before it. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Marks:
         return [name for name in self._layers if name not in self._before_solo]
 
     def draw(self, layer: Layer) -> None:
-        """Draw a mark in place of the one of its name. Under *Solo* it is new, and so it is shown."""
+        """Draw a mark in place of the one of its name; it is new, so *Solo* does not hide it."""
         self._layers[layer.name] = layer
         self._before_solo -= {layer.name}
         for canvas in self._canvases:

@@ -1,4 +1,5 @@
-"""Labels on the maps of window and page: each stays above its mark at every zoom, and whole inside the view."""
+"""Labels on the maps of window and page: each stays above its mark at every zoom, and whole inside
+the view."""
 
 from __future__ import annotations
 
@@ -90,9 +91,9 @@ def _keep_in_place(
 
 
 def label_corners(marks_px: FloatArray, sizes_px: FloatArray, view_px: FloatArray, lift_px: float) -> FloatArray:
-    """Return the lower left corners (L,2) of texts of sizes (L,2) above marks (L,2), all px from the
-    lower left of a view (2,): as far to the left and down as they have to be to lie inside. Marks
-    outside the view keep theirs outside."""
+    """Return the lower left corners (L,2) of texts of sizes (L,2) above marks (L,2), all px from
+    the lower left of a view (2,): as far to the left and down as they have to be to lie inside.
+    Marks outside the view keep theirs outside."""
     corners = marks_px + np.array([0.0, lift_px])
     inside = ((marks_px >= 0) & (marks_px <= view_px)).all(axis=1, keepdims=True)
     most = np.maximum(view_px - sizes_px - PLATE_PX, PLATE_PX)
