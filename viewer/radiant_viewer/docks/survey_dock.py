@@ -162,6 +162,7 @@ class SurveyDock(QDockWidget):
             rows = [row for row in range(self.table.rowCount()) if self._cell(row, 0) == answer["name"]]
             self.table.selectRow(rows[-1] if rows else -1)
             self.text.setText("; ".join(f"{self._cell(row, 0)}: {self._cell(row, 1)}" for row in rows))
+            self._host.show_status(self.text.text())
         else:
             self.text.setText(f"{doing.removesuffix('…')}: done.")
 
