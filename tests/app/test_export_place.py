@@ -106,3 +106,32 @@ def test_what_would_be_overwritten_is_refused(tmp_path: Path) -> None:
         export(tmp_path / "a.ply", "--crs", "EPSG:2056")
     result = CliRunner().invoke(app, ["export", str(RUN / "scene.ply"), str(tmp_path / "b.ply"), "--crs", "EPSG:2056"])
     assert isinstance(result.exception, BadInput) and "model without a scene" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "said"),
+    [
+        ("a.ply", ("--tile-px", "256"), "--tile-px is of GeoTIFFs"),
+        ("a.ply", ("--long-side-px", "320"), "--long-side-px is of the pictures"),
+        ("a.tif", ("--format", "ortho", "--long-side-px", "320"), "--long-side-px is of the pictures"),
+        ("a.laz", ("--tile-px", "256"), "--tile-px is of GeoTIFFs"),
+        ("a.tif", ("--format", "dsm", "--tile-px", "100"), "multiple of 16"),
+        ("a.geojson", ("--format", "contours", "--interval", "0"), "--interval is 0.0, expected a number above zero"),
+        ("a.geojson", ("--format", "contours", "--interval", "nan"), "expected a number above zero"),
+        ("tiles", ("--format", "tiles", "--crs", "EPSG:2056"), "ECEF"),
+        ("page.html", ("--crs", "EPSG:2056"), "scene's own metres"),
+    ],
+)
+def test_options_that_a_format_has_not_are_refused_at_once(tmp_path: Path, name: str, arguments: tuple[str, ...], said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        export(tmp_path / name, *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_of_a_run_share_one_offset(tmp_path: Path) -> None:
+    export(tmp_path / "a.ply", "--crs", "EPSG:32632")
+    export(tmp_path / "project", "--crs", "EPSG:32632")
+    offsets = [json.loads((tmp_path / f"{name}.georef.json").read_text())["offset"] for name in ("a", "project")]
+    origin = geodetic_from_enu(np.zeros((1, 3)), load_scene_of(RUN).frame.origin_lat_lon_alt)[0]
+    east, north = Transformer.from_crs("EPSG:4979", "EPSG:32632", always_xy=True).transform(origin[1], origin[0])
+    assert offsets[0] == offsets[1] == [np.floor(east / 100) * 100, np.floor(north / 100) * 100, 0.0]

@@ -6,13 +6,18 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
+from radiant_app.commands import export_heights, measure
 from radiant_app.commands.measure_worker import Measuring
+from radiant_app.commands.survey_parts import load_survey
 from radiant_app.report.progress import terminal_display
 from radiant_core.errors import BadInput
+from radiant_core.geometry.cleaning import Cleaning, PolygonStep
+from radiant_core.io.cleaning_file import save_cleaning
 from radiant_core.survey.map_grid import map_frame_of
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -66,6 +71,39 @@ def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path, arguments: tuple
     with pytest.raises(BadInput, match=sentence):
         radiant(*given)
     assert not (tmp_path / "OUT").exists()
+
+
+def no_matching(*_: object) -> None:
+    raise AssertionError("minutes of matching had begun")
+
+
+def test_sizes_that_cannot_be_are_refused_before_anything_is_matched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = tmp_path / "run"
+    save_run(run, made_up_town())
+    for module in (export_heights, measure):
+        monkeypatch.setattr(module, "points_of_survey", no_matching)
+    for kind, name in (("dsm", "a.tif"), ("dtm", "a.tif"), ("contours", "a.geojson"), ("laz", "a.laz"), ("glb", "a.glb")):
+        with pytest.raises(BadInput, match="was asked for, expected a number of at least"):
+            radiant("export", run, tmp_path / name, "--format", kind, "--resolution", "0.0001")
+    with pytest.raises(BadInput, match="was asked for, expected a number of at least"):
+        radiant("measure", run, "--kind", "distance", "--at", "1,2 3,4", "--resolution", "0.0001")
+    with pytest.raises(BadInput, match="larger cells"):
+        radiant("export", run, tmp_path / "a.tif", "--format", "dsm", "--resolution", "0.006")
+
+
+def test_a_cleaning_cuts_heights_and_the_surface_of_measures(tmp_path: Path) -> None:
+    town, run = made_up_town(), tmp_path / "run"
+    save_run(run, replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
+    survey = load_survey(run)
+    whole = measure.surface_for_measures(survey, 2.0, terminal_display())
+    west = PolygonStep(corners=((-150.0, -100.0), (0.0, -100.0), (0.0, 100.0), (-150.0, 100.0)))
+    save_cleaning(run / "cleaning.json", Cleaning(steps=(west,)))
+    # The surface that is kept is of the model before its cleaning.
+    cut = measure.surface_for_measures(load_survey(run), 2.0, terminal_display())
+    spots = survey.map_frame.from_world([[-40.0, 0.0, 0.5], [40.0, 0.0, 0.5]])[:, :2]
+    assert np.isfinite(whole.at(spots)[0]).tolist() == [True, True]
+    assert np.isfinite(cut.at(spots)[0]).tolist() == [True, False]
+    assert measure.surface_for_measures(load_survey(run), 2.0, terminal_display()).heights.tobytes() == cut.heights.tobytes()
 
 
 def test_clicks_in_the_window_are_measured_and_kept_as_by_the_command(tmp_path: Path) -> None:

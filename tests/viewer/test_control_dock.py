@@ -157,7 +157,7 @@ def test_a_user_marks_points_in_photographs(marked_town: tuple[Path, Town]) -> N
     assert result.returncode == 0, result.stderr[-2000:]
     first, summary, *refusals = result.stdout.strip().splitlines()
     assert "no point and photograph are chosen" in first
-    assert summary.startswith("8 marks; 3 control and 1 check points are marked twice or more. Use them: radiant sfm")
+    assert summary.startswith("8 marks; 3 control and 1 check points are marked twice or more. They are in gcp_list.txt")
     said = ("already", "no UTM zone has", "is no point", "marks already")
     assert len(refusals) == 4 and all(part in refusal for part, refusal in zip(said, refusals, strict=True))
     control = parse_control(control_request(run / "gcp_list.txt", None, None))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from radiant_core.georef.crs import parse_crs
 from radiant_core.io.export.geotiff import TiledRaster, cut_tiles, save_tiles
 from radiant_core.io.measures_file import load_measures
 from radiant_core.survey.map_grid import MapGrid
+from radiant_viewer.layers.drawing import has_same_structure
+from radiant_viewer.layers.layer import LayerPicture
 from radiant_viewer.layers.ortho_layer import ORTHO, ortho_layer
 from radiant_viewer.layers.region_layer import region_layer
 from radiant_viewer.pictures.offscreen import draw_map
@@ -54,6 +57,10 @@ def test_an_orthophoto_lies_where_it_belongs_under_the_regions(tmp_path: Path) -
     place = west + (columns.mean() + 0.5) / width * (east - west), north - (rows.mean() + 0.5) / height * (north - south)
     # A pixel of the picture is 0.2 m, one of the orthophoto 0.5 m.
     np.testing.assert_allclose(place, RED_M[0, :2], atol=0.3)
+    ortho = subject.layers[0]
+    assert ortho.picture is not None and has_same_structure(ortho, replace(ortho))
+    darker = replace(ortho, picture=LayerPicture(image=ortho.picture.image // 2, corners=ortho.picture.corners))
+    assert not has_same_structure(ortho, darker), "another picture is put on the graphics card anew"
     covered = draw_map([subject.layers[0], region_layer(town.cloud_plan, 0.0)], size_wh=(600, 400)).image
     assert np.abs(covered.astype(int) - drawing.image).max() > 20
 

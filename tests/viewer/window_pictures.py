@@ -15,11 +15,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
-from PySide6.QtCore import Qt
+import numpy as np
+from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
 
 from radiant_core.errors import BadInput
+from radiant_core.survey.map_grid import map_frame_of
+from radiant_viewer.layers.layer import framing_positions
 from radiant_viewer.pictures.images import load_image
+from radiant_viewer.pictures.view_pose import ViewPose
+from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.timed_tasks import MOVED, compare_plans, export_regions, find_worst_seam
 from tests.viewer.window_user import User, until, use_window
@@ -31,6 +36,14 @@ JPEG = [cv2.IMWRITE_JPEG_QUALITY, 62, cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRI
 """Some 140 kB a picture, texts still sharp."""
 REST_MS = 2500
 """So long after the last action splats, points and labels are drawn in full."""
+EYE_M, SEEN_M = (10.0, -70.0, 60.0), (10.0, -15.0, -40.0)
+"""From where `survey` looks at what, in the town."""
+MEASURED = (
+    ("distance", ((0.45, 0.62), (0.62, 0.52))),
+    ("height", ((0.3, 0.45), (0.38, 0.6))),
+    ("area", ((0.62, 0.66), (0.8, 0.66), (0.8, 0.8), (0.62, 0.8))),
+)
+"""Clicks, as shares of the 3D view."""
 
 
 def seam(user: User, out: Path) -> None:
@@ -94,7 +107,52 @@ def timeline(user: User, out: Path) -> None:
     user.window.resizeDocks([gantt], [400], Qt.Orientation.Vertical)
 
 
-PICTURES: tuple[Callable[[User, Path], None], ...] = (seam, compare, move, two_plans, gis, plan, timeline)
+def survey(user: User, out: Path) -> None:
+    """Points marked in photographs, measures, and the orthophoto behind the map, which the run has
+    from `radiant export RUN RUN/survey/ortho.tif --format ortho`."""
+    window = user.window
+    control, measures, run = window.docks.control, window.docks.survey, window.run
+    assert control is not None and control.session is not None and measures is not None and run is not None
+    for name in ("Borders", "Seams", "Cameras by region", "Edge loads", "Edges"):
+        window.set_layer_visible(name, False)
+    window.splitter.setSizes([470, 330])
+    window.view.set_pose(ViewPose(position=np.array(EYE_M), focal_point=np.array(SEEN_M), up=np.array([0.0, 0, 1]), angle_deg=40))
+    window.map.fit(framing_positions(window.layers))
+    window.render_views()
+    window.raise_dock(measures)
+    until(lambda: window.model is not None and window.model.shown_is_full, "the model was never drawn in full")
+    measures.click.click()
+    for kind, spots in MEASURED:
+        measures.kind.setCurrentText(kind)
+        for across, down in spots:
+            width, height = window.view.size_wh
+            user.click(window.view.plotter, kind, QPoint(round(across * width), round(down * height)))
+        measures.measure.click()
+        until(lambda: not measures.is_measuring, "nothing was measured", 600)
+    measures.click.click()
+    (out / "points.txt").write_text(_surveyed_points(run))
+    window.raise_dock(control)
+    control.open_points(out / "points.txt")
+    for point in control.session.list.points if control.session.list is not None else ():
+        for sight in [one for one in control.session.sights(point.name) if one.guess is not None][:3]:
+            control.choose(point.name, sight.photograph)
+            user.click(control.picture, f"{point.name} in {sight.photograph}", control.picture.rect().center())
+
+
+def _surveyed_points(run: RunView) -> str:
+    """A table of the sparse points that most photographs share, one for each quarter of the map."""
+    scene = run.scene
+    counts = np.bincount(scene.observations[:, 0], minlength=len(scene.points))
+    middle = scene.cameras.centers[:, :2].mean(axis=0)
+    quarters = (scene.points[:, :2] > middle) @ [1, 2]
+    chosen = [int(np.argmax(np.where(quarters == quarter, counts, 0))) for quarter in range(4)]
+    frame = map_frame_of(scene.frame)
+    places = frame.from_world(scene.points[chosen])
+    lines = [f"gcp-{number} {' '.join(f'{value:.3f}' for value in place)}" for number, place in enumerate(places, 1)]
+    return "\n".join([f"EPSG:{frame.epsg}", *lines])
+
+
+PICTURES: tuple[Callable[[User, Path], None], ...] = (seam, compare, move, two_plans, gis, plan, timeline, survey)
 
 
 def main(run: Path, folder: Path, names: list[str]) -> None:

@@ -113,9 +113,10 @@ class User:
         return live, len(frames)
 
 
-def until(condition: Callable[[], object], what: str) -> None:
-    """Let the window work until a condition holds; AssertionError with `what` after a minute."""
-    end = time.monotonic() + PATIENCE_S
+def until(condition: Callable[[], object], what: str, patience_s: float = PATIENCE_S) -> None:
+    """Let the window work until a condition holds; AssertionError with `what` after a minute, or
+    as long as is said."""
+    end = time.monotonic() + patience_s
     while not condition():
         assert time.monotonic() < end, what
         QTest.qWait(10)

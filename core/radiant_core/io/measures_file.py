@@ -13,6 +13,8 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.numerics import FloatArray
 
 FOLDER, MEASURES = "survey", "measures.json"
+LEAST_SHOWN = 0.005
+"""Smaller shares are 0 %."""
 _KEYS = {"kind", "places", "figures"}
 
 
@@ -41,7 +43,7 @@ def figures_text(row: dict[str, Any]) -> str:
     """A measure's figures with σ in one line."""
     figures = [f"{name} {about['value']:.3f} ± {about['sigma']:.3f} {about['unit']}" for name, about in row["figures"].items()]
     filled = row.get("filled", 0)
-    return "; ".join(figures) + (f" ({100 * filled:.0f} % filled)" if filled else "")
+    return "; ".join(figures) + (f" ({100 * filled:.0f} % filled)" if filled >= LEAST_SHOWN else "")
 
 
 def _is_measure(row: Any) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from pyproj import Transformer
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
@@ -78,6 +79,16 @@ def test_polygons_that_touch_are_one_land(tmp_path: Path) -> None:
 def test_what_is_no_region_is_told(tmp_path: Path, geometry: Any, told: str) -> None:
     with pytest.raises(BadInput, match=told):
         load_region(written(tmp_path / "a.json", geometry), ORIGIN)
+
+
+def test_a_region_in_another_system_is_the_same_land(tmp_path: Path) -> None:
+    ring = np.array(square(0, 1))
+    moved = np.column_stack(Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True).transform(ring[:, 0], ring[:, 1])).tolist()
+    in_utm = {"type": "Polygon", "coordinates": [moved], "crs": {"type": "name", "properties": {"name": "EPSG:32632"}}}
+    (tmp_path / "b.json").write_text(json.dumps(in_utm))
+    land = load_region(written(tmp_path / "a.json", polygon(square(0, 1))), ORIGIN)
+    # A millimetre: our UTM and PROJ's differ by micrometres.
+    np.testing.assert_allclose(load_region(tmp_path / "b.json", ORIGIN), land, atol=1e-3)
 
 
 def test_what_is_no_such_file_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.listing import list_photographs
@@ -198,7 +199,10 @@ GEOJSON_POISON = [
     (geometry({"type": "GeometryCollection"}), "without a list"),
     (geometry({"type": "Polygon", "coordinates": []}), "no waypoint but 1 × Polygon"),
     (geometry({"type": "Point", "coordinates": [35.36, 138.73]}, name="Fuji"), "probably swapped.*longitude first"),
-    ('{"type": "Point", "coordinates": [8, 47], "crs": {"type": "name", "properties": {"name": "EPSG:2056"}}}', "EPSG:2056"),
+    ('{"type": "Point", "coordinates": [8, 47], "crs": {"type": "name", "properties": {"name": "EPSG:32632"}}}', "EPSG:32632"),
+    ('{"type": "Point", "coordinates": [8, 47], "crs": {"type": "name", "properties": {"name": "EPSG:999999"}}}', "999999"),
+    ('{"type": "Point", "coordinates": [NaN, 5e6], "crs": {"type": "name", "properties": {"name": "EPSG:32632"}}}', "finite"),
+    ('{"type": "Point", "coordinates": [8, 47], "crs": {"type": "link", "properties": {"href": "http://a/b"}}}', "by its EPSG code"),
     (geometry({"type": "Point", "coordinates": [8, 47]}, name="\ud800"), "half a character"),
 ]
 
@@ -465,6 +469,20 @@ def test_where_a_geojson_is_wrong_is_told(tmp_path: Path, text: str, told: str) 
 def test_all_names_of_wgs84_are_known(tmp_path: Path, crs: object) -> None:
     text = json.dumps({"type": "Point", "coordinates": [8.5, 47.5, 1], "crs": crs})
     assert len(read_waypoints(written(tmp_path, "a.geojson", text)).waypoints) == 1
+
+
+@pytest.mark.parametrize(
+    ("code", "name"),
+    [(2056, "urn:ogc:def:crs:EPSG::2056"), (32632, "urn:ogc:def:crs:EPSG:9.9.1:32632"), (32632, "EPSG:32632"), (25832, "EPSG:25832")],
+)
+def test_a_geojson_in_another_system_is_where_proj_has_it(tmp_path: Path, code: int, name: str) -> None:
+    lat_lon = np.array([[47.3769, 8.5417], [47.3802, 8.5466]])
+    moved = np.column_stack(Transformer.from_crs("EPSG:4326", f"EPSG:{code}", always_xy=True).transform(lat_lon[:, 1], lat_lon[:, 0]))
+    line = {"type": "LineString", "coordinates": [[*moved[0], 60.0], [*moved[1], 75.0]]}
+    text = json.dumps({**line, "crs": {"type": "name", "properties": {"name": name}}})
+    found = read_waypoints(written(tmp_path, "a.geojson", text)).waypoints
+    np.testing.assert_allclose(found.lat_lon_alt[:, :2], lat_lon, atol=2e-9)  # 0.2 mm
+    assert found.lat_lon_alt[:, 2].tolist() == [60.0, 75.0], "altitudes are the flight's"
 
 
 def placemark(body: str, name: str = "") -> str:

@@ -54,8 +54,6 @@ class ControlDock(QDockWidget):
         self.photographs, self.picture, self.text = QListWidget(), PictureLabel(), QLabel(HINT)
         self.photographs.setToolTip("Marked photographs first, then those that should show the point")
         self.text.setWordWrap(True)
-        # Paths are copied from it.
-        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.open, self.add, self.unmark = QPushButton("Open points…"), QPushButton("Add point…"), QPushButton("Take mark back")
         self.picture.message, self.picture.picks = "Choose a point, then a photograph.", True
         self.picture.setToolTip("Click: mark the point. Wheel: closer. Right button: move. The ring is where the point should be")
@@ -125,6 +123,7 @@ class ControlDock(QDockWidget):
         self._show_point(photograph)
         self._draw_points()
         self._say(session.summary())
+        self.text.setToolTip(session.command)
 
     def _show_point(self, photograph: str = "") -> None:
         session = self.session

@@ -77,9 +77,14 @@ class SurveyDock(QDockWidget):
         self.show_kept()
 
     @property
+    def is_measuring(self) -> bool:
+        """Whether an answer is awaited."""
+        return bool(self._sent)
+
+    @property
     def is_busy(self) -> bool:
         """Whether places are being clicked, or something is being made."""
-        return self.tool.is_active or bool(self._sent) or self.ortho.is_running
+        return self.tool.is_active or self.is_measuring or self.ortho.is_running
 
     def show_kept(self) -> None:
         """Show the measures that are kept now, in the table and in both views."""
@@ -157,6 +162,7 @@ class SurveyDock(QDockWidget):
             rows = [row for row in range(self.table.rowCount()) if self._cell(row, 0) == answer["name"]]
             self.table.selectRow(rows[-1] if rows else -1)
             self.text.setText("; ".join(f"{self._cell(row, 0)}: {self._cell(row, 1)}" for row in rows))
+            self._host.show_status(self.text.text())
         else:
             self.text.setText(f"{doing.removesuffix('…')}: done.")
 

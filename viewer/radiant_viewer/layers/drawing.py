@@ -66,15 +66,16 @@ def update_layer(actors: Sequence[pv.Actor], layer: Layer, origin: FloatArray, f
 
 
 def has_same_structure(layer: Layer, other: Layer) -> bool:
-    """Return whether layers differ only in positions, colours, labels, and none is thinned."""
+    """Return whether layers differ only in positions, colours, labels, and none is thinned; a
+    picture is on the graphics card and has to be the same one."""
     styles = [
         (
-            [one.picture is None, *(bool(len(part)) for part in (one.polygons, one.segments, one.points))],
+            [bool(len(part)) for part in (one.polygons, one.segments, one.points)],
             (one.point_size_px, one.point_rim, one.square_points, one.ring_points, one.in_front, one.behind, one.line_width_px),
         )
         for one in (layer, other)
     ]
-    return styles[0] == styles[1] and not is_thinned(layer) and not is_thinned(other)
+    return styles[0] == styles[1] and layer.picture is other.picture and not is_thinned(layer) and not is_thinned(other)
 
 
 def _parts(layer: Layer, origin: FloatArray, flat_height: float | None) -> list[tuple[_Kind, pv.PolyData]]:

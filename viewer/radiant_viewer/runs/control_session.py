@@ -103,10 +103,16 @@ class ControlSession:
         found = self._listed()
         twice = [point for point in found.points if len(found.marks_of(point.name)) > 1]
         control = sum(not point.is_check for point in twice)
-        text = f"{len(found.marks)} marks; {control} control and {len(twice) - control} check points are marked twice or more"
+        marks = f"{len(found.marks)} mark{'s' * (len(found.marks) != 1)}"
+        text = f"{marks}; {control} control and {len(twice) - control} check points are marked twice or more"
         if control < MIN_CONTROL:
             return f"{text}; {MIN_CONTROL} control points are needed."
-        return f"{text}. Use them: radiant sfm {self.folder} --gcp {self.path} --out SCENE"
+        return f"{text}. They are in {self.path.name} of the run: give it to radiant sfm, or run, by --gcp."
+
+    @property
+    def command(self) -> str:
+        """How the marks are used."""
+        return f"radiant sfm {self.folder} --gcp {self.path} --out SCENE"
 
     def _place(self, name: str) -> FloatArray:
         found, cameras = self._listed(), self._run.scene.cameras

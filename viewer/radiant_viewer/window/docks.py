@@ -43,9 +43,10 @@ class Docks:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a film, a polygon or a measure is in progress."""
+        """Whether a film, a polygon, a measure or the marking of a point is in progress."""
         is_measuring = self.survey is not None and self.survey.is_busy
-        return is_measuring or self.fly.job is not None or self.cleaning.polygon.is_active
+        is_marking = self.control is not None and self.control.isVisible() and self.control.photograph != ""
+        return is_measuring or is_marking or self.fly.job is not None or self.cleaning.polygon.is_active
 
     def undo_corner(self) -> None:
         """Take the last clicked place or drawn corner back."""

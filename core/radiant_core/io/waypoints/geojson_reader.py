@@ -1,5 +1,8 @@
 """Waypoints from GeoJSON (RFC 7946): points and vertices of lines, longitude first. Once per file.
 
+Files from before that standard, and those of `radiant export --crs`, name another system in their
+member `crs`: places are moved from there, and heights stay what they are.
+
 A feature's name is its property name or id, else its member id; vertices get a number behind it.
 Polygons and features without a geometry are no waypoints: they are counted as ignored.
 """
@@ -7,41 +10,51 @@ Polygons and features without a geometry are no waypoints: they are counted as i
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from typing import Any
 
 from radiant_core.errors import BadInput
+from radiant_core.georef.crs import Crs, parse_crs
 from radiant_core.io.waypoints.rows import WaypointRows
 
 _WGS84_NAMES = ("CRS84", "4326", "4979")
+_EPSG = re.compile(r"EPSG:(?:[\d.]*:)?(\d{4,6})\b")
 
 
 def geojson_rows(text: str) -> WaypointRows:
     """The waypoints of a GeoJSON text; BadInput with the reason when it is none."""
     rows = WaypointRows()
-    for place, name, geometry in geojson_geometries(text):
+    system, geometries = geojson_geometries(text)
+    for place, name, geometry in geometries:
         _add_geometry(rows, place, name, geometry)
+    if system is not None:
+        rows.move_from(system)
     return rows
 
 
-def geojson_geometries(text: str) -> Iterator[tuple[str, str, Any]]:
-    """Where each geometry of a GeoJSON text stands, its feature's name, and itself, with
-    collections opened; BadInput as above."""
+def geojson_geometries(text: str) -> tuple[Crs | None, Iterator[tuple[str, str, Any]]]:
+    """The system of a GeoJSON text, None for longitude and latitude; and where each geometry
+    stands, its feature's name, and itself, with collections opened. BadInput as above."""
     try:
         value = json.loads(text, parse_constant=float)
     except (ValueError, RecursionError) as error:
         raise BadInput(f"it is not valid JSON ({error}).") from None
     if not isinstance(value, dict) or not isinstance(value.get("type"), str):
         raise BadInput('it is no GeoJSON, which is an object with a "type".')
-    _require_wgs84(value)
-    yield from _geometries(value)
+    return _system_of(value), _geometries(value)
 
 
-def _require_wgs84(value: dict[str, Any]) -> None:
-    """Files from before RFC 7946 may name another coordinate system."""
+def _system_of(value: dict[str, Any]) -> Crs | None:
+    """What the member `crs` names; None for WGS84."""
     crs = value.get("crs")
-    if crs is not None and not any(known in json.dumps(crs) for known in _WGS84_NAMES):
-        raise BadInput(f"its coordinate system is {json.dumps(crs)[:80]}, expected WGS84 longitude and latitude: export it so.")
+    named = json.dumps(crs)
+    if crs is None or any(known in named for known in _WGS84_NAMES):
+        return None
+    code = _EPSG.search(named)
+    if code is None:
+        raise BadInput(f"its coordinate system is {named[:80]}, expected WGS84 longitude and latitude, or one by its EPSG code.")
+    return parse_crs(f"EPSG:{code[1]}")
 
 
 def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:

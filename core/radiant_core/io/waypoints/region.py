@@ -10,6 +10,7 @@ from shapely import Polygon, unary_union
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
+from radiant_core.georef.crs import Crs
 from radiant_core.io.array_file import name_file_in_errors
 from radiant_core.io.waypoints.geojson_reader import geojson_geometries
 from radiant_core.numerics import FloatArray, check_array
@@ -30,7 +31,8 @@ def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
             text = path.read_text("utf-8")
         except UnicodeDecodeError as error:
             raise BadInput(f"it is no text in UTF-8 ({error}).") from None
-        land = unary_union([_polygon(ring, origin_lat_lon_alt) for _, _, geometry in geojson_geometries(text) for ring in _rings(geometry)])
+        system, geometries = geojson_geometries(text)
+        land = unary_union([_polygon(ring, origin_lat_lon_alt, system) for _, _, geometry in geometries for ring in _rings(geometry)])
         if not isinstance(land, Polygon) or land.is_empty:
             raise BadInput("its polygons are none or lie apart: give one connected region.")
     return np.array(land.exterior.coords[:-1])
@@ -45,11 +47,12 @@ def _rings(geometry: Any) -> list[Any]:
     return [rings[0] for rings in polygons]
 
 
-def _polygon(ring: Any, origin: FloatArray) -> Polygon:
+def _polygon(ring: Any, origin: FloatArray, system: Crs | None) -> Polygon:
     if not isinstance(ring, list) or len(ring) < 4 or not all(isinstance(at, list) and len(at) in (2, 3) for at in ring):
         raise BadInput("a ring is no list of at least four positions of longitude and latitude.")
-    lon_lat = check_array("ring", [at[:2] for at in ring], (None, 2))
-    places = enu_from_geodetic(np.column_stack([np.flip(lon_lat, axis=1), np.full(len(lon_lat), origin[2])]), origin)
+    read = check_array("ring", [at[:2] for at in ring], (None, 2))
+    lat_lon = np.flip(read, axis=1) if system is None else system.to_geodetic(np.column_stack([read, np.zeros(len(read))]))[:, :2]
+    places = enu_from_geodetic(np.column_stack([lat_lon, np.full(len(read), origin[2])]), origin)
     polygon = Polygon(places[:, :2])
     if not polygon.is_valid:
         raise BadInput("a ring crosses itself.")

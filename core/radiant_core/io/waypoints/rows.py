@@ -8,6 +8,7 @@ from collections import Counter
 import numpy as np
 
 from radiant_core.errors import BadInput
+from radiant_core.georef.crs import Crs
 from radiant_core.numerics import FloatArray
 
 
@@ -30,6 +31,13 @@ class WaypointRows:
         self.names.append(" ".join(name.split()))
         self._numbers.extend((lat, lon, 0.0 if alt is None else alt))
         self._no_altitude.append(alt is None)
+
+    def move_from(self, system: Crs) -> None:
+        """Take what was read as latitude and longitude for north and east in a system; altitudes
+        stay. BadInput for places that it does not have."""
+        read = self.lat_lon_alt
+        found = system.to_geodetic(np.column_stack([read[:, 1], read[:, 0], np.zeros(len(read))]))
+        self._numbers = array("d", np.column_stack([found[:, :2], read[:, 2]]).ravel().tolist())
 
     @property
     def lat_lon_alt(self) -> FloatArray:
