@@ -1,4 +1,4 @@
-"""The keyframes of a flight, kept in flight.json beside the run. Once per keyframe; some milliseconds.
+"""The keyframes of a flight, kept in flight.json beside the run. Once per keyframe; some ms.
 
 {"schema": "radiant.flight", "version": 1,
  "keyframes": [{"position": [x, y, z], "focal_point": …, "up": …, "angle_deg": 30}, …]}
