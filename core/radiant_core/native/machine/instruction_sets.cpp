@@ -43,9 +43,11 @@ bool cpu_runs(const std::string& name) {
   // What -march=x86-64-v3 and -v4 let the compiler use; bits from Intel's manual, volume 2A, CPUID.
   const Registers first = cpuid(1), seventh = cpuid(7);
   const unsigned kept = has(first.c, {27}) ? kept_registers() : 0;  // osxsave
-  const bool avx2 = has(kept, {1, 2}) && has(first.c, {12, 28}) && has(seventh.b, {3, 5, 8});  // fma avx; bmi avx2 bmi2
+  // fma avx; bmi avx2 bmi2
+  const bool avx2 = has(kept, {1, 2}) && has(first.c, {12, 28}) && has(seventh.b, {3, 5, 8});
   if (name == "avx2") return avx2;
-  const bool avx512 = avx2 && has(kept, {5, 6, 7}) && has(seventh.b, {16, 17, 28, 30, 31});  // f dq cd bw vl
+  // f dq cd bw vl
+  const bool avx512 = avx2 && has(kept, {5, 6, 7}) && has(seventh.b, {16, 17, 28, 30, 31});
   if (name == "avx512") return avx512;
   if (name == "avx512vnni") return avx512 && has(seventh.c, {11});
 #endif
