@@ -24,6 +24,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, Edge, System
+from radiant_core.sfm.config import SfmConfig
 
 NOTHING = CostCurve()
 WORKS = (
@@ -123,7 +124,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("latency")
     shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
     shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
-    sfm(folder / "hamlet", folder / "scene", "auto", ProgressDisplay(Console(quiet=True)))
+    sfm(folder / "hamlet", folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
     return folder
 
 

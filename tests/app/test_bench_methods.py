@@ -22,6 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
+from radiant_core.sfm.config import SfmConfig
 from tests.app.hamlet_views import add_off_path
 
 
@@ -31,7 +32,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> MethodBench:
     folder = tmp_path_factory.mktemp("methods")
     shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
     shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
-    sfm(folder / "hamlet", folder / "scene", "auto", ProgressDisplay(Console(quiet=True)))
+    sfm(folder / "hamlet", folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
     return MethodBench(scene=folder / "scene", out=folder / "out", long_side_px=64, num_steps=12, layout=Layout(num_edges=2, num_devices=1))
 
 

@@ -27,6 +27,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import load_lpips
 from radiant_core.io.run_store import read_json
 from radiant_core.render.rendered_view import render_views
+from radiant_core.sfm.config import SfmConfig
 from tests.app.alex_weights import write_alex_weights
 
 
@@ -36,7 +37,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("paper")
     shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
     shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
-    sfm(folder / "hamlet", folder / "scene", "auto", ProgressDisplay(Console(quiet=True)))
+    sfm(folder / "hamlet", folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
     return folder / "scene"
 
 

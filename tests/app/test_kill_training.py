@@ -11,6 +11,7 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.io.run_store import read_json
+from radiant_core.sfm.config import SfmConfig
 from tests.stress.kill_harness import differing_files, run_killed, run_whole
 
 RESULTS = ("scene.ply",)
@@ -43,7 +44,7 @@ def test_a_training_killed_while_it_writes_and_while_it_trains_ends_with_the_sam
     project.mkdir()
     (project / "images").symlink_to(sample_scenes_folder() / "hamlet" / "images")
     (project / "sparse").symlink_to(sample_scenes_folder() / "hamlet" / "known")
-    sfm(project, scene, "auto", ProgressDisplay(Console(quiet=True)))
+    sfm(project, scene, SfmConfig(), ProgressDisplay(Console(quiet=True)))
     run_whole(radiant_train(scene, whole))
 
     def half_written() -> bool:

@@ -19,6 +19,7 @@ from radiant_app.workers.sources import masks_folder_of
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import write_json
+from radiant_core.sfm.config import SfmConfig
 from tests.core.scenes import cameras_above
 
 TINY = TrainOptions(long_side_px=96, num_steps=40, max_num_splats=1500)
@@ -46,7 +47,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_scene_made_with_masks_keeps_them_for_training(project: Path, tmp_path: Path) -> None:
     scene = tmp_path / "scene"
-    sfm(project, scene, "auto", ProgressDisplay(Console(quiet=True)), project / "masks")
+    sfm(project, scene, SfmConfig(), ProgressDisplay(Console(quiet=True)), project / "masks")
     assert masks_folder_of(scene) == scene / "masks" and len(list((scene / "masks").iterdir())) == 11
     metrics = train(TrainRequest(source=scene, out=tmp_path / "trained", overrides=TINY.overrides))
     assert [row["used_share"] < 1 for row in metrics["images"]] == [True, False]

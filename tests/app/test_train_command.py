@@ -32,6 +32,7 @@ from radiant_core.io.messages import save_task
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.sfm.config import SfmConfig
 from radiant_core.train.checkpoint import CheckpointFolder
 from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides
@@ -46,7 +47,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("hamlet")
     (folder / "images").symlink_to(sample_scenes_folder() / "hamlet" / "images")
     (folder / "sparse").symlink_to(sample_scenes_folder() / "hamlet" / "known")
-    sfm(folder, folder / "scene", "auto", ProgressDisplay(Console(quiet=True)))
+    sfm(folder, folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
     return folder / "scene"
 
 
