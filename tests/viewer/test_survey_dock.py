@@ -200,6 +200,12 @@ assert (run / "survey/ortho.tif").read_bytes() == (folder / "ortho.tif").read_by
 dock.ortho.button.click()
 until(lambda: window.said[-1].startswith("No orthophoto"))
 print(window.said[-1])
+(folder / "maker.py").write_text("import pathlib, sys, time; out = pathlib.Path(sys.argv[2]); "
+    "(out.parent / f'.{out.name}.1a.part').touch(); time.sleep(600)")
+dock.ortho.button.click()
+until(lambda: any((run / "survey").glob(".ortho_next*")))
+dock.ortho.end()
+assert not any((run / "survey").glob(".ortho_next*")), "what was begun is taken away"
 (run / "survey/measures.json").write_text('{"a": {"kind": "area", "places": "x", "figures": {}}}')
 dock.show_kept()
 print(dock.text.text())

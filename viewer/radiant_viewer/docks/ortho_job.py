@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from PySide6.QtCore import QObject
@@ -51,8 +52,13 @@ class OrthoJob(QObject):
         self._process.start()
 
     def end(self) -> None:
-        """Stop making it."""
+        """Stop making it, and leave nothing of it behind."""
+        if not self.is_running:
+            return
         self._process.end()
+        for unfinished in self._out.parent.glob(f".{NEXT}.*.part"):
+            with suppress(OSError):
+                unfinished.unlink()
 
     def _on_ended(self, is_well: bool, words: str) -> None:
         self.button.setEnabled(True)
