@@ -25,7 +25,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.survey.geojson import line_feature, polygon_feature, to_geojson
 from radiant_core.survey.heights import RENDERING, HeightMap
 from radiant_core.survey.map_grid import MapFrame, MapGrid
-from radiant_core.survey.measures import Accuracy, Measured, MeasureKind, measure
+from radiant_core.survey.measures import Accuracy, Measured, MeasureKind, measure, require_measure
 from radiant_core.survey.sight import first_hit
 
 HEIGHTS = "heights.safetensors"
@@ -62,15 +62,18 @@ def measure_run(request: MeasureRequest, display: ProgressDisplay) -> dict[str, 
     if request.export is not None:
         require_export_name(request.export)
     places = None if request.places is None else parse_places(request.places)
+    if request.kind is not None and places is not None:
+        # Before minutes of matching.
+        require_measure(request.kind, places, request.base)
     survey, kept = load_survey(request.run), load_measures(request.run)
     if request.remove is not None:
         take_out(request.run, kept, request.remove)
     name = ""
     if request.kind is not None and places is not None:
-        name = name_for(request.kind, request.name, kept)
+        name_for(request.kind, request.name, kept)
         surface = surface_for_measures(survey, request.resolution, display)
         found = measure(request.kind, places, surface, accuracy_of(survey), request.base)
-        keep(survey, kept, name, found)
+        name, kept = keep(survey, request.name, found)
     if request.export is not None:
         export_measures(request.export, kept, survey.map_frame)
     return {"measures": kept} if request.kind is None else {"name": name, **kept[name]}
@@ -84,10 +87,14 @@ def take_out(run: Path, kept: dict[str, Any], name: str) -> None:
     save_measures(run, kept)
 
 
-def keep(survey: Survey, kept: dict[str, Any], name: str, found: Measured) -> None:
-    """Add a measure to those `kept` and to the file."""
+def keep(survey: Survey, name: str | None, found: Measured) -> tuple[str, dict[str, Any]]:
+    """Add a measure to the file, which may have others since the surface was begun; its name and all
+    that are kept. BadInput as `name_for`."""
+    kept = load_measures(survey.run.folder)
+    name = name_for(found.kind, name, kept)
     kept[name] = _record(found, survey)
     save_measures(survey.run.folder, kept)
+    return name, kept
 
 
 def clicked_places(survey: Survey, surface: HeightMap, points: FloatArray, eyes: FloatArray) -> tuple[FloatArray, FloatArray]:

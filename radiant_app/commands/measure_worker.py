@@ -30,7 +30,7 @@ from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.measures_file import load_measures
 from radiant_core.numerics import FloatArray
 from radiant_core.survey.heights import HeightMap
-from radiant_core.survey.measures import measure
+from radiant_core.survey.measures import measure, require_measure
 from radiant_viewer.runs.run_view import FileStamps, file_stamps
 
 
@@ -57,16 +57,16 @@ class Measuring:
             return {"error": str(error)}
 
     def _measure(self, request: dict[str, Any]) -> str:
-        kind, kept = request["measure"], load_measures(self._run)
+        kind, wanted = request["measure"], request.get("name")
         if kind not in get_args(MeasureKind):
             raise BadInput(f"{kind!r} is no kind of measure: choose one of {', '.join(get_args(MeasureKind))}.")
-        name = measures.name_for(kind, request.get("name"), kept)
-        survey, surface = self._surface()
+        measures.name_for(kind, wanted, load_measures(self._run))
         points, eyes = (_rows(request[name]) for name in ("points", "eyes"))
+        require_measure(kind, points, request.get("base"))
+        survey, surface = self._surface()
         places, sigmas = measures.clicked_places(survey, surface, points, eyes)
         found = measure(kind, places, surface, measures.accuracy_of(survey), request.get("base"), sigmas)
-        measures.keep(survey, kept, name, found)
-        return name
+        return measures.keep(survey, wanted, found)[0]
 
     def _surface(self) -> tuple[Survey, HeightMap]:
         stamps = file_stamps(self._run)

@@ -19,7 +19,7 @@ from radiant_app.events import Decided, Listener, Warned
 from radiant_app.run.dealing import Dealer
 from radiant_app.workers.evaluation import SCENE_NAME
 from radiant_core.choices import Version
-from radiant_core.hierarchy.choosing import choose_version
+from radiant_core.hierarchy.choosing import choose_version, is_comparison
 from radiant_core.io.ply import load_ply
 from radiant_core.io.run_store import read_json
 
@@ -31,13 +31,22 @@ Score = Callable[[Mapping[Version, Path]], Mapping[str, Path]]
 def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[str, Path], dict[str, Any]]:
     """Compare the versions of the scene and keep the best one, `dealer.version`.
 
+    A machine that does not compare what was asked for is left out with a warning: none can end the
+    run of all.
+
     Returns:
         Machine → file of the scores of that version; what metrics.json says of the choice.
     """
     dealer.chosen = None
     scenes: dict[Version, Path] = {name: folder / SCENE_NAME for name, folder in dealer.versions.items()}
-    scores = score(scenes)
-    choice = choose_version([*scenes], [read_json(path, ("versions",))["versions"] for path in scores.values()])
+    scores = dict(score(scenes))
+    compared = {machine: read_json(path, ("versions",))["versions"] for machine, path in scores.items()}
+    for machine, figures in list(compared.items()):
+        if len(scenes) > 1 and not is_comparison([*scenes], figures):
+            said = f"{machine} does not compare the versions of the scene that it was asked to: its figures are left out."
+            listen(Warned(stage=STAGE, message=said))
+            del compared[machine], scores[machine]
+    choice = choose_version([*scenes], [*compared.values()])
     if choice is None:
         return scores, {"version": dealer.version}
     decision = choice.decision(STAGE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,6 +18,7 @@ from radiant_app.events import Decided, Event, Warned
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.network.contents import check_scores
 from radiant_app.network.kinds import remove_earlier
+from radiant_app.run.choosing import keep_best
 from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.workers.delivering import exchange_keys
 from radiant_app.workers.evaluation import SCORES_NAME
@@ -180,6 +182,18 @@ def test_figures_that_a_device_did_not_sign_do_not_count(spoil: Callable[[Path],
     assert warning.stage == f"devices/{left_out}/score" and "figures of this device are left out" in warning.message
     assert ended.scoring.failed == (f"devices/{left_out}/score",)
     assert len(ended.metrics["images"]) == 12 - len(MOVES[left_out][0])
+
+
+@pytest.mark.parametrize("wrong", [{}, {"joined": [60.0]}, {"joined": [60.0], "cut": [60.0, 60.0]}])
+def test_a_device_that_compares_something_else_does_not_end_the_run(wrong: dict[str, list[float]], tmp_path: Path) -> None:
+    for name, versions in {"honest": {"joined": [20.0], "cut": [21.0]}, "other": wrong}.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps({"versions": versions}))
+    dealer, events = versions_of(tmp_path, {JOINED: SCENE, CUT: SCENE}), []
+    paths = {name: tmp_path / f"{name}.json" for name in ("honest", "other")}
+    scores, facts = keep_best(cast(Any, dealer), lambda scenes: paths if len(scenes) > 1 else {"honest": paths["honest"]}, events.append)
+    assert [*scores] == ["honest"] and dealer.chosen == CUT and facts["versions"] == {"joined": 20.0, "cut": 21.0}
+    left_out, _ = (event.message for event in events if isinstance(event, Warned))
+    assert left_out.startswith("other does not compare the versions")
 
 
 def test_a_task_to_score_one_version_leaves_no_file_of_the_comparison_before(tmp_path: Path) -> None:

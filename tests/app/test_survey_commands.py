@@ -18,6 +18,7 @@ from radiant_app.report.progress import terminal_display
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, PolygonStep
 from radiant_core.io.cleaning_file import save_cleaning
+from radiant_core.io.measures_file import load_measures, save_measures
 from radiant_core.survey.map_grid import map_frame_of
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -87,6 +88,16 @@ def test_sizes_that_cannot_be_are_refused_before_anything_is_matched(tmp_path: P
             radiant("export", run, tmp_path / name, "--format", kind, "--resolution", "0.0001")
     with pytest.raises(BadInput, match="was asked for, expected a number of at least"):
         radiant("measure", run, "--kind", "distance", "--at", "1,2 3,4", "--resolution", "0.0001")
+    for kind, at, base, sentence in (
+        ("height", "1,2", None, "height takes two"),
+        ("area", "1,2 3,4", None, "area takes three"),
+        ("volume", "1,2 3,4 5,0", "nan", "a base of nan"),
+        ("distance", "1,2 3,4", "5", "a base of 5"),
+    ):
+        with pytest.raises(BadInput, match=sentence):
+            radiant("measure", run, "--kind", kind, "--at", at, *([] if base is None else ["--base", base]))
+    asked = {"measure": "height", "points": [[1, 2, None]], "eyes": [[0, 0, 9]]}
+    assert "height takes two" in Measuring(run, terminal_display()).answer(asked)["error"]
     with pytest.raises(BadInput, match="larger cells"):
         radiant("export", run, tmp_path / "a.tif", "--format", "dsm", "--resolution", "0.006")
 
@@ -106,7 +117,12 @@ def test_a_cleaning_cuts_heights_and_the_surface_of_measures(tmp_path: Path) -> 
     assert measure.surface_for_measures(load_survey(run), 2.0, terminal_display()).heights.tobytes() == cut.heights.tobytes()
 
 
-def test_clicks_in_the_window_are_measured_and_kept_as_by_the_command(tmp_path: Path) -> None:
+def keep_meanwhile(run: Path) -> None:
+    kept = load_measures(run)
+    save_measures(run, {**kept, "distance 2": kept["distance 1"]})
+
+
+def test_clicks_in_the_window_are_measured_and_kept_as_by_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     town, run = made_up_town(), tmp_path / "run"
     save_run(run, replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
     measuring = Measuring(run, terminal_display())
@@ -127,6 +143,11 @@ def test_clicks_in_the_window_are_measured_and_kept_as_by_the_command(tmp_path: 
     assert "not known at place 3" in said["error"]
     assert "no kind" in measuring.answer({"measure": "weight", "points": flat, "eyes": eyes})["error"]
     assert "named 'a'" in measuring.answer({"measure": "distance", "points": flat, "eyes": eyes, "name": "a"})["error"]
+    # Another process keeps one while this one measures.
+    first_hit = measure.first_hit
+    monkeypatch.setattr(measure, "first_hit", lambda *given: (keep_meanwhile(run), first_hit(*given))[1])
+    assert measuring.answer({"measure": "distance", "points": haze, "eyes": eyes}) == {"name": "distance 3"}
+    assert {"distance 1", "distance 2", "distance 3"} <= set(load_measures(run))
     assert measuring.answer({"export": str(tmp_path / "b.csv")}) == {"name": "b.csv"} and (tmp_path / "b.csv").is_file()
     assert "exists" in measuring.answer({"export": str(tmp_path / "b.csv")})["error"]
     assert measuring.answer({"remove": "a"}) == {"name": "a"} and "no measure" in measuring.answer({"remove": "a"})["error"]

@@ -193,12 +193,19 @@ window.attempt(dock.remove_chosen)
 dock.click.click()
 assert not dock.is_busy
 dock.ortho.button.click()
-until(lambda: window.reloads)
+until(lambda: window.said[-1].startswith("The orthophoto is"))
+assert not window.reloads, "a measure at work would end: the window reads it when it may"
 assert (run / "survey/ortho.tif").read_bytes() == (folder / "ortho.tif").read_bytes() and not (run / "survey/ortho_next.tif").exists()
 (folder / "maker.py").write_text("import sys; sys.exit('no room')")
 dock.ortho.button.click()
 until(lambda: window.said[-1].startswith("No orthophoto"))
 print(window.said[-1])
+(folder / "maker.py").write_text("import pathlib, sys, time; out = pathlib.Path(sys.argv[2]); "
+    "(out.parent / f'.{out.name}.1a.part').touch(); time.sleep(600)")
+dock.ortho.button.click()
+until(lambda: any((run / "survey").glob(".ortho_next*")))
+dock.ortho.end()
+assert not any((run / "survey").glob(".ortho_next*")), "what was begun is taken away"
 (run / "survey/measures.json").write_text('{"a": {"kind": "area", "places": "x", "figures": {}}}')
 dock.show_kept()
 print(dock.text.text())

@@ -2,6 +2,7 @@
 training. Once per run.
 
     held_out_psnr_db   one version in the photographs that one machine holds out, there (`evaluate`)
+    is_comparison      whether what a machine says can be compared
     choose_version     the version with the best mean over the photographs of all machines
 
 Figures go up, pixels do not. A join is compared with its cut on pictures of the models before
@@ -65,6 +66,12 @@ class Choice:
         )
 
 
+def is_comparison(names: Sequence[Version], machine: Mapping[Version, Sequence[float]]) -> bool:
+    """Whether a machine has a finite figure of each of these versions in each of its photographs."""
+    lengths = {len(own) for own in machine.values()}
+    return {*machine} == {*names} and len(lengths) == 1 and all(np.isfinite(own).all() for own in machine.values())
+
+
 def choose_version(names: Sequence[Version], figures_db: Sequence[Mapping[Version, Sequence[float]]]) -> Choice | None:
     """Keep the version with the best mean, of equal ones the one that comes first.
 
@@ -76,22 +83,19 @@ def choose_version(names: Sequence[Version], figures_db: Sequence[Mapping[Versio
         The choice; None where there is one version or no photograph.
 
     Raises:
-        BadInput: machines name other versions, or other numbers of photographs for one than for
-            another, or a figure is not finite.
+        BadInput: a machine's figures are no comparison of these (`is_comparison`).
     """
     if len(names) < 2 or not figures_db:
         return None
     for machine in figures_db:
-        if {*machine} != {*names} or len({len(own) for own in machine.values()}) > 1:
-            compared = f"a machine compares {', '.join(machine)}, expected {', '.join(names)}"
-            raise BadInput(f"{compared} on as many photographs each: ask it again.")
+        if not is_comparison(names, machine):
+            compared = f"a machine compares {', '.join(machine) or 'nothing'}, expected {', '.join(names)}"
+            raise BadInput(f"{compared} by finite figures of as many photographs each: ask it again.")
     pooled: dict[Version, FloatArray] = {
         name: np.concatenate([np.asarray(machine[name], float) for machine in figures_db]) for name in names
     }
     if not len(pooled[names[0]]):
         return None
-    if not all(np.isfinite(own).all() for own in pooled.values()):
-        raise BadInput("a machine gives a version a PSNR that is not finite: ask it again.")
     mean_db: dict[Version, float] = {name: float(np.clip(own, 0.0, BEST_DB).mean()) for name, own in pooled.items()}
     return Choice(
         version=max(mean_db, key=mean_db.__getitem__),

@@ -71,6 +71,20 @@ class Measured:
     profile: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
+def require_measure(kind: MeasureKind, places: ArrayLike, base: float | None = None) -> FloatArray:
+    """The places (P,2 or 3) of a measure, before a surface is made for it: BadInput for what `measure`
+    refuses of them and of its base on any surface."""
+    given = np.asarray(places, np.float64)
+    if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given[:, :2]).all() or np.isinf(given).any():
+        raise BadInput(f"places of shape {given.shape} came, expected (P, 2) or (P, 3) of finite numbers: east, north and perhaps height.")
+    least, words = NUM_PLACES[kind]
+    if len(given) < least or (kind == "height" and len(given) != 2):
+        raise BadInput(f"{len(given)} places were given, and {kind} takes {words}.")
+    if base is not None and not (np.isfinite(base) and kind == "volume"):
+        raise BadInput(f"a base of {base} came with {kind}: it is the finite height of the plane of a volume.")
+    return given
+
+
 def measure(
     kind: MeasureKind,
     places: ArrayLike,
@@ -87,14 +101,7 @@ def measure(
     Raises BadInput for too few places, places that are not finite, off the surface or where it is
     unknown, and outlines that cross themselves or span nothing.
     """
-    given = np.asarray(places, np.float64)
-    if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given[:, :2]).all() or np.isinf(given).any():
-        raise BadInput(f"places of shape {given.shape} came, expected (P, 2) or (P, 3) of finite numbers: east, north and perhaps height.")
-    least, words = NUM_PLACES[kind]
-    if len(given) < least or (kind == "height" and len(given) != 2):
-        raise BadInput(f"{len(given)} places were given, and {kind} takes {words}.")
-    if base is not None and not (np.isfinite(base) and kind == "volume"):
-        raise BadInput(f"a base of {base} came with {kind}: it is the finite height of the plane of a volume.")
+    given = require_measure(kind, places, base)
     points, deviations = _on_surface(given, surface, None if sigmas is None else np.asarray(sigmas, np.float64))
     if kind == "distance":
         return _distance(points, deviations, surface, accuracy)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from PySide6.QtCore import QObject
@@ -17,8 +18,8 @@ NEXT = "ortho_next.tif"
 
 
 class OrthoJob(QObject):
-    """Writes RUN/survey/ortho.tif by `radiant export`, in place of an earlier one, and lets the
-    window read it."""
+    """Writes RUN/survey/ortho.tif by `radiant export`, in place of an earlier one. The window sees
+    that it changed and reads it, unless that would end what the user is at."""
 
     def __init__(self, host: StatusHost, parent: QObject, run: Path, commands: SurveyCommands | None) -> None:
         super().__init__(parent)
@@ -51,14 +52,22 @@ class OrthoJob(QObject):
         self._process.start()
 
     def end(self) -> None:
-        """Stop making it."""
+        """Stop making it, and leave nothing of it behind."""
+        if not self.is_running:
+            return
         self._process.end()
+        for unfinished in self._out.parent.glob(f".{NEXT}.*.part"):
+            with suppress(OSError):
+                unfinished.unlink()
 
     def _on_ended(self, is_well: bool, words: str) -> None:
         self.button.setEnabled(True)
         if not is_well:
             self._host.show_status(f"No orthophoto was made: {words}")
             return
-        self._next.replace(self._out)
-        self._host.reload()
-        self._host.show_status(f"The orthophoto is {self._out}")
+        try:
+            self._next.replace(self._out)
+        except OSError as error:
+            self._host.show_status(str(CannotWrite(f"cannot write {self._out}: {error.strerror}.")))
+            return
+        self._host.show_status(f"The orthophoto is {self._out}; the map shows it once nothing else is in progress here")
