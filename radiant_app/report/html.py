@@ -24,6 +24,7 @@ from radiant_app.report.verdict import verdict_of
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_core.aggregate.tree import refined_at
+from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_atomic
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -299,7 +300,11 @@ def _save_flight(run: Path) -> str:
     if len(require_splats(view)) > MAX_FLIGHT_GAUSSIANS:
         (run / FLIGHT_NAME).unlink(missing_ok=True)
         return ""
-    save_single_page(run / FLIGHT_NAME, page_of_run(view, with_photographs=False))
+    try:
+        save_single_page(run / FLIGHT_NAME, page_of_run(view, with_photographs=False))
+    except BadInput:  # too large for one file after all: the run is done without it
+        (run / FLIGHT_NAME).unlink(missing_ok=True)
+        return ""
     return FLIGHT_NAME
 
 

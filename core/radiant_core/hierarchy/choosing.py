@@ -26,6 +26,8 @@ JOINED: Version = "joined"
 CUT: Version = "cut"
 BEST_DB = 60.0
 """No photograph weighs more than this good."""
+LEAST_GAIN_DB = 0.05
+"""By less no version takes the place of the usual one: a few photographs do not tell them apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +75,7 @@ def is_comparison(names: Sequence[Version], machine: Mapping[Version, Sequence[f
 
 
 def choose_version(names: Sequence[Version], figures_db: Sequence[Mapping[Version, Sequence[float]]]) -> Choice | None:
-    """Keep the version with the best mean, of equal ones the one that comes first.
+    """Keep the version with the best mean; the usual one where none is clearly better.
 
     Args:
         names: the versions, the usual one first.
@@ -97,8 +99,9 @@ def choose_version(names: Sequence[Version], figures_db: Sequence[Mapping[Versio
     if not len(pooled[names[0]]):
         return None
     mean_db: dict[Version, float] = {name: float(np.clip(own, 0.0, BEST_DB).mean()) for name, own in pooled.items()}
+    usual, best = names[0], max(mean_db, key=mean_db.__getitem__)
     return Choice(
-        version=max(mean_db, key=mean_db.__getitem__),
+        version=best if mean_db[best] - mean_db[usual] >= LEAST_GAIN_DB else usual,
         mean_db=mean_db,
         num_photographs=len(pooled[names[0]]),
         num_machines=len(figures_db),

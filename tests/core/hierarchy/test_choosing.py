@@ -40,6 +40,9 @@ def test_the_best_mean_over_all_machines_is_kept_and_the_decision_has_every_figu
 
 
 def test_of_equal_versions_the_usual_one_is_kept_which_changes_nothing() -> None:
+    nearly = choose_version([JOINED, CUT], [{CUT: [20.04], JOINED: [20.0]}])
+    better = choose_version([JOINED, CUT], [{CUT: [20.06], JOINED: [20.0]}])
+    assert nearly is not None and nearly.keeps_usual and better is not None and better.version == CUT
     choice = choose_version([JOINED, CUT], [{CUT: [20.0], JOINED: [20.0]}])
     assert choice is not None and choice.version == JOINED and choice.decision("evaluation").changes_nothing
 
