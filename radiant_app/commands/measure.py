@@ -88,7 +88,7 @@ def take_out(run: Path, kept: dict[str, Any], name: str) -> None:
 
 
 def keep(survey: Survey, name: str | None, found: Measured) -> tuple[str, dict[str, Any]]:
-    """Add a measure to the file, which may have others since the surface was begun; its name and all
+    """Add a measure to the file, which may have others since the surface began; its name and all
     that are kept. BadInput as `name_for`."""
     kept = load_measures(survey.run.folder)
     name = name_for(found.kind, name, kept)

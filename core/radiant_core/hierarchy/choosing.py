@@ -69,7 +69,7 @@ class Choice:
 
 
 def is_comparison(names: Sequence[Version], machine: Mapping[Version, Sequence[float]]) -> bool:
-    """Whether a machine has a finite figure of each of these versions in each of its photographs."""
+    """Whether a machine has a finite figure of every version in each of its photographs."""
     lengths = {len(own) for own in machine.values()}
     return {*machine} == {*names} and len(lengths) == 1 and all(np.isfinite(own).all() for own in machine.values())
 

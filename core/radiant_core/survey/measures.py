@@ -72,7 +72,7 @@ class Measured:
 
 
 def require_measure(kind: MeasureKind, places: ArrayLike, base: float | None = None) -> FloatArray:
-    """The places (P,2 or 3) of a measure, before a surface is made for it: BadInput for what `measure`
+    """The places (P,2 or 3) of a measure, before there is a surface: BadInput for what `measure`
     refuses of them and of its base on any surface."""
     given = np.asarray(places, np.float64)
     if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given[:, :2]).all() or np.isinf(given).any():
