@@ -3,8 +3,8 @@
     device   done when its work and its model's bytes are:  cpu / speed + bytes / uplink
     edge     begins when its last device's model is there, done as a device
     cloud    begins when the last edge's model is there:    cpu / CLOUD_SPEED
-    refine   the same once more, from the scene on; sending the scene down is not counted, since a
-             system knows uplinks alone
+    refine   the same once more per round, from the scene on; sending the scene down is not counted,
+             since a system knows uplinks alone
     compare  then every device says how good the versions of the scene are in what it holds out
     server   takes clients in order, each when its model is there and the one before is taken in
 
@@ -18,6 +18,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 
 from radiant_core.aggregate.tree import refined_at, scored_at
 from radiant_core.errors import BadInput
@@ -83,23 +84,26 @@ def emulate_tree(system: System, works: Sequence[NodeWork]) -> EmulatedLatency:
         edge_s.append(0.0 if own is None else ready_s[-1] + _spent_s(edge, own))
     last = max(range(len(edge_s)), key=lambda index: edge_s[index])
     joined_s = edge_s[last] + work_of["cloud"].cpu_s / CLOUD_SPEED
-    scene_s = joined_s + _refined_s(system, work_of) + _compared_s(system, work_of)
+    scene_s = joined_s + _compared_s(system, work_of)
+    for number in count(1):
+        if refined_at("cloud", number) not in work_of:
+            break
+        scene_s += _round_s(system, work_of, number)
     return EmulatedLatency(edge_s=tuple(edge_s), devices_s=ready_s[last], joined_s=joined_s, scene_s=scene_s)
 
 
-def _refined_s(system: System, work_of: Mapping[str, NodeWork]) -> float:
-    """How long refining the scene takes, from its sending on; 0 where it is not refined."""
+def _round_s(system: System, work_of: Mapping[str, NodeWork], number: int) -> float:
+    """How long a round of refining the scene takes, from its sending on."""
 
     def part_s(machine: Device | Edge, node: str) -> float:
-        work = work_of.get(refined_at(node))
+        work = work_of.get(refined_at(node, number))
         return 0.0 if work is None else _spent_s(machine, work)
 
     edges_s = [
         max((part_s(device, f"devices/{device.id}") for device in edge.devices), default=0.0) + part_s(edge, f"edges/{edge.id}")
         for edge in system.edges
     ]
-    cloud = work_of.get(refined_at("cloud"))
-    return max(edges_s, default=0.0) + (0.0 if cloud is None else cloud.cpu_s / CLOUD_SPEED)
+    return max(edges_s, default=0.0) + work_of[refined_at("cloud", number)].cpu_s / CLOUD_SPEED
 
 
 def _compared_s(system: System, work_of: Mapping[str, NodeWork]) -> float:

@@ -43,7 +43,7 @@ from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.aggregate.tree import refined_at, scored_at
+from radiant_core.aggregate.tree import refines_for, scored_at
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import CutBy, UploadFormat
 from radiant_core.errors import BadInput, StageFailed
@@ -147,7 +147,7 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
         NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=refinement_bytes(each, run.scene.splats, recipe.upload))
         for stage, each in run.refinements.items()
     ]
-    clouds = [NodeWork(stage=stage, cpu_s=seconds[stage]) for stage in ("cloud", refined_at("cloud")) if stage in seconds]
+    clouds = [NodeWork(stage=stage, cpu_s=spent_s) for stage, spent_s in seconds.items() if refines_for(stage) == "cloud"]
     nodes = (*_trainings(models, recipe), *joins, *refined, *_comparisons(cell, recipe, run), *clouds)
     return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)), nodes=nodes)
 

@@ -23,7 +23,7 @@ from radiant_app.executors.emulated_node import product_bytes
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_app.files.run_folder import Manifest
-from radiant_core.aggregate.tree import Tree, refined_at
+from radiant_core.aggregate.tree import Tree, refines_for
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import Device, Edge, System
 
@@ -42,10 +42,11 @@ class EmulatedExecutor:
 
         def command(task: NodeTask) -> list[str]:
             inner = self.local.command(task)
-            return _node_command(machines[task.stage], task, inner) if task.stage in machines else inner
+            machine = machines.get(refines_for(task.stage))
+            return inner if machine is None else _node_command(machine, task, inner)
 
         def label_and_listen(event: Event) -> None:
-            label = isinstance(event, StageStarted | StageDone | StageSkipped) and event.stage in machines
+            label = isinstance(event, StageStarted | StageDone | StageSkipped) and refines_for(event.stage) in machines
             listen(replace(event, emulated=True) if label else event)
 
         executor = replace(self.local, num_workers=sum(1 for _ in tree), command=command)
@@ -67,12 +68,12 @@ def require_emulable(system: System) -> None:
         )
 
 
-def emulated_figures(run: Path, tree: Tree, refining: Tree | None, manifest: Manifest) -> dict[str, Any]:
+def emulated_figures(run: Path, tree: Tree, refining: Sequence[Tree], manifest: Manifest) -> dict[str, Any]:
     """The figures of an emulated run in the folder `run`.
 
     Seconds and bytes sent per stage; the makespan, when the last edge's model is at the cloud,
-    which is what a plan predicts; and the end of the scene, which adds the cloud's join and, where
-    the scene is refined by the tree `refining`, that. All of the nodes' own times, without copying;
+    which is what a plan predicts; and the end of the scene, which adds the cloud's join and the
+    rounds in which the trees `refining` refine it. All of the nodes' own times, without copying;
     None with a reason if one is unknown.
     """
 
@@ -89,8 +90,8 @@ def emulated_figures(run: Path, tree: Tree, refining: Tree | None, manifest: Man
 
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.emulated.items()}
     makespan_s = edges_s(tree)
-    scene_s = makespan_s + cloud_s(tree) + (0.0 if refining is None else edges_s(refining) + cloud_s(refining))
-    sent = {node.id: product_bytes(run / node.id) for part in (tree, *(() if refining is None else (refining,))) for node in part}
+    scene_s = makespan_s + cloud_s(tree) + sum(edges_s(part) + cloud_s(part) for part in refining)
+    sent = {node.id: product_bytes(run / node.id) for part in (tree, *refining) for node in part}
     figures: dict[str, Any] = {
         "emulated_seconds": seconds,
         "emulated_bytes": {stage: count for stage, count in sent.items() if stage in seconds},
@@ -105,8 +106,7 @@ def emulated_figures(run: Path, tree: Tree, refining: Tree | None, manifest: Man
 def _machines(system: System) -> dict[str, Device | Edge]:
     """Node id → machine, in the order of the system."""
     edges = ((f"edges/{edge.id}", edge) for edge in system.edges)
-    found = dict(chain(((f"devices/{device.id}", device) for device in system.devices), edges))
-    return found | {refined_at(node): machine for node, machine in found.items()}
+    return dict(chain(((f"devices/{device.id}", device) for device in system.devices), edges))
 
 
 def _node_command(machine: Device | Edge, task: NodeTask, command: Sequence[str]) -> list[str]:

@@ -1,7 +1,7 @@
 """What a device does with a task: the installed worker of its kind, in a folder of its own.
 
     HOME/runs/<run>/devices/<id>/           own_source.json: where its photographs are; its model
-                        .../{count,raster,refine,score}/
+                        .../{count,raster,refine,refine2,…,score}/
 
 No code comes with a task, and no name of a photograph. The worker checks the signature of its edge
 once more. Once per task.

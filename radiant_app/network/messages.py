@@ -80,6 +80,8 @@ class EdgeRefineTask:
     devices: Devices
     to_cloud: Move
     """From the frame of the edge to the scene's."""
+    number: Annotated[int, Field(ge=1)] = 1
+    """Of the round."""
 
 
 @dataclass(frozen=True, kw_only=True)

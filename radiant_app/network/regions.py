@@ -3,7 +3,7 @@
     HOME/runs/<run>/asked/<kind>/        the cloud's task as it came, and the report that answers it
                     devices/<id>/        what was asked of a device and what it sent
                     edges/<id>/          the edge's own join, as in a run on one machine
-                    cloud/               the scene, where it is refined
+                    cloud/               the scene, where it is refined, as it came last
 
 The same `Dealer`, `Refining` and `Scoring` deal as in a run on one machine; the edge signs its
 devices' tasks by its own key, and nobody else's is here.
@@ -54,7 +54,7 @@ from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import CORRECTIONS_NAME, REFUSED_NAME, load_corrections
 from radiant_app.workers.tasks import CountTask, Move, OwnFieldTask, RasterTask
 from radiant_core import __version__
-from radiant_core.aggregate.tree import Tree, refined_at
+from radiant_core.aggregate.tree import Tree, refines_for
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
@@ -173,7 +173,7 @@ class EdgeRun:
         return NetworkExecutor(
             hub=self.hub,
             run=self.number,
-            lease_s=lambda node_id: expected.get(node_id.removesuffix(refined_at("")), 0.0),
+            lease_s=lambda node_id: expected.get(refines_for(node_id), 0.0),
             command=self.command,
             retry_policy=policy,
             stopping=self.stopping,
@@ -313,7 +313,7 @@ class EdgeRun:
         name = self.edge.split("/")[1]
         dealer = self._dealer(self.region)
         self._exchange_keys()
-        refining = Refining(dealer=dealer, moves=moves, planned=RefiningPlan(devices={name: devices}))
+        refining = Refining(dealer=dealer, moves=moves, planned=RefiningPlan(devices={name: devices}), number=task.number)
         assert refining.tree is not None
         (tree,) = refining.tree.children
         times = read_json(self.folder / TIMES_NAME) if (self.folder / TIMES_NAME).is_file() else {}

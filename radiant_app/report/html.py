@@ -23,7 +23,7 @@ from radiant_app.report.survey import Survey, survey_of
 from radiant_app.report.verdict import verdict_of
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.prediction_error import SYSTEM_NAME, gantt_rows
-from radiant_core.aggregate.tree import refined_at
+from radiant_core.aggregate.tree import refines_for
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_atomic
@@ -124,7 +124,7 @@ def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> 
         own = [row for row in access_log if row["tier"] == tier]
         if own:
             sums = {key: sum(row[key] for row in own) for key in ("num_photographs", "photograph_bytes", "other_bytes")}
-            nodes = {row["node"].removesuffix("/score").removesuffix("/refine") for row in own}
+            nodes = {refines_for(row["node"].removesuffix("/score")) for row in own}
             rows.append({"tier": tier, "num_nodes": len(nodes), **sums, "given": GIVEN[shared][tier]})
     return rows
 
@@ -161,7 +161,7 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
 
 def timeline_of_emulation(manifest: Manifest) -> list[Any]:
     """The rows of emulated machines, and of the cloud, which they wait for."""
-    cloud = {stage: manifest.stages[stage] for stage in ("cloud", refined_at("cloud")) if stage in manifest.stages}
+    cloud = {stage: times for stage, times in manifest.stages.items() if refines_for(stage) == "cloud"}
     return _timeline_rows({**manifest.emulated, **cloud})
 
 
@@ -182,7 +182,7 @@ def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
     nodes = {stage: times for stage, times in stages.items() if not stage.endswith(UPLINK)}
     for stage, times in sorted(nodes.items(), key=lambda item: item[1]["started_s"]):
         tier, part = stage.split("/")[0], stage.rsplit("/", 1)[-1]
-        kind = {"score": "evaluate", "refine": REFINING.get(tier)}.get(part) or kinds[tier]
+        kind = REFINING[tier] if refines_for(stage) != stage else "evaluate" if part == "score" else kinds[tier]
         sending = stages.get(stage + UPLINK, {"started_s": times["ended_s"], "ended_s": times["ended_s"]})
         parts = ((kind, times["started_s"], sending["started_s"]), ("send", sending["started_s"], sending["ended_s"]))
         spans = tuple(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Decided, Outlined, Warned
+from radiant_app.events import Outlined, Warned
 from radiant_app.executors.fold import Deadlines, RetryPolicy
 from radiant_app.executors.local import worker_command
 from radiant_app.executors.network import NetworkExecutor
-from radiant_app.executors.protocol import NodeTask
+from radiant_app.executors.protocol import NodeTask, Prepare
 from radiant_app.files.system_file import dump_system
 from radiant_app.network.contents import load_report
 from radiant_app.network.hub import Hub
@@ -51,7 +51,7 @@ from radiant_app.run.delivered import save_delivered_by_edges
 from radiant_app.run.far_devices import FarDevices, require_names
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.progress import Progress
-from radiant_app.run.refining import Refining, left_out_decision, will_refine
+from radiant_app.run.refining import Refining, expected_refines, fold_rounds, plan_rounds
 from radiant_app.run.scoring import combine_scores, lpips_network_of, regions_alone
 from radiant_app.run.source import Plan
 from radiant_app.run.stages import ATTEMPTS, make_recipe, make_time_left_listener
@@ -61,7 +61,7 @@ from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.tasks import Move, SfmSettings
 from radiant_core import __version__
-from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
+from radiant_core.aggregate.tree import Tree, refines_for, tree_of_plan
 from radiant_core.choices import Version
 from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
@@ -88,7 +88,7 @@ class CloudRun:
         """The folder of the run."""
         return self.config.out
 
-    def join(self, system: System, progress: Progress) -> tuple[Dealer, Tree, Refining]:
+    def join(self, system: System, progress: Progress) -> tuple[Dealer, Tree, tuple[Refining, ...]]:
         """Everything between the machines: plan, fold, refine, score. Raises StageFailed where no
         model can be used."""
         require_names(system)
@@ -99,7 +99,7 @@ class CloudRun:
         dealer = Dealer(run=self.folder, recipe=recipe, photographs=devices, exchange=lambda: self._exchange_keys(recipe))
         tree = tree_of_plan(plan.cloud, plan.edges)
         nodes = [node.id for node in tree]
-        refines = [refined_at(node) for node in nodes] if will_refine(recipe, tree) else []
+        refines = expected_refines(recipe, tree)
         scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
         progress.manifest.keep_stages({*nodes, *refines, *scores})
         progress.listen(Outlined(stages=(*nodes, *refines, *scores)))
@@ -110,11 +110,10 @@ class CloudRun:
         if not dealer.has_model("cloud"):
             reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
             raise StageFailed(f"no device delivered a model that could be used. {reasons}")
-        refining = Refining(dealer=dealer, moves=dealer.load_moves())
-        self._refine(refining, progress)
+        rounds = self._refine(plan_rounds(dealer, dealer.load_moves()), progress)
         self._score(dealer, progress)
         progress.manifest.access_log = [*dealer.access_log]
-        return dealer, tree, refining
+        return dealer, tree, rounds
 
     # Machines
 
@@ -123,7 +122,7 @@ class CloudRun:
         return NetworkExecutor(
             hub=self.hub,
             run=run_number(self.folder),
-            lease_s=lambda node_id: self._lease_s(node_id.removesuffix(refined_at(""))),
+            lease_s=lambda node_id: self._lease_s(refines_for(node_id)),
             clock=progress.clock,
             command=worker_command,
             retry_policy=policy,
@@ -292,11 +291,14 @@ class CloudRun:
 
     # Refining and scoring
 
-    def _refine(self, refining: Refining, progress: Progress) -> None:
-        for decision in refining.plan.decisions:
-            progress.listen(Decided(decision=decision))
-        if (tree := refining.tree) is None:
-            return
+    def _refine(self, rounds: Sequence[Refining], progress: Progress) -> tuple[Refining, ...]:
+        def fold(refining: Refining, tree: Tree) -> None:
+            self._executor(progress).fold(tree, self._preparing(refining), progress.listen)
+
+        return fold_rounds(rounds, fold, progress.listen)
+
+    def _preparing(self, refining: Refining) -> Prepare:
+        """Tasks of the edges in a round, and of the cloud when they have answered."""
         to_cloud = load_corrections(self.folder / "cloud")
 
         def prepare(node: Tree) -> NodeTask | None:
@@ -311,24 +313,18 @@ class CloudRun:
             move = to_cloud[edge]
             assert move is not None
             devices = tuple(child.id.split("/")[1] for child in node.children)
-            task = EdgeRefineTask(devices=devices, to_cloud=Move.of(move))
+            task = EdgeRefineTask(devices=devices, to_cloud=Move.of(move), number=refining.number)
             save_task(folder, task)
-            deal_files(self.folder / "cloud", [SCENE_NAME], folder)
+            deal_files(refining.start_folder, [SCENE_NAME], folder)
             # The edge's own model stands for what its devices have.
             own = self.folder / f"edges/{edge}" / REPORT_NAME
             key = self.keys[node.id] = content_key(__version__, task_key(task), folder / SCENE_NAME, own)
             for device in devices:
-                refining.keys[refined_at(f"devices/{device}")] = self._key_of_device(key, device)
+                refining.keys[refining.node(f"devices/{device}")] = self._key_of_device(key, device)
             ask_again(folder, key)
             return NodeTask(kind="edge_refine", stage=node.id, folder=folder, key=key)
 
-        self._executor(progress).fold(tree, prepare, progress.listen)
-        refining.dealer.refined = refining.scene_folder
-        if refining.dealer.refined is None:
-            progress.listen(Warned(stage=tree.id, message="the scene stays as it was joined: no refinement arrived; --resume tries again."))
-        if left_out := refining.left_out():
-            num_devices = sum(node.tier == "device" for node in tree)
-            progress.listen(Decided(decision=left_out_decision(tree.id, left_out, num_devices)))
+        return prepare
 
     def _open_refined(self, edge: Tree, refining: Refining) -> None:
         folder, key = self.folder / edge.id, self.keys[edge.id]

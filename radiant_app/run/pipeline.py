@@ -8,14 +8,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Decided, Listener, Outlined, Warned
+from radiant_app.events import Listener, Outlined, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.ray_cluster import require_cluster
@@ -32,7 +32,7 @@ from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
 from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
-from radiant_app.run.refining import Refining, left_out_decision, will_refine
+from radiant_app.run.refining import Refining, expected_refines, fold_rounds, left_out, plan_rounds
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
@@ -46,7 +46,7 @@ from radiant_app.run.stages import (
 from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
 from radiant_app.workers.sources import SURVEY, detect_source
-from radiant_core.aggregate.tree import Tree, refined_at, tree_of_plan
+from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
 from radiant_core.hierarchy.choosing import REFINED
@@ -123,14 +123,14 @@ def run(
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
         if cloud is not None:
-            dealer, tree, refining = cloud.join(scale_for_uploads(system, config.upload, progress), progress)
+            dealer, tree, rounds = cloud.join(scale_for_uploads(system, config.upload, progress), progress)
         else:
             photographs = _locate_photographs(config, system, progress)
             plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
-            dealer, tree, refining = _join(config, photographs, plan, progress)
+            dealer, tree, rounds = _join(config, photographs, plan, progress)
         deal_files(dealer.scene_folder, ["scene.ply"], config.out)
-        emulation = emulated_figures(config.out, tree, refining.tree, manifest) if config.emulated else {}
-        refined = {"refined": dealer.version == REFINED, "not_refined": refining.left_out()}
+        emulation = emulated_figures(config.out, tree, [own for each in rounds if (own := each.tree)], manifest) if config.emulated else {}
+        refined = {"refined": dealer.version == REFINED, "not_refined": left_out(rounds)}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe.cloud_plan, more)
         manifest.status = "done"
@@ -177,9 +177,9 @@ def _locate_photographs(config: RunConfig, system: System, progress: Progress) -
     return PooledPhotographs.reconstruct(config, progress)
 
 
-def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree, Refining]:
-    """Fold the tree of a plan, refine the scene and score it; StageFailed where no model is
-    usable."""
+def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree, tuple[Refining, ...]]:
+    """Fold the tree of a plan, refine the scene and score it; StageFailed where no model is usable.
+    The rounds in which it was refined come last."""
     first_key, num_devices = plan_key(plan.cloud, plan.edges), devices_with_photographs(plan.edges)
     if photographs.positions is not None:
         plan = load_replan(config.out, plan)
@@ -189,7 +189,7 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     tree = tree_of_plan(plan.cloud, plan.edges)
     before, after = photographs.stages(tree)
     nodes = [node.id for node in tree]
-    expected = [refined_at(node) for node in nodes] if will_refine(recipe, tree) else []
+    expected = expected_refines(recipe, tree)
     progress.manifest.keep_stages({*before, *after, *nodes, *expected})
     located = [stage for stage in before if stage in progress.manifest.stages]
     progress.listen(Outlined(stages=(*located, *nodes, *expected, *after)))
@@ -203,34 +203,29 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     if not dealer.has_model("cloud"):
         reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
         raise StageFailed(f"no device delivered a model that could be used. {reasons}")
-    refining = Refining(dealer=dealer, moves=dealer.load_moves())
-    refines = [node.id for node in refining.tree or ()]
+    rounds = plan_rounds(dealer, dealer.load_moves())
+    refines = [node.id for each in rounds for node in each.tree or ()]
     # Nodes without a result, or with nothing to do now, would be waited for in every count.
     absent = {f"devices/{device}/score" for device in dealer.missing_devices()}
     after = [stage for stage in after if stage not in absent]
     progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refines, *after)))
-    _refine(config, refining, plan.system, progress)
-    progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *filter(refining.is_done, refines), *after)))
+    rounds = _refine(config, rounds, plan.system, progress)
+    refined = [node.id for each in rounds for node in each.tree or () if each.is_done(node.id)]
+    progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refined, *after)))
     photographs.score(dealer, executor, progress)
-    return dealer, tree, refining
+    return dealer, tree, rounds
 
 
-def _refine(config: RunConfig, refining: Refining, system: System, progress: Progress) -> None:
+def _refine(config: RunConfig, rounds: Sequence[Refining], system: System, progress: Progress) -> tuple[Refining, ...]:
     """Refine the joined scene on the devices; it stays as it is where none of them can."""
-    for decision in refining.plan.decisions:
-        progress.listen(Decided(decision=decision))
-    if (tree := refining.tree) is None:
-        return
-    times = expected_times(refining, progress.manifest)
-    deadlines = RefiningDeadlines(expected_s=times, deadline_factor=config.execution.deadline_factor)
-    policy = RetryPolicy(may_fail=lambda node, error: True, deadlines=deadlines)
-    make_executor(config, system, progress, policy).fold(tree, refining.prepare, progress.listen)
-    refining.dealer.refined = refining.scene_folder
-    if refining.dealer.refined is None:
-        progress.listen(Warned(stage=tree.id, message="the scene stays as it was joined: no refinement arrived; --resume tries again."))
-    if left_out := refining.left_out():
-        num_devices = sum(node.tier == "device" for node in tree)
-        progress.listen(Decided(decision=left_out_decision(tree.id, left_out, num_devices)))
+
+    def fold(refining: Refining, tree: Tree) -> None:
+        times = expected_times(refining, progress.manifest)
+        deadlines = RefiningDeadlines(expected_s=times, deadline_factor=config.execution.deadline_factor)
+        policy = RetryPolicy(may_fail=lambda node, error: True, deadlines=deadlines)
+        make_executor(config, system, progress, policy).fold(tree, refining.prepare, progress.listen)
+
+    return fold_rounds(rounds, fold, progress.listen)
 
 
 def _write_metrics(config: RunConfig, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:

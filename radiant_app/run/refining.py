@@ -1,8 +1,9 @@
-"""Refines a joined scene where its photographs are. Once per run, between joining and scoring.
+"""Refines a joined scene where its photographs are. In rounds, between joining and scoring.
 
-The tree of the run is folded a second time, in refine/ of every node: each device whose model is in
-the scene fits that to its own photographs, edges average, the cloud puts the mean into the scene.
-A machine that fails here costs its part of the refinement, not the scene.
+In every round the tree of the run is folded once more, in a folder inside that of every node
+(`refined_at`): each device whose model is in the scene fits that to its own photographs, edges
+average, the cloud puts the mean into the scene, which the next round starts from. A machine that
+fails here costs its part of the round, not the scene.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from radiant_app.events import Decided, Listener, Warned
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.workers.delivering import DELIVERIES, identify_part, sign_task
@@ -21,7 +23,7 @@ from radiant_app.workers.inbox import REFUSED_NAME
 from radiant_app.workers.refining import REFINED_SCENE
 from radiant_app.workers.tasks import SIGNED, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_core import __version__
-from radiant_core.aggregate.tree import Tree, refined_at
+from radiant_core.aggregate.tree import Tree, refined_at, refines_for
 from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import RefineTask
@@ -38,10 +40,59 @@ LATE = "its process ended, or was given up, before its refinement was there; the
 UNUSED = "its edge sent no refinement that could be used."
 
 
-def will_refine(recipe: Recipe, tree: Tree) -> bool:
-    """Whether refining this tree's scene is to be expected: the settings ask for it, and devices
-    differ. Which nodes do it is known when their models are in the scene."""
-    return recipe.aggregate.refine_epochs > 0 and sum(node.tier == "device" for node in tree) >= LEAST_DEVICES
+def expected_refines(recipe: Recipe, tree: Tree) -> list[str]:
+    """The nodes that are to be expected to refine this tree's scene: all, in every round, where the
+    settings ask for it and devices differ. Which do is known when their models are in the scene."""
+    if not recipe.aggregate.refine_epochs or sum(node.tier == "device" for node in tree) < LEAST_DEVICES:
+        return []
+    return [refined_at(node.id, number) for number in range(1, recipe.aggregate.refine_rounds + 1) for node in tree]
+
+
+def plan_rounds(dealer: Dealer, moves: Mapping[str, Sequence[Sim3]]) -> tuple[Refining, ...]:
+    """All rounds of refining a run's scene; none where no device is to refine it."""
+    rounds: list[Refining] = []
+    for number in range(1, dealer.recipe.aggregate.refine_rounds + 1):
+        before = rounds[-1] if rounds else None
+        planned = None if before is None else before.plan
+        rounds.append(Refining(dealer=dealer, moves=moves, number=number, before=before, planned=planned))
+    return tuple(rounds)
+
+
+def fold_rounds(rounds: Sequence[Refining], fold: Callable[[Refining, Tree], None], listen: Listener) -> tuple[Refining, ...]:
+    """Let `fold` run the tree of one round after another until one makes no scene; the rounds that
+    were tried. The scene of the last that made one is the dealer's `refined`."""
+    tried: list[Refining] = []
+    for decision in rounds[0].plan.decisions:
+        listen(Decided(decision=decision))
+    for each in rounds:
+        if (tree := each.tree) is None:
+            break
+        fold(each, tree)
+        tried.append(each)
+        each.dealer.refined = each.scene_folder
+        if not each.is_done(tree.id):
+            kept = "it was joined" if each.dealer.refined is None else f"round {each.number - 1} left it"
+            listen(Warned(stage=tree.id, message=f"the scene stays as {kept}: no refinement arrived; --resume tries again."))
+            break
+    if tried and (missing := left_out(tried)):
+        stage, num_devices = tried[-1].node("cloud"), sum(map(len, tried[0].plan.devices.values()))
+        listen(Decided(decision=left_out_decision(stage, missing, num_devices)))
+    return tuple(tried)
+
+
+def left_out(rounds: Sequence[Refining]) -> dict[str, str]:
+    """Device that was to refine the scene in these rounds and did not in all of them → the reason,
+    with the round where it is one of several."""
+    found: dict[str, list[tuple[int, str]]] = {}
+    for each in rounds:
+        for device, reason in each.left_out().items():
+            found.setdefault(device, []).append((each.number, reason))
+    return {device: _reason_of(missed, len(rounds)) for device, missed in found.items()}
+
+
+def _reason_of(missed: Sequence[tuple[int, str]], num_rounds: int) -> str:
+    number, reason = missed[-1]
+    return reason if len(missed) == num_rounds else f"in round {number} of {num_rounds} {reason}"
 
 
 def left_out_decision(stage: str, left_out: Mapping[str, str], num_devices: int) -> Decision:
@@ -58,7 +109,7 @@ def left_out_decision(stage: str, left_out: Mapping[str, str], num_devices: int)
 
 @dataclass(kw_only=True)
 class Refining:
-    """The refinement of one run's scene."""
+    """One round of refining a run's scene."""
 
     dealer: Dealer
     moves: Mapping[str, Sequence[Sim3]]
@@ -67,6 +118,10 @@ class Refining:
     """Node id → the key of its seal."""
     planned: RefiningPlan | None = None
     """What was planned elsewhere, with all devices in view; None: it is planned here."""
+    number: int = 1
+    """Of the round, from 1."""
+    before: Refining | None = None
+    """The round before, whose scene this one refines."""
 
     @cached_property
     def plan(self) -> RefiningPlan:
@@ -83,9 +138,13 @@ class Refining:
         """The nodes that refine; None where there are none."""
         edges = []
         for edge, names in self.plan.devices.items():
-            devices = tuple(Tree(id=refined_at(f"devices/{name}"), tier="device") for name in names)
-            edges.append(Tree(id=refined_at(f"edges/{edge}"), tier="edge", children=devices))
-        return Tree(id=refined_at("cloud"), tier="cloud", children=tuple(edges)) if edges else None
+            devices = tuple(Tree(id=self.node(f"devices/{name}"), tier="device") for name in names)
+            edges.append(Tree(id=self.node(f"edges/{edge}"), tier="edge", children=devices))
+        return Tree(id=self.node("cloud"), tier="cloud", children=tuple(edges)) if edges else None
+
+    def node(self, owner: str) -> str:
+        """The id of the node at which a device, edge or the cloud works in this round."""
+        return refined_at(owner, self.number)
 
     def left_out(self) -> dict[str, str]:
         """Device that was to refine the scene and did not → the reason."""
@@ -97,13 +156,13 @@ class Refining:
     def left_out_of(self, edge: str) -> dict[str, str]:
         """Those of one edge."""
         found: dict[str, str] = {}
-        average = refined_at(f"edges/{edge}")
+        average = self.node(f"edges/{edge}")
         refused = self._refused_at(average)
         # What the cloud did not get of an edge, it did not get of its devices.
-        of_edge = self._refused_at(refined_at("cloud")).get(edge) or (None if self.is_done(average) else UNUSED)
+        of_edge = self._refused_at(self.node("cloud")).get(edge) or (None if self.is_done(average) else UNUSED)
         for name in self.plan.devices[edge]:
             reason = refused.get(name) or of_edge
-            if not self.is_done(refined_at(f"devices/{name}")):
+            if not self.is_done(self.node(f"devices/{name}")):
                 reason = LATE
             if reason is not None:
                 found[name] = reason
@@ -118,14 +177,23 @@ class Refining:
 
     @property
     def scene_folder(self) -> Path | None:
-        """Where the refined scene lies; None before it is made."""
-        node = refined_at("cloud")
-        return (self.dealer.run / node / REFINED_SCENE).parent if self.is_done(node) else None
+        """Where the scene lies after this round, or after the last one that made one; None where
+        none did."""
+        node = self.node("cloud")
+        if self.is_done(node):
+            return (self.dealer.run / node / REFINED_SCENE).parent
+        return None if self.before is None else self.before.scene_folder
+
+    @property
+    def start_folder(self) -> Path:
+        """Where the scene lies that this round refines."""
+        before = None if self.before is None else self.before.scene_folder
+        return before or self.dealer.run / "cloud"
 
     def prepare(self, node: Tree) -> NodeTask | None:
         """Fill the node's folder and return its task; None if nothing arrived to be averaged."""
         run, folder = self.dealer.run, self.dealer.run / node.id
-        owner = node.id.removesuffix(refined_at(""))
+        owner = refines_for(node.id)
         folder.mkdir(parents=True, exist_ok=True)
         fills: dict[str, Callable[[Tree, Path], tuple[Any, list[Path]] | None]] = {
             "device": self._fill_device,
@@ -136,7 +204,7 @@ class Refining:
         if filled is None:
             return None
         task, inputs = filled
-        deal_files(run / "cloud", [SCENE_NAME], folder)
+        deal_files(self.start_folder, [SCENE_NAME], folder)
         save_task(folder, task)
         above = None if node.tier == "cloud" else self.dealer.parent_of(owner)
         identify_part(run, node.id, owner, above)
@@ -150,7 +218,7 @@ class Refining:
 
     def _fill_device(self, node: Tree, folder: Path) -> tuple[Any, list[Path]]:
         del folder
-        own = self.dealer.run / node.id.removesuffix(refined_at(""))
+        own = self.dealer.run / refines_for(node.id)
         settings = self.dealer.recipe.refine_task(own.name)
         common = {each.name: getattr(settings, each.name) for each in fields(RefineTask)}
         # Its own model stands for the photographs, which it was made from.
@@ -160,7 +228,15 @@ class Refining:
         senders = self._receive(node, folder)
         num_dealt = tuple(map(self.dealer.photographs.num_dealt, senders))
         moves = tuple(tuple(map(Move.of, self.moves[sender])) for sender in senders)
-        task = AverageTask(senders=senders, num_dealt=num_dealt, corrections=moves, upload=self.dealer.recipe.upload)
+        recipe = self.dealer.recipe
+        task = AverageTask(
+            senders=senders,
+            num_dealt=num_dealt,
+            corrections=moves,
+            upload=recipe.upload,
+            backend=recipe.backend,
+            long_side_px=recipe.train.long_side_px,
+        )
         cameras = [folder.parent / "inbox" / sender / CAMERAS_NAME for sender in senders]
         return (task, [folder / "inbox", *cameras]) if senders else None
 

@@ -1,5 +1,5 @@
 """How long the nodes that refine a scene may take, from what their own nodes took before. Once per
-run.
+round.
 
     device   the time of its process beside training, and that of training × the share of its steps
              × how much larger the scene is than its model
@@ -20,7 +20,7 @@ from statistics import median
 from radiant_app.files.run_folder import Manifest
 from radiant_app.run.refining import Refining
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
-from radiant_core.aggregate.tree import refined_at
+from radiant_core.aggregate.tree import refines_for
 from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.io.messages import SUMMARY_NAME
 from radiant_core.io.run_store import read_json
@@ -60,7 +60,7 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
     times = {**manifest.stages, **manifest.emulated}
     expected: dict[str, float] = {}
     for node in refining.tree or ():
-        own = node.id.removesuffix(refined_at(""))
+        own = refines_for(node.id)
         process_s = times[own]["ended_s"] - times[own]["started_s"] if own in times else 0.0
         if process_s <= 0:
             continue

@@ -24,7 +24,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from radiant_core.aggregate.tree import refined_at, scored_at
+from radiant_core.aggregate.tree import REFINE, scored_at
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.messages import sent_files as model_files
 from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
@@ -65,8 +65,8 @@ def exchange_keys(run: Path, node: str, above: str | None, below: Iterable[str] 
     identity = _write_identity(run, node, node, above)
     if make_signing_key(identity):
         # Signatures of the older key are invalid now: the seal fails, and the node runs again.
-        for place in (node, refined_at(node), scored_at(node)):
-            (run / place / SIGNATURE_NAME).unlink(missing_ok=True)
+        for place in (run / node, run / scored_at(node), *(run / node).glob(f"{REFINE}*")):
+            (place / SIGNATURE_NAME).unlink(missing_ok=True)
         registrations = [run / child / IDENTITY / ABOVE_NAME for child in below]
         for stale in [*registrations, *([] if above is None else [_sender_key(run, node, above)])]:
             stale.unlink(missing_ok=True)

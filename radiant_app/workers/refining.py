@@ -1,7 +1,7 @@
 """Workers that refine a joined scene: on a device by its photographs, on an edge and at the cloud
-by averaging. Once per node.
+by averaging. Once per node and round.
 
-Each works in refine/ inside its node's folder, signs with the key of that node and takes the
+Each works in a folder inside its node's (`refined_at`), signs with the key of that node and takes the
 uploads of the senders that are registered there.
 """
 
@@ -28,7 +28,7 @@ from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.splats import Splats
 
 REFINED_SCENE = "refined/scene.ply"
-"""The scene that the cloud writes, in its refine/."""
+"""The scene that the cloud writes, in the folder of a round."""
 MIN_ADMITTED = 0.9
 """A refinement of which a smaller share counts is warned about: of honest ones 99.9 % do."""
 NOT_ADMITTED = "the others changed more than refining does, or are not shown by its cameras."
@@ -56,15 +56,18 @@ def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> S
 
 
 def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Sequence[str]:
-    """Average what an edge's devices refined."""
+    """Average what an edge's devices refined, by what their photographs show."""
+    # At the cloud averaging needs no torch.
+    from radiant_core.evaluate.shown_pixels import count_shown_photographs
+
     scene = load_ply(folder / "scene.ply")
     moves, inbox = dict(zip(task.senders, task.corrections, strict=True)), folder.parent / "inbox"
-    shown = {name: correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]) for name in task.senders}
     refused: dict[str, str] = {}
 
     def admitted() -> Iterator[Refinement]:
         for name, each in _receive(folder, task, scene, refused, reporter):
-            kept = admit_refinement(each, scene, shown[name])
+            cameras = correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]).scaled(task.long_side_px)
+            kept = admit_refinement(each, scene, count_shown_photographs(scene, cameras, task.backend))
             if len(kept.rows) < MIN_ADMITTED * len(each.rows):
                 reporter.warn(f"of the refinement of {name} {len(kept.rows):,} of {len(each.rows):,} Gaussians count: {NOT_ADMITTED}")
             if len(each.rows) and not len(kept.rows):

@@ -228,6 +228,9 @@ class AverageTask(FinishTask):
     corrections: tuple[tuple[Move, ...], ...]
     """Of each sender's cameras, as of a `ScoreTask`."""
     upload: UploadFormat
+    backend: Renderer
+    long_side_px: Annotated[int, Field(ge=1)]
+    """Of the pictures in which the edge renders what its devices' photographs show."""
 
 
 @dataclass(frozen=True, kw_only=True)

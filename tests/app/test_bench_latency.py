@@ -21,6 +21,7 @@ from radiant_app.bench.paper_latency import Costs, imbalance, latency_part
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
+from radiant_core.aggregate.tree import refined_at
 from radiant_core.errors import BadInput
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, Edge, System
@@ -71,6 +72,9 @@ def test_refining_adds_its_slowest_edge_and_the_clouds_end() -> None:
     # b: 0.5 / 0.5 + 1000 / 1000 = 2; a: 1; c has nothing to compare in.
     compared = (NodeWork(stage="devices/a/score", cpu_s=1.0), NodeWork(stage="devices/b/score", cpu_s=0.5, sent_bytes=1000))
     assert emulate_tree(system(), [*WORKS, *refining, *compared]) == replace(played, scene_s=35.0)
+    # A second round: c: 2 + 0.5 / 1, the cloud: 1.
+    second = (NodeWork(stage="devices/c/refine2", cpu_s=2.0, sent_bytes=500), NodeWork(stage="cloud/refine2", cpu_s=1.0))
+    assert emulate_tree(system(), [*WORKS, *refining, *second]) == replace(played, scene_s=36.5)
 
 
 @pytest.mark.parametrize("factor", [0.25, 0.5])
@@ -173,9 +177,10 @@ def test_the_work_of_a_server_is_told_client_by_client(folder: Path) -> None:
     assert [node.cpu_s for node in made.nodes[:2]] == [trained[name].summary["cpu_s"] for name in ("e0d0", "e1d0")]
     joined = METHODS["ours"].make(cell, cell.recipe)
     nodes = ["devices/e0d0", "devices/e1d0", "edges/e0", "edges/e1"]
-    refining = ["devices/e0d0/refine", "edges/e0/refine", "devices/e1d0/refine", "edges/e1/refine"]
+    owners, numbers = ("devices/e0d0", "edges/e0", "devices/e1d0", "edges/e1"), range(1, cell.recipe.aggregate.refine_rounds + 1)
+    refining, averaged = [refined_at(owner, n) for n in numbers for owner in owners], [refined_at("cloud", n) for n in numbers]
     compared = [node.stage for node in joined.nodes if node.stage.endswith("/score")]
     assert compared and {*compared} <= {"devices/e0d0/score", "devices/e1d0/score"}
-    assert [node.stage for node in joined.nodes] == [*nodes, *refining, *compared, "cloud", "cloud/refine"]
+    assert [node.stage for node in joined.nodes] == [*nodes, *refining, *compared, "cloud", *averaged]
     assert [node.sent_bytes for node in joined.nodes[:2]] == [node.sent_bytes for node in made.nodes[:2]]
     assert sum(node.cpu_s for node in joined.nodes[2:] if node.stage not in compared) <= joined.cpu_s

@@ -113,7 +113,7 @@ def test_what_is_emulated_says_so_and_the_cloud_is_measured(tmp_path: Path) -> N
     executor(system(tmp_path, (0.5, 0.5)), {}).fold(TREE, preparer(tmp_path), lambda event: manifest.record(event, time.monotonic()))
     assert set(manifest.stages) == {"cloud"}
     assert set(manifest.emulated) == {f"{node}{end}" for node in ("devices/a", "devices/b", "edges/e") for end in ("", "/uplink")}
-    figures = emulated_figures(tmp_path, TREE, None, manifest)
+    figures = emulated_figures(tmp_path, TREE, (), manifest)
     seconds = figures["emulated_seconds"]
     slowest_s = max(seconds["devices/a"], seconds["devices/b"])
     assert figures["emulated_makespan_s"] == pytest.approx(slowest_s + seconds["edges/e"], abs=1e-9)
@@ -121,7 +121,7 @@ def test_what_is_emulated_says_so_and_the_cloud_is_measured(tmp_path: Path) -> N
     assert figures["emulated_scene_s"] == pytest.approx(figures["emulated_makespan_s"] + cloud_s, abs=1e-9)
     manifest.keep_stages({"cloud", "devices/a"})
     assert set(manifest.emulated) == {"devices/a", "devices/a/uplink"}
-    lost = emulated_figures(tmp_path, TREE, None, manifest)
+    lost = emulated_figures(tmp_path, TREE, (), manifest)
     assert lost["emulated_makespan_s"] is lost["emulated_scene_s"] is None and "on its way" in lost["emulated_reason"]
 
 
@@ -146,7 +146,7 @@ def test_refining_is_played_too_with_the_bytes_of_its_rows(tmp_path: Path) -> No
     fleet.fold(refining, prepare, record)
     sending = manifest.emulated["devices/a/refine/uplink"]
     assert sending["ended_s"] - sending["started_s"] == pytest.approx(1.002, abs=0.15)
-    figures = emulated_figures(tmp_path, TREE, refining, manifest)
+    figures = emulated_figures(tmp_path, TREE, [refining], manifest)
     assert figures["emulated_bytes"]["devices/a/refine"] == 1_002_000 and figures["emulated_bytes"]["devices/a"] == 1
     seconds = figures["emulated_seconds"]
     slowest_s = max(seconds[f"devices/{name}/refine"] for name in "ab")

@@ -14,11 +14,11 @@ from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.run_folder import Manifest
 from radiant_app.run import refining_deadlines
-from radiant_app.run.refining import LATE, UNUSED, Refining, left_out_decision
+from radiant_app.run.refining import LATE, UNUSED, Refining, fold_rounds, left_out, left_out_decision, plan_rounds
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_app.workers.refining import NOTHING_REFINED
-from radiant_core.aggregate.tree import Tree
+from radiant_core.aggregate.tree import Tree, refined_at, refines_for
 from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.io.run_store import seal, write_json
 from tests.app.test_faults import planned
@@ -134,3 +134,49 @@ def test_every_device_that_did_not_refine_the_scene_has_its_reason(refining: Ref
     assert refining.left_out() == {names[1]: "its signature is not its own."}
     done("cloud/refine", {Path(edges[1].id).parent.name: NOTHING_REFINED})
     assert refining.left_out() == {names[1]: "its signature is not its own.", names[2]: NOTHING_REFINED, names[3]: NOTHING_REFINED}
+
+
+def done_in(refining: Refining, owner: str, refused: dict[str, str]) -> None:
+    node, run = refining.node(owner), refining.dealer.run
+    write_json(run / node / "refused.json", refused)
+    seal(run / node, "key", ["refused.json"])
+    refining.keys[node] = "key"
+
+
+def test_every_round_refines_the_scene_of_the_last_one_that_made_one(refining: Refining) -> None:
+    rounds, heard = plan_rounds(refining.dealer, refining.moves), list[Event]()
+    assert len(rounds) == refining.dealer.recipe.aggregate.refine_rounds == 3
+    started: list[Path] = []
+    late = Path(nodes_of(refining, "device")[0].id).parent.name
+
+    def fold(each: Refining, tree: Tree) -> None:
+        started.append(each.start_folder.relative_to(refining.dealer.run))
+        for node in tree:
+            owner = refines_for(node.id)
+            (refining.dealer.run / node.id).mkdir(parents=True, exist_ok=True)
+            if (owner, each.number) not in {(f"devices/{late}", 2), ("cloud", 3)}:
+                done_in(each, owner, {})
+
+    tried = fold_rounds(rounds, fold, heard.append)
+    assert started == [Path("cloud"), Path("cloud/refine/refined"), Path("cloud/refine2/refined")]
+    assert refining.dealer.refined == refining.dealer.run / "cloud/refine2/refined", "what the second round made is kept"
+    warned = [event.message for event in heard if isinstance(event, Warned)]
+    assert warned == ["the scene stays as round 2 left it: no refinement arrived; --resume tries again."]
+    assert left_out(tried) == {late: f"in round 2 of 3 {LATE}"}
+
+
+def test_a_round_of_which_nothing_came_is_the_last_and_leaves_the_joined_scene(refining: Refining) -> None:
+    heard: list[Event] = []
+    tried = fold_rounds(plan_rounds(refining.dealer, refining.moves), lambda each, tree: None, heard.append)
+    assert len(tried) == 1 and refining.dealer.refined is None
+    names = {Path(node.id).parent.name for node in nodes_of(refining, "device")}
+    assert left_out(tried) == dict.fromkeys(names, LATE)
+    (warned,) = [event.message for event in heard if isinstance(event, Warned)]
+    assert warned == "the scene stays as it was joined: no refinement arrived; --resume tries again."
+
+
+def test_nodes_of_rounds_are_told_from_others_by_their_ids() -> None:
+    assert [refined_at("devices/a", number) for number in (1, 2, 12)] == ["devices/a/refine", "devices/a/refine2", "devices/a/refine12"]
+    for owner in ("devices/a", "cloud", "devices/refine", "edges/refine2"):
+        assert {refines_for(refined_at(owner, number)) for number in (1, 2, 10)} == {owner} == {refines_for(owner)}
+    assert refines_for("devices/a/score") == "devices/a/score"

@@ -127,6 +127,8 @@ MESSAGES: dict[str, Any] = {
         num_dealt=(2,),
         corrections=((Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),),),
         upload="float16",
+        backend="native",
+        long_side_px=64,
     ),
     "finish": FinishTask(senders=("a",), num_dealt=(2,)),
     "run": JobTask(config={"source": "photos"}, resume=True),

@@ -5,10 +5,12 @@ Gaussian n becomes
 
     θ_n = Σ_d w_dn θ_dn / Σ_d w_dn
 
-with w_dn the photographs of sender d that show n, 0 if it left n as it was, which is federated
-averaging (McMahan 2017) Gaussian by Gaussian. An edge counts those photographs itself, by the
-cameras it was sent. Means of means with summed weights are the mean of all, so that edges average
-first and the cloud averages the edges, whose weights are rounded down to powers of two.
+with w_dn what n shows in the photographs of sender d, in whole photographs, 0 if it left n as it
+was: federated averaging (McMahan 2017) Gaussian by Gaussian. What hardly shows in a photograph is
+moved by Adam as far as what fills it, and must not outweigh a device that sees it well. An edge
+renders that itself, by the cameras it was sent. Means of means with summed weights are the mean of
+all, so that edges average first and the cloud averages the edges, whose weights are rounded down to
+powers of four.
 """
 
 from __future__ import annotations
@@ -20,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.arrival import check_splats
-from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
-from radiant_core.geometry.coverage import reached_by
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.splats import SH_BASES, Splats
 
@@ -33,6 +34,8 @@ values of its other parameters. Devices keep to it, so that whatever exceeds it 
 MARGIN = 0.97
 """Share of it that devices keep to: an upload in 16 bits rounds."""
 NO_CAMERAS = concatenate_cameras([])
+ROUNDING = 4.0
+"""Weights of edges are rounded down to powers of it."""
 BLOCK_ROWS = 65536
 """Gaussians averaged at a time, whose values are float64 meanwhile."""
 AVERAGE_PROCESS_BYTES, AVERAGE_COPIES, AVERAGE_BYTES_PER_SPLAT = 150_000_000, 4, 60
@@ -130,9 +133,10 @@ def limit_changes(before: Splats, after: Splats) -> Splats:
     return replace(after, **arrays)
 
 
-def admit_refinement(refinement: Refinement, scene: Splats, cameras: Cameras | None = None) -> Refinement:
-    """What of a refinement counts: Gaussians that changed no more than refining does and, where the
-    sender's `cameras` are known, that these show, weighted by how many of them do.
+def admit_refinement(refinement: Refinement, scene: Splats, shown: FloatArray | None = None) -> Refinement:
+    """What of a refinement counts: Gaussians that changed no more than refining does and, where it
+    is known what the sender's photographs show of the scene's N, `shown` (N,) of each, that these
+    show, weighted by it.
 
     A sender cannot change what its photographs do not show, nor outweigh those that show it better.
     """
@@ -145,10 +149,9 @@ def admit_refinement(refinement: Refinement, scene: Splats, cameras: Cameras | N
         change = np.abs(after.arrays()[name].astype(np.float64) - before.arrays()[name])
         kept &= (change <= most).reshape(len(rows), -1).all(axis=1)
     weights = refinement.weights.astype(np.float64)
-    if cameras is not None:
-        kept &= reached_by(before, cameras)
-        # Large ones may show with their centre outside of all pictures.
-        weights = np.maximum(_times_shown(before, cameras), 0.5)
+    if shown is not None:
+        weights = shown[rows]
+        kept &= weights > 0
     chosen = np.flatnonzero(kept)
     admitted = after.select(chosen)
     # A quaternion's length is no part of its rotation, but it is a weight in a mean.
@@ -176,17 +179,10 @@ def _turned_by(before: NDArray[np.float32], after: NDArray[np.float32], angle_de
 
 def join_refinements(refinements: Iterable[Refinement], scene: Splats) -> Refinement:
     """What an edge sends on: the mean of its devices' refinements, with weights rounded down to
-    powers of two, which say less of where photographs were taken."""
+    powers of four, which say less of where photographs were taken."""
     mean = average_refinements(refinements, scene)
-    return replace(mean, weights=np.exp2(np.floor(np.log2(mean.weights))).astype(np.float32))
-
-
-def _times_shown(splats: Splats, cameras: Cameras) -> FloatArray:
-    """In how many pictures the centre of each Gaussian (N,) lies."""
-    times = np.zeros(len(splats))
-    for index in range(len(cameras)):
-        times += cameras.select([index]).any_sees(splats.means)
-    return times
+    powers = np.floor(np.log2(mean.weights.astype(np.float64)) / np.log2(ROUNDING))
+    return replace(mean, weights=(ROUNDING**powers).astype(np.float32))
 
 
 def refine_scene(scene: Splats, refinements: Iterable[Refinement]) -> Splats:

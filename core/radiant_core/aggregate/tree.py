@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
@@ -10,6 +11,8 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 
 Result = TypeVar("Result")
 Tier = Literal["cloud", "edge", "device"]
+REFINE = "refine"
+_ROUND = re.compile(rf"(cloud|[^/]+/[^/]+)/{REFINE}\d*")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,9 +43,17 @@ class Tree:
         return replace(self, id=rename(self.id), children=tuple(child.map_ids(rename) for child in self.children))
 
 
-def refined_at(node_id: str) -> str:
-    """The id of the node at which a device, edge or the cloud refines the joined scene."""
-    return f"{node_id}/refine"
+def refined_at(node_id: str, number: int = 1) -> str:
+    """The id of the node at which a device, edge or the cloud refines the joined scene, in round
+    `number` from 1."""
+    return f"{node_id}/{REFINE}{number if number > 1 else ''}"
+
+
+def refines_for(node_id: str) -> str:
+    """The id of the device, edge or cloud that refines at this node, in whichever round; any other
+    id as it is."""
+    found = _ROUND.fullmatch(node_id)
+    return found[1] if found else node_id
 
 
 def scored_at(node_id: str) -> str:

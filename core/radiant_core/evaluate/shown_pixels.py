@@ -14,6 +14,7 @@ import torch
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.geometry.coverage import reached_by
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
@@ -32,6 +33,15 @@ def count_shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "aut
         rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=0, backend=backend).images[..., 0].sum().backward()
     shown = np.zeros(len(splats)) if tensors.sh0.grad is None else tensors.sh0.grad[:, 0, 0].cpu().numpy().astype(np.float64)
     return shown / SH_C0
+
+
+def count_shown_photographs(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:
+    """What each of N Gaussians makes of the pictures of C cameras, (N,) from 0 to C, in pictures of
+    the largest of them; Gaussians that no camera can see are not rendered."""
+    shown, rows = np.zeros(len(splats)), np.flatnonzero(reached_by(splats, cameras))
+    if len(rows):
+        shown[rows] = count_shown_pixels(splats.select(rows), cameras, backend) / cameras.sizes_wh.prod(axis=1).max()
+    return shown
 
 
 def select_strongest(splats: Splats, cameras: Cameras, count: int, backend: Backend = "auto") -> Splats:

@@ -9,9 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.choices import Version
+from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.choosing import CUT, JOINED, REFINED, Choice, choose_version
 from radiant_core.hierarchy.cloud import join_cloud
@@ -24,6 +28,7 @@ from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.refining_plan import plan_refining
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
+from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
@@ -100,26 +105,56 @@ def _refine(
     present = {edge: devices_in(joined.edges[edge].corrections) for edge in devices_in(joined.scene.corrections)}
     if not (refining := plan_refining(recipe, present, len(splats)).devices):
         return joined
+    refiner = _Refiner(recipe=recipe, devices=refining, scene=scene, views=views, reporter_of=reporter_of)
     sent: dict[str, Refinement] = {}
+    for number in range(1, recipe.aggregate.refine_rounds + 1):
+        splats, sent_now = refiner.refine(splats, number)
+        sent |= sent_now
+    return replace(joined, scene=replace(joined.scene, splats=splats), refinements=sent)
 
-    def send(node: str, refinement: Refinement) -> list[Refinement]:
-        arrived = passed_refinement(refinement, recipe.upload, splats)
-        return [] if isinstance(arrived, str) else [sent.setdefault(node, arrived)]
 
-    by_edge: list[Refinement] = []
-    for edge, devices in refining.items():
-        own: list[Refinement] = []
-        for device in devices:
-            node, rows = refined_at(f"devices/{device}"), recipe.cameras_of(device)
-            _, shown, _ = worth_training(scene.restricted_to(rows), views.select(rows), recipe.train)
-            arrived = send(node, refine_device(recipe.refine_task(device), splats, shown, reporter_of(node)))
-            own += [admit_refinement(each, splats, scene.cameras.select(rows)) for each in arrived]
-        node = refined_at(f"edges/{edge}")
-        reporter_of(node)
-        by_edge += [admit_refinement(each, splats) for each in send(node, join_refinements(own, splats))]
-    reporter = reporter_of(refined_at("cloud"))
-    reporter.decide(refinement_decision(reporter.stage, [len(each.rows) for each in by_edge], splats))
-    return replace(joined, scene=replace(joined.scene, splats=refine_scene(splats, by_edge)), refinements=sent)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Refiner:
+    """Rounds of refining a scene."""
+
+    recipe: Recipe
+    devices: Mapping[str, Sequence[str]]
+    """Edge → its devices that refine."""
+    scene: SfmScene
+    views: TrainingViews
+    reporter_of: Callable[[str], Reporter]
+
+    def refine(self, splats: Splats, number: int) -> tuple[Splats, dict[str, Refinement]]:
+        """The scene after a round, and what nodes sent in it."""
+        sent: dict[str, Refinement] = {}
+
+        def send(node: str, refinement: Refinement) -> list[Refinement]:
+            arrived = passed_refinement(refinement, self.recipe.upload, splats)
+            return [] if isinstance(arrived, str) else [sent.setdefault(node, arrived)]
+
+        by_edge: list[Refinement] = []
+        for edge, devices in self.devices.items():
+            arrived = [
+                (each, self.recipe.cameras_of(device))
+                for device in devices
+                for each in send(refined_at(f"devices/{device}", number), self._refine_device(device, splats, number))
+            ]
+            node = refined_at(f"edges/{edge}", number)
+            self.reporter_of(node)
+            admitted = [admit_refinement(each, splats, self._shown(splats, rows)) for each, rows in arrived]
+            by_edge += [admit_refinement(each, splats) for each in send(node, join_refinements(admitted, splats))]
+        reporter = self.reporter_of(refined_at("cloud", number))
+        reporter.decide(refinement_decision(reporter.stage, [len(each.rows) for each in by_edge], splats))
+        return refine_scene(splats, by_edge), sent
+
+    def _refine_device(self, device: str, splats: Splats, number: int) -> Refinement:
+        rows, recipe = self.recipe.cameras_of(device), self.recipe
+        _, shown, _ = worth_training(self.scene.restricted_to(rows), self.views.select(rows), recipe.train)
+        return refine_device(recipe.refine_task(device), splats, shown, self.reporter_of(refined_at(f"devices/{device}", number)))
+
+    def _shown(self, splats: Splats, rows: NDArray[np.int64]) -> FloatArray:
+        cameras = self.scene.cameras.select(rows).scaled(self.recipe.train.long_side_px)
+        return count_shown_photographs(splats, cameras, self.recipe.backend)
 
 
 def keep_best(run: InProcessRun, compare: Callable[[Splats], Sequence[float]], reporter: Reporter) -> InProcessRun:

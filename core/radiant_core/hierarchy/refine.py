@@ -1,5 +1,5 @@
-"""What follows joining: every device fits the finished scene to its own photographs, edges and the
-cloud average. Once per run.
+"""What follows joining: every device fits the joined scene to its own photographs, edges and the
+cloud average. In every round of a run.
 
     scene, photographs ── refine_device ───────→ Refinement       on each device
     scene, Refinements ── join_refinements ────→ Refinement       at each edge
@@ -33,7 +33,7 @@ from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews
 
-RATE, RATE_END = 0.4, 0.5
+RATE, RATE_END = 0.8, 0.3
 """Share of a training's rates, and what is left of it in the end: measured in
 docs/experiments/aggregation.md."""
 MIN_GAIN = 8 / 128

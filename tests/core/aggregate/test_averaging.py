@@ -20,6 +20,7 @@ from radiant_core.aggregate.averaging import (
     refinement_problem,
 )
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.io.messages import passed_refinement
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -82,13 +83,20 @@ def test_what_does_not_fit_to_the_scene_is_refused_in_a_sentence(wrong: Refineme
             average_refinements([wrong], SCENE)
 
 
-def test_a_sender_changes_only_what_its_cameras_show_and_no_more_than_refining_does() -> None:
-    cameras = cameras_above([(0.0, 0.0)], height_m=3.0, size_wh=(64, 48))
+def test_a_sender_changes_only_what_its_cameras_show_weighted_by_how_much_they_show_of_it() -> None:
+    """Whatever weights it sends: the near camera outweighs the far one by the pixels of each, and neither is heard of what it misses."""
+    near, far = (cameras_above([(0.0, 0.0)], height_m=height_m, size_wh=(64, 48)) for height_m in (3.0, 30.0))
     everything = list(range(len(SCENE)))
-    own = admit_refinement(refined(everything, 0.1, 1e6), SCENE, cameras)
-    assert 0 < len(own.rows) < len(SCENE) and own.weights.max() == 1
-    shown = cameras.any_sees(SCENE.means)
-    assert set(np.flatnonzero(shown)) <= set(own.rows.tolist())
+    shown = [count_shown_photographs(SCENE, cameras, "native") for cameras in (near, far)]
+    sent = zip((refined(everything, 0.1, 1e6), refined(everything, -0.1, 1e6)), shown, strict=True)
+    own, other = (admit_refinement(each, SCENE, seen) for each, seen in sent)
+    assert 0 < len(own.rows) < len(other.rows) and 0 < own.weights.max() < 1
+    assert own.rows.tolist() == np.flatnonzero(shown[0]).tolist()
+    both = np.flatnonzero((shown[0] > 20 * shown[1]) & (shown[1] > 0))
+    change = (refine_scene(SCENE, [own, other]).sh0 - SCENE.sh0)[:, 0, 0]
+    assert len(both) > 5 and (change[both] > 0.085).all(), "the far camera shows a twentieth of it"
+    unseen = np.setdiff1d(other.rows, own.rows)
+    np.testing.assert_allclose(change[unseen], -0.1, atol=1e-6)
 
 
 def test_changes_beyond_what_refining_does_count_in_no_direction() -> None:
@@ -177,9 +185,11 @@ def test_many_refinements_are_held_one_at_a_time() -> None:
     np.testing.assert_array_equal(refined_scene.sh0[~sent], SCENE.sh0[~sent])
 
 
-def test_an_edge_tells_powers_of_two_and_opposite_quaternions_are_one_rotation() -> None:
+def test_an_edge_tells_powers_of_four_and_opposite_quaternions_are_one_rotation() -> None:
     joined = join_refinements([refined([1, 5], 0.1, 3.0), refined([5], 0.1, 3.0)], SCENE)
-    assert joined.weights.tolist() == [2, 4]
+    assert joined.weights.tolist() == [1, 4]
+    small = join_refinements([refined([1, 5], 0.1, 3e-7), refined([5], 0.1, 4.0**-6)], SCENE)
+    assert small.weights.tolist() == [4.0**-11, 4.0**-6]
     turned = replace(refined([5], 0.0), splats=replace(SCENE.select([5]), quats=-SCENE.select([5]).quats))
     np.testing.assert_allclose(average_refinements([refined([5], 0.0), turned], SCENE).splats.quats, SCENE.select([5]).quats, atol=1e-6)
 

@@ -10,6 +10,7 @@ import pytest
 
 from radiant_core.aggregate.averaging import admit_refinement, join_refinements, refine_scene
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.refining_plan import refining_steps
@@ -46,7 +47,9 @@ def test_a_blurred_scene_gains_from_photographs_of_two_devices_and_keeps_its_row
     passed = [passed_refinement(one, "float16", BLURRED) for one in refinements]
     kept = [one for one in passed if not isinstance(one, str)]
     assert len(kept) == 2
-    admitted = [admit_refinement(one, BLURRED, CAMERAS[which]) for which, one in enumerate(kept)]
+    admitted = [
+        admit_refinement(one, BLURRED, count_shown_photographs(BLURRED, CAMERAS[which], "native")) for which, one in enumerate(kept)
+    ]
     refined = refine_scene(BLURRED, [join_refinements(admitted, BLURRED)])
     assert len(refined) == len(BLURRED)
     assert error_db(refined) > error_db(BLURRED) + 1.0
