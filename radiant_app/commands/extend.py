@@ -22,7 +22,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
-from radiant_core.hierarchy.joining import move_cameras
+from radiant_core.geometry.similarity import move_cameras
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
 from radiant_core.io.messages import TASK_NAME, message_of
 from radiant_core.io.ply import load_ply, save_ply

@@ -42,8 +42,8 @@ from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.seam_excess import BorderError, border_errors
 from radiant_core.evaluate.support import support_of
+from radiant_core.geometry.similarity import move_cameras
 from radiant_core.geometry.support import SUPPORT_NAME, Support, save_support
-from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.photos.listing import load_photograph
 from radiant_core.io.photos.masks import pixel_weights, used_pixels

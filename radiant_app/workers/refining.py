@@ -18,8 +18,8 @@ from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, R
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
 from radiant_core.cameras import Cameras
+from radiant_core.geometry.similarity import move_cameras
 from radiant_core.hierarchy.decisions import refinement_decision
-from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.messages import CAMERAS_NAME, load_refinement, save_refinement
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_scene

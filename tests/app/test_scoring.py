@@ -21,9 +21,8 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import LightMode
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Frame, Sim3
-from radiant_core.geometry.similarity import move_splats
+from radiant_core.geometry.similarity import move_cameras, move_splats
 from radiant_core.geometry.support import SUPPORT_NAME, load_support
-from radiant_core.hierarchy.joining import move_cameras
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_cameras, save_plan, save_scene, save_splats
 from radiant_core.io.run_store import read_json, seal, write_json

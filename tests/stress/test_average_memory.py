@@ -49,12 +49,13 @@ from radiant_app.workers.tasks import AverageTask, FinishTask
 folder, kind, num_senders = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 senders = tuple(f"s{index}" for index in range(num_senders))
 common = {"senders": senders, "num_dealt": (2,) * num_senders}
+shown = {"backend": "native", "long_side_px": 384}
 reporter = EventReporter(stage="x", emit=lambda event: None)
 reset_peak_bytes()
 if kind == "finish":
     run_finish(folder / "refine", FinishTask(**common), reporter)
 else:
-    run_average(folder / "refine", AverageTask(**common, corrections=((),) * num_senders, upload="float16"), reporter)
+    run_average(folder / "refine", AverageTask(**common, corrections=((),) * num_senders, upload="float16", **shown), reporter)
 print(peak_bytes())
 """
 

@@ -1,4 +1,4 @@
-"""A similarity applied to a model of 3D Gaussians. Once per model that changes its frame.
+"""A similarity applied to a model of 3D Gaussians, or to cameras. Once per model that changes its frame.
 
     x → s R x + t      q → q_R q      ln σ → ln σ + ln s      f_l → D_l(R) f_l per degree l,
 where D_l keeps every colour at its direction: Y_l(R d) D_l f = Y_l(d) f for all unit d. D_l is
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.numerics import FloatArray
@@ -24,6 +25,11 @@ NUM_DIRECTIONS = 64
 SHORTEST_QUAT, LONGEST_QUAT = 1e-30, 1e30
 """Lengths of quaternions: shorter ones lose their direction in float32, longer ones overflow when
 they are turned."""
+
+
+def move_cameras(cameras: Cameras, move: Sim3) -> Cameras:
+    """The same cameras seen from the frame that `move` leads to."""
+    return replace(cameras, cam_from_world=move.apply_to_poses(cameras.cam_from_world))
 
 
 def move_splats(splats: Splats, similarity: Sim3) -> Splats:

@@ -20,7 +20,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
-from radiant_core.geometry.similarity import move_splats
+from radiant_core.geometry.similarity import move_cameras, move_splats
 from radiant_core.hierarchy.messages import CloudTask, DeviceModel, EdgeModel, EdgeTask
 from radiant_core.hierarchy.reporter import Reporter
 from radiant_core.io.messages import task_key
@@ -186,11 +186,6 @@ def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter) -> Arrivals:
         corrections={**arrivals.corrections, **dict.fromkeys(refused)},
         refused={**arrivals.refused, **refused},
     )
-
-
-def move_cameras(cameras: Cameras, move: Sim3) -> Cameras:
-    """The same cameras seen from the frame that `move` leads to."""
-    return replace(cameras, cam_from_world=move.apply_to_poses(cameras.cam_from_world))
 
 
 def number_cameras(cameras: Cameras, prefix: str) -> Cameras:

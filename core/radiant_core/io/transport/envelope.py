@@ -71,7 +71,7 @@ class Envelope:
         if not _KIND.fullmatch(self.kind) or not 1 <= self.attempt <= MAX_ATTEMPT or not 1 <= len(self.software) <= SOFTWARE_TEXT:
             raise BadInput(f"an envelope has kind {self.kind[:40]!r} and attempt {self.attempt}: use the same version on both sides.")
         worker = self.sender if self.answers else self.receiver
-        if self.stage != worker and not re.fullmatch(rf"{re.escape(worker)}/[a-z_]{{1,32}}", self.stage):
+        if self.stage != worker and not re.fullmatch(rf"{re.escape(worker)}/[a-z_]{{1,32}}[0-9]{{0,2}}", self.stage):
             raise BadInput(f"an envelope is for the stage {self.stage[:80]!r}, which is none of {worker}.")
         if self.answers and not _HASH.fullmatch(self.answers):
             raise BadInput("an envelope answers no task: send it again.")
