@@ -38,8 +38,10 @@ ROUNDING = 4.0
 """Weights of edges are rounded down to powers of it."""
 BLOCK_ROWS = 65536
 """Gaussians averaged at a time, whose values are float64 meanwhile."""
-AVERAGE_PROCESS_BYTES, AVERAGE_COPIES, AVERAGE_BYTES_PER_SPLAT = 150_000_000, 4, 60
+AVERAGE_PROCESS_BYTES, AVERAGE_COPIES, AVERAGE_BYTES_PER_SPLAT = 140_000_000, 9, 60
 """Of a worker with its libraries; of the scene; beside these."""
+RENDER_PROCESS_BYTES, RENDER_BYTES_PER_SPLAT = 300_000_000, 450
+"""More where an edge renders what its devices' photographs show: torch, and what a view needs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,13 +61,17 @@ class Refinement:
             raise BadInput("a refinement has rows that do not rise from 0 on, or weights that are not positive: send it again.")
 
 
-def average_bytes(num_splats: int, sh_degree: int) -> float:
-    """Most bytes of a process that averages refinements of a scene, of however many senders.
+def average_bytes(num_splats: int, sh_degree: int, *, renders: bool) -> float:
+    """Most bytes of a process that averages refinements of a scene, of however many senders;
+    `renders`: as an edge, which renders their weights.
 
     They are read one after another, so that beside the scene there are only their mean, one of them
     and what it is decoded from: `tests/stress/test_average_memory.py`.
     """
-    return AVERAGE_PROCESS_BYTES + num_splats * (AVERAGE_COPIES * 4 * (11 + 3 * SH_BASES[sh_degree]) + AVERAGE_BYTES_PER_SPLAT)
+    bytes_per_splat = AVERAGE_COPIES * 4 * (11 + 3 * SH_BASES[sh_degree]) + AVERAGE_BYTES_PER_SPLAT
+    if renders:
+        return AVERAGE_PROCESS_BYTES + RENDER_PROCESS_BYTES + num_splats * (bytes_per_splat + RENDER_BYTES_PER_SPLAT)
+    return AVERAGE_PROCESS_BYTES + num_splats * bytes_per_splat
 
 
 def average_refinements(refinements: Iterable[Refinement], scene: Splats) -> Refinement:
@@ -141,26 +147,32 @@ def admit_refinement(refinement: Refinement, scene: Splats, shown: FloatArray | 
     A sender cannot change what its photographs do not show, nor outweigh those that show it better.
     """
     rows, after = refinement.rows, refinement.splats
-    before = scene.select(rows)
-    moved = np.linalg.norm(after.means.astype(np.float64) - before.means, axis=1)
-    kept = moved <= MAX_MOVE * np.exp(before.log_scales.astype(np.float64).max(axis=1, initial=-np.inf))
-    kept &= _turned_deg(before.quats, after.quats) <= MAX_TURN_DEG
-    for name, most in MAX_CHANGES.items():
-        change = np.abs(after.arrays()[name].astype(np.float64) - before.arrays()[name])
-        kept &= (change <= most).reshape(len(rows), -1).all(axis=1)
-    weights = refinement.weights.astype(np.float64)
-    if shown is not None:
-        weights = shown[rows]
-        kept &= weights > 0
+    kept = np.concatenate([_within_limits(scene, after, rows, start) for start in range(0, len(rows), BLOCK_ROWS)] or [np.zeros(0, bool)])
+    weights = refinement.weights if shown is None else shown[rows]
+    kept &= weights > 0
     chosen = np.flatnonzero(kept)
     admitted = after.select(chosen)
     # A quaternion's length is no part of its rotation, but it is a weight in a mean.
-    lengths = [np.linalg.norm(each.quats.astype(np.float64), axis=1, keepdims=True) for each in (before.select(chosen), admitted)]
-    quats = (admitted.quats * (lengths[0] / lengths[1])).astype(np.float32)
+    own, their = (np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True) for quats in (scene.quats[rows[chosen]], admitted.quats))
+    quats = (admitted.quats * (own / their)).astype(np.float32)
     return Refinement(rows=rows[chosen], splats=replace(admitted, quats=quats), weights=weights[chosen].astype(np.float32))
 
 
-def _turned_deg(before: NDArray[np.float32], after: NDArray[np.float32]) -> FloatArray:
+def _within_limits(scene: Splats, after: Splats, rows: NDArray[np.int64], start: int) -> NDArray[np.bool_]:
+    """Which of a block of refined Gaussians, which are `rows` of the scene, changed no more than
+    refining does."""
+    part = slice(start, start + BLOCK_ROWS)
+    before = {name: array[rows[part]].astype(np.float64) for name, array in scene.arrays().items()}
+    now = {name: array[part].astype(np.float64) for name, array in after.arrays().items()}
+    moved = np.linalg.norm(now["means"] - before["means"], axis=1)
+    kept = moved <= MAX_MOVE * np.exp(before["log_scales"].max(axis=1, initial=-np.inf))
+    kept &= _turned_deg(before["quats"], now["quats"]) <= MAX_TURN_DEG
+    for name, most in MAX_CHANGES.items():
+        kept &= (np.abs(now[name] - before[name]) <= most).reshape(len(kept), -1).all(axis=1)
+    return kept
+
+
+def _turned_deg(before: NDArray[np.floating], after: NDArray[np.floating]) -> FloatArray:
     """Angles (N,) between rotations by quaternions (N,4) of any length; 180 where one has none."""
     first, second = before.astype(np.float64), after.astype(np.float64)
     lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)

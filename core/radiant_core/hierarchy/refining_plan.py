@@ -44,15 +44,16 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
     """
     if not recipe.aggregate.refine_epochs:
         return RefiningPlan(devices={})
-    needed = average_bytes(num_splats, recipe.train.sh_degree)
+    degree = recipe.train.sh_degree
+    needed, of_edge = (average_bytes(num_splats, degree, renders=renders) for renders in (False, True))
     cloud, limits = recipe.system.cloud, {edge.id: edge.memory_bytes for edge in recipe.system.edges}
     if cloud.memory_bytes is not None and cloud.memory_bytes < needed:
         return RefiningPlan(devices={}, decisions=(_too_large("the scene is not refined", needed, "the cloud", cloud.memory_bytes),))
     kept, decisions = {}, []
     for edge, devices in present.items():
         limit = limits.get(edge)
-        if devices and limit is not None and limit < needed:
-            decisions.append(_too_large(f"the scene is not refined by {', '.join(devices)}", needed, edge, limit))
+        if devices and limit is not None and limit < of_edge:
+            decisions.append(_too_large(f"the scene is not refined by {', '.join(devices)}", of_edge, edge, limit))
         elif devices:
             kept[edge] = tuple(devices)
     if (num_left := sum(map(len, kept.values()))) < LEAST_DEVICES:

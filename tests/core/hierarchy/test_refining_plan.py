@@ -42,14 +42,14 @@ def test_fewer_than_two_devices_refine_nothing_and_it_is_told(recipe: Recipe, pr
 
 
 def test_memory_of_the_cloud_and_of_edges_is_kept_to(recipe: Recipe) -> None:
-    needed = average_bytes(NUM_SPLATS, recipe.train.sh_degree)
-    assert plan_refining(with_limits(recipe, needed, {"edge-1": needed}), PRESENT, NUM_SPLATS).devices.keys() == PRESENT.keys()
+    needed, of_edge = (average_bytes(NUM_SPLATS, recipe.train.sh_degree, renders=renders) for renders in (False, True))
+    assert plan_refining(with_limits(recipe, needed, {"edge-1": of_edge}), PRESENT, NUM_SPLATS).devices.keys() == PRESENT.keys()
     none = plan_refining(with_limits(recipe, needed - 1, {}), PRESENT, NUM_SPLATS)
     assert not none.devices and [decision.figure for decision in none.decisions] == [pytest.approx(needed / 1e9)]
     assert "memory_gb of the cloud" in none.decisions[0].reason
-    without = plan_refining(with_limits(recipe, None, {"edge-2": needed - 1}), PRESENT, NUM_SPLATS)
+    without = plan_refining(with_limits(recipe, None, {"edge-2": of_edge - 1}), PRESENT, NUM_SPLATS)
     assert list(without.devices) == ["edge-1"] and [decision.choice for decision in without.decisions] == [
         "the scene is not refined by edge-2-device-1"
     ]
-    alone = plan_refining(with_limits(recipe, None, {"edge-1": needed - 1}), PRESENT, NUM_SPLATS)
+    alone = plan_refining(with_limits(recipe, None, {"edge-1": of_edge - 1}), PRESENT, NUM_SPLATS)
     assert not alone.devices and len(alone.decisions) == 2
