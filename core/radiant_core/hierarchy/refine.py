@@ -99,7 +99,7 @@ def _shortened(stage: str, taken: float, epochs: int) -> Decision:
         choice=f"{taken:.1f} epochs in place of {epochs}",
         figure=taken,
         unit="epochs",
-        reason=f"beyond {MAX_STEPS} steps and one epoch devices drift apart, and their mean loses what each gains",
+        reason=f"devices drift apart between two means: no more than {MAX_STEPS} steps were measured to gain, and one epoch",
     )
 
 

@@ -16,9 +16,9 @@ from radiant_core.decisions import Decision
 from radiant_core.hierarchy.recipe import Recipe
 
 LEAST_DEVICES = 2
-MAX_STEPS = 72
-"""Devices that take many steps drift apart, and the mean of what they found is worse than what they
-began with (docs/experiments/aggregation.md): no more steps than these, but each photograph once."""
+MAX_STEPS = 200
+"""Devices that take many steps between two means drift apart (docs/experiments/aggregation.md): no
+more than were measured to gain, but each photograph once."""
 STAGE = refined_at("cloud")
 
 
