@@ -1,8 +1,8 @@
 """What one poisoned refinement of four costs a scene: python -m tests.stress.poisoned_refinement SCENE OUT STEPS ATTACKERS.
 
 One of four devices (2x2, 384 px; so many of them in turn) sends a changed refinement of everything that its own
-photographs show, each attack by as much as is admitted, then beyond. Prints held-out PSNR of the whole scene with
-`admit_refinement` and without it.
+photographs show, each attack by as much as is admitted, then beyond. Prints held-out PSNR of the whole scene after one
+round with `admit_refinement` and without it; an attacker may do the same in every round.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from radiant_app.bench.cells import Cell, Layout, bench_settings
 from radiant_core.aggregate import averaging
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.in_process import devices_in, run_in_process
 from radiant_core.hierarchy.refine import refine_device
@@ -117,11 +118,13 @@ def main(scene_folder: Path, out: Path, num_steps: int, num_attackers: int) -> N
             assert not isinstance(arrived, str)
             sent[device], cameras[device], dealt[device] = arrived, given.training.cameras.select(rows), len(rows)
 
+    shown = {name: count_shown_photographs(scene, own.scaled(cell.recipe.train.long_side_px)) for name, own in cameras.items()}
+
     def scene_of(arrived: Mapping[str, Refinement], *, admitted: bool) -> float:
         by_edge = []
         for plan in cell.recipe.edge_plans:
             own = [(name, arrived[name]) for name in plan.device_ids if name in arrived]
-            kept = [admit_refinement(one, scene, cameras[name]) if admitted else one for name, one in own]
+            kept = [admit_refinement(one, scene, shown[name]) if admitted else one for name, one in own]
             joined = join_refinements(kept, scene)
             by_edge.append(admit_refinement(joined, scene) if admitted else joined)
         return score(cell, refine_scene(scene, by_edge))
