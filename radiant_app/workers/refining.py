@@ -1,8 +1,8 @@
 """Workers that refine a joined scene: on a device by its photographs, on an edge and at the cloud
 by averaging. Once per node and round.
 
-Each works in a folder inside its node's (`refined_at`), signs with the key of that node and takes the
-uploads of the senders that are registered there.
+Each works in a folder inside its node's (`refined_at`), signs with the key of that node and takes
+the uploads of the senders that are registered there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""A similarity applied to a model of 3D Gaussians, or to cameras. Once per model that changes its frame.
+"""A similarity applied to a model of 3D Gaussians, or to cameras. Once per model that changes its
+frame.
 
     x → s R x + t      q → q_R q      ln σ → ln σ + ln s      f_l → D_l(R) f_l per degree l,
 where D_l keeps every colour at its direction: Y_l(R d) D_l f = Y_l(d) f for all unit d. D_l is
