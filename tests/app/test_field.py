@@ -319,6 +319,7 @@ def assert_no_image_bytes(folder: Path, source: Path) -> None:
         assert not any(stretch in data for stretch in stretches), path
 
 
+@pytest.mark.draws
 def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path, system: Path, tmp_path: Path) -> None:
     """Alone goes on, after a device failed at its work, to a scene, a report and a new plan."""
     source = split_by_device(hamlet / "images", tmp_path / "captured")
