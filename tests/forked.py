@@ -89,13 +89,26 @@ def popen(command: Sequence[str], *, stderr: IO[str], env: Mapping[str, str], **
     return process
 
 
-def run_module(*arguments: object, cwd: Path | None = None, timeout_s: float = 300) -> subprocess.CompletedProcess[str]:
+def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mapping[str, str]) -> Any:
+    """`python -m ARGUMENTS` with all that it prints in a log; what Popen and ForkedProcess have alike."""
+    command = [*map(str, arguments)]
+    if sys.platform != "linux":
+        starting = [sys.executable, "-m", *command]
+        return subprocess.Popen(starting, cwd=cwd, env=environment, stdout=log, stderr=log, start_new_session=True)
+    with Path(os.devnull).open() as nothing:
+        return ForkedProcess(command, (nothing.fileno(), log.fileno(), log.fileno()), environment, cwd)
+
+
+def run_module(
+    *arguments: object, cwd: Path | None = None, timeout_s: float = 300, environment: Mapping[str, str] = os.environ
+) -> subprocess.CompletedProcess[str]:
     """What `python -m ARGUMENTS` prints, and its exit code."""
     command = [*map(str, arguments)]
     if sys.platform != "linux":
-        return subprocess.run([sys.executable, "-m", *command], capture_output=True, text=True, cwd=cwd, timeout=timeout_s, check=False)
+        starting = [sys.executable, "-m", *command]
+        return subprocess.run(starting, capture_output=True, text=True, cwd=cwd, env=environment, timeout=timeout_s, check=False)
     with Path(os.devnull).open() as nothing, tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
-        process = ForkedProcess(command, (nothing.fileno(), output.fileno(), errors.fileno()), os.environ, cwd)
+        process = ForkedProcess(command, (nothing.fileno(), output.fileno(), errors.fileno()), environment, cwd)
         try:
             code = process.wait(timeout_s)
         except subprocess.TimeoutExpired:

@@ -99,7 +99,7 @@ def read_progress(run: Path) -> RunProgress:
             seconds_left = event.seconds
         elif isinstance(event, Outlined):
             outline = event
-        elif (state := _next_state(event, stages)) is not None:
+        elif (state := _next_state(event)) is not None:
             stages[state.stage] = state
     status = _status(run)
     is_running = status == "running" and _is_locked(run)
@@ -129,7 +129,7 @@ def progress_stamps(run: Path) -> tuple[object, ...]:
     return tuple(stamps)
 
 
-def _next_state(event: Event, stages: dict[str, StageState]) -> StageState | None:
+def _next_state(event: Event) -> StageState | None:
     from radiant_viewer.runs.run_feeds import StageState
 
     if isinstance(event, StageStarted):

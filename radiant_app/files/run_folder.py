@@ -40,15 +40,6 @@ OPTIONS = {"source": "source", "preset": "--train-preset", "time_s": "--time", "
 """Setting of `radiant train` and `sfm` → its option, where `config_fields` does not say."""
 UNRECORDED = ("out", "execution", "evaluate")
 """What may differ when a run is resumed: its place, its execution, and the scoring in the end."""
-FORMER_PATHS = {
-    **{name: f"sfm.{name}" for name in ("matching", "poses", "masks", "up", "distance", "height_m")},
-    "plan_method": "plan.method",
-    "plan": "plan.file",
-    "raster_cell_m": "plan.raster_cell_m",
-    "train_preset": "train.preset",
-    "aggregate_preset": "aggregate.preset",
-}
-"""Field of a configuration before it had sections → its path."""
 RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")
 
 

@@ -34,8 +34,6 @@ from radiant_core.io.run_store import content_key, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 
 SCENE_NAME = "scene.ply"
-
-
 LATE = "its process ended, or was given up, before its refinement was there; the warnings say how."
 UNUSED = "its edge sent no refinement that could be used."
 

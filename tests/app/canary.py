@@ -19,7 +19,7 @@ import hashlib
 import re
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -199,16 +199,31 @@ def _pose_patterns(poses: Cameras) -> dict[str, list[bytes]]:
     }
 
 
-def files_with(canaries: Canaries, places: Iterable[Path]) -> list[str]:
-    """Which kinds stand in which files at these places, in their names too; poses nearby as "pose nearby"."""
-    search = Search(canaries)
+def files_with(canaries: Canaries, places: Iterable[Path], parts_of: Callable[[Path], Sequence[bytes]] | None = None) -> list[str]:
+    """Which kinds stand in which files at these places, in their names too; poses nearby as "pose nearby".
+
+    Where files are searched several times, `parts_of` is one `Parts` for all of them.
+    """
+    search, parts_of = Search(canaries), parts_of or Parts()
     hits = []
     for place in places:
         for path in sorted(place.rglob("*")) if place.is_dir() else [place]:
             name = str(path.relative_to(place.parent)).encode()
-            kinds = search.kinds_in(name) | (search.kinds_in(path.read_bytes()) if path.is_file() else set[str]())
+            kinds = search.kinds_in(name) | (search.kinds_in_parts(parts_of(path)) if path.is_file() else set[str]())
             hits += [f"{kind} in {path}" for kind in sorted(kinds)]
     return hits
+
+
+class Parts:
+    """What files are and may pack, unpacked once: the file itself first, nothing twice."""
+
+    def __init__(self) -> None:
+        self._known: dict[Path, Sequence[bytes]] = {}
+
+    def __call__(self, path: Path) -> Sequence[bytes]:
+        if path not in self._known:
+            self._known[path] = tuple(dict.fromkeys(unpacked(path.read_bytes())))
+        return self._known[path]
 
 
 class Search:
@@ -225,8 +240,12 @@ class Search:
 
     def kinds_in(self, content: bytes) -> set[str]:
         """Kinds of canaries in some bytes, as they are or packed."""
-        found = {kind for part in unpacked(content) for kind in self._plain(part)}
-        return found | ({"pose nearby"} if len(self.centers_m) and holds_near(content, self.centers_m) else set())
+        return self.kinds_in_parts([*unpacked(content)])
+
+    def kinds_in_parts(self, parts: Sequence[bytes]) -> set[str]:
+        """The same of what some bytes, which come first, were unpacked to."""
+        found = {kind for part in parts for kind in self._plain(part)}
+        return found | ({"pose nearby"} if len(self.centers_m) and holds_near(parts[0], self.centers_m) else set())
 
     def _plain(self, content: bytes) -> Iterator[str]:
         data = np.frombuffer(content, np.uint8).astype(np.uint32)

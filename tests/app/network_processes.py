@@ -10,7 +10,9 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+import pytest
 
 from radiant_app.commands import node as commands
 from radiant_app.commands.demo import sample_scenes_folder
@@ -23,36 +25,23 @@ from radiant_app.network import line as lines
 from radiant_app.run import over_network
 from radiant_app.run.pipeline import run
 from radiant_core.io.run_store import read_json, write_json
+from tests.app.blank_reports import leave_pictures_blank
 from tests.app.network_nodes import Nodes, split_photographs
+from tests.app.network_worker import HOLD, STARTS
+from tests.app.network_worker import command as worker_command
+from tests.forked import run_module, start_module
+from tests.forked_workers import client_command
 
 ROOT = Path(__file__).parents[2]
 TINY = TrainOptions(long_side_px=64, num_steps=60, max_num_splats=600)
-STARTS, HOLD, CHECKPOINTS, WIRE, OPTIONS = "RADIANT_TEST_STARTS", "RADIANT_TEST_HOLD", "checkpoints", "wire", "options.json"
-# Structure from motion with several threads differs in the last digits from run to run.
-WORKER = """import os, sys, time
-from pathlib import Path
-os.cpu_count = lambda: 1
-from radiant_app.workers.worker import main
-from radiant_core.train.checkpoint import CheckpointFolder
-load = CheckpointFolder.load
-def load_and_write(self):
-    state = load(self)
-    with open(os.environ["RADIANT_TEST_STARTS"], "a") as file:
-        file.write(f"{sys.argv[1]} {0 if state is None else self._list_saved()[0].step}\\n")
-    return state
-CheckpointFolder.load = load_and_write
-offer = CheckpointFolder.offer
-def offer_and_wait(self, step, state):
-    offer(self, step, state)
-    while sys.argv[1] == "own_field" and os.path.exists(os.environ["RADIANT_TEST_HOLD"]) and any(self.folder.glob("*.json")):
-        time.sleep(0.01)
-CheckpointFolder.offer = offer_and_wait
-sys.exit(main(sys.argv[1:]))
-"""
+CHECKPOINTS, WIRE, OPTIONS = "checkpoints", "wire", "options.json"
+WORKERS = "RADIANT_TEST_WORKERS"
+"""Names the address of a server of forked workers; without it each worker starts anew."""
 
 
 def command(task: NodeTask) -> list[str]:
-    return [sys.executable, "-c", WORKER, task.kind, str(task.folder), task.stage, task.key]
+    """A worker with one core."""
+    return client_command(Path(os.environ[WORKERS]), task) if WORKERS in os.environ else worker_command(task)
 
 
 @dataclass
@@ -66,7 +55,9 @@ class Fleet:
     checkpoint_every_s: float = 0.05
     saved_at_kill: list[int] = field(default_factory=list)
     """Step of the newest checkpoint of the first device, after each of its kills."""
-    running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    running: dict[str, Any] = field(default_factory=dict)
+    workers: Path | None = None
+    """Where a server of forked workers listens; None: all processes start anew."""
 
     def make(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -79,18 +70,20 @@ class Fleet:
         Nodes(folder=self.folder).make({"e": list(self.devices)})
 
     def environment(self) -> dict[str, str]:
-        return {**os.environ, STARTS: str(self.folder / "starts.txt"), HOLD: str(self.folder / "hold"), "OMP_NUM_THREADS": "1"}
+        return environment_of(self.folder, "starts.txt", self.workers)
 
     def hold_training(self) -> None:
         """Have the device's training wait after its first checkpoint until the device was killed."""
         (self.folder / "hold").touch()
 
     def start(self, name: str) -> None:
+        module, environment = "tests.app.network_processes", self.environment()
         with (self.folder / f"{name}.log").open("ab") as log:
-            arguments = [sys.executable, "-m", "tests.app.network_processes", name, str(self.folder)]
-            self.running[name] = subprocess.Popen(
-                arguments, cwd=ROOT, env=self.environment(), stdout=log, stderr=log, start_new_session=True
-            )
+            if self.workers is not None:
+                self.running[name] = start_module(module, name, self.folder, log=log, cwd=ROOT, environment=environment)
+            else:
+                command = [sys.executable, "-m", module, name, str(self.folder)]
+                self.running[name] = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=log, stderr=log, start_new_session=True)
 
     def kill(self, name: str) -> bool:
         """SIGKILL; whether it was running."""
@@ -161,16 +154,24 @@ def config_of(folder: Path, executor: bool) -> RunConfig:
     )
 
 
-def run_here(folder: Path) -> bytes:
+def environment_of(folder: Path, starts: str, workers: Path | None = None) -> dict[str, str]:
+    """Variables of the processes of a run, whose trainings are told in the file `starts`."""
+    told = {STARTS: str(folder / starts), HOLD: str(folder / "hold"), "OMP_NUM_THREADS": "1"}
+    return {**os.environ, **told, **({} if workers is None else {WORKERS: str(workers)})}
+
+
+def run_here(folder: Path, workers: Path | None = None) -> bytes:
     """The scene of the run on one machine, in a process with one core."""
-    environment = {**os.environ, STARTS: str(folder / "here.txt"), HOLD: str(folder / "hold"), "OMP_NUM_THREADS": "1"}
-    subprocess.run([sys.executable, "-m", "tests.app.network_processes", "here", str(folder)], cwd=ROOT, env=environment, check=True)
+    environment = environment_of(folder, "here.txt", workers)
+    done = run_module("tests.app.network_processes", "here", folder, cwd=ROOT, environment=environment)
+    assert done.returncode == 0, done.stderr
     return (folder / "here" / "scene.ply").read_bytes()
 
 
 def _main(name: str, folder: Path) -> None:
     os.cpu_count = lambda: 1
     hub.POLL_S = 0.1
+    leave_pictures_blank(pytest.MonkeyPatch())
     for module in (local, network, over_network):
         vars(module)["worker_command"] = command
     if name in ("cloud", "here"):

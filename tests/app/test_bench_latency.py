@@ -3,14 +3,13 @@ a second call makes nothing anew."""
 
 from __future__ import annotations
 
-import shutil
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from radiant_app.bench import cells
 from radiant_app.bench.arms import Arms, load_arms
@@ -18,14 +17,10 @@ from radiant_app.bench.cells import Layout, bench_settings
 from radiant_app.bench.emulated_latency import EmulatedLatency, NodeClock, NodeWork, emulate_server, emulate_tree
 from radiant_app.bench.methods import METHODS, join_at_server
 from radiant_app.bench.paper_latency import Costs, imbalance, latency_part
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.steps import sfm
-from radiant_app.report.progress import ProgressDisplay
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.errors import BadInput
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, Edge, System
-from radiant_core.sfm.config import SfmConfig
 
 NOTHING = CostCurve()
 WORKS = (
@@ -122,23 +117,14 @@ def test_costs_are_of_a_machine_of_speed_one() -> None:
     assert [edge.aggregation_s(4, 2) for edge in made.edges] == [15, 12, 12]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`scene` is the hamlet from its known cameras, 10 photographs to train on."""
-    folder = tmp_path_factory.mktemp("latency")
-    shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
-    shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
-    sfm(folder / "hamlet", folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
-    return folder
-
-
-def arms_of(folder: Path) -> Arms:
+@pytest.fixture
+def arms_of(hamlet_scene: Path, paper_models: Path) -> Callable[[], Arms]:
     """As a call of the benchmark begins."""
-    return load_arms(folder / "scene", folder / "out", Layout(num_edges=2, num_devices=1), bench_settings(48, 8))
+    return lambda: load_arms(hamlet_scene, paper_models, Layout(num_edges=2, num_devices=1), bench_settings(48, 8))
 
 
-def test_every_time_is_marked_and_nothing_is_made_twice(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    part = latency_part(arms_of(folder), [0], True)
+def test_every_time_is_marked_and_nothing_is_made_twice(arms_of: Callable[[], Arms], monkeypatch: pytest.MonkeyPatch) -> None:
+    part = latency_part(arms_of(), [0], True)
     header, _, *lines = [line for line in part.text.splitlines() if line.startswith("|")]
     times = [title.strip() for title in header.split("|") if " s" in title or "imbalance" in title]
     assert len(times) == 7 and all(title.rsplit(", ")[-1] in ("simulated", "emulated", "measured") for title in times)
@@ -162,12 +148,12 @@ def test_every_time_is_marked_and_nothing_is_made_twice(folder: Path, monkeypatc
 
     monkeypatch.setattr(cells, "prepare_training", made_anew)
     monkeypatch.setattr("radiant_app.bench.methods.run_in_process", made_anew)
-    again = latency_part(arms_of(folder), [0], True)
+    again = latency_part(arms_of(), [0], True)
     assert again.text == part.text and again.figures == part.figures
 
 
-def test_the_work_of_a_server_is_told_client_by_client(folder: Path) -> None:
-    arms = arms_of(folder)
+def test_the_work_of_a_server_is_told_client_by_client(arms_of: Callable[[], Arms]) -> None:
+    arms = arms_of()
     cell = arms.cell(arms.layout)
     made = join_at_server(cell, cell.recipe)
     stages = [node.stage for node in made.nodes]

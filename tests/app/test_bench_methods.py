@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from radiant_app.bench.cells import Layout, layout_of, random_sites
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.rivals import RIVALS
 from radiant_app.bench.runner import run_bench
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.steps import sfm
-from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
-from radiant_core.sfm.config import SfmConfig
 from tests.app.hamlet_views import add_off_path
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> MethodBench:
-    """The hamlet from its known cameras, very small."""
-    folder = tmp_path_factory.mktemp("methods")
-    shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
-    shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
-    sfm(folder / "hamlet", folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
-    return MethodBench(scene=folder / "scene", out=folder / "out", long_side_px=64, num_steps=12, layout=Layout(num_edges=2, num_devices=1))
+def bench(hamlet_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> MethodBench:
+    """Very small."""
+    out = tmp_path_factory.mktemp("methods") / "out"
+    return MethodBench(scene=hamlet_scene, out=out, long_side_px=64, num_steps=12, layout=Layout(num_edges=2, num_devices=1))
 
 
 def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 from shapely import LineString, Polygon
 
 from radiant_app.bench import paper_table
@@ -20,29 +18,15 @@ from radiant_app.bench.paper import BY_NAME, PAGE_ORDER, PARTS, PaperBench, benc
 from radiant_app.bench.paper_parts import _worst_window, border_length_m
 from radiant_app.bench.published import MILL_19
 from radiant_app.bench.runner import run_bench
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.steps import sfm
-from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import load_lpips
 from radiant_core.io.run_store import read_json
 from radiant_core.render.rendered_view import render_views
-from radiant_core.sfm.config import SfmConfig
 from tests.app.alex_weights import write_alex_weights
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The hamlet from its known cameras."""
-    folder = tmp_path_factory.mktemp("paper")
-    shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
-    shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
-    sfm(folder / "hamlet", folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
-    return folder / "scene"
-
-
-def test_a_page_of_every_part_is_made_once_and_kept(scene: Path, tmp_path: Path) -> None:
-    bench = PaperBench(scene=scene, out=tmp_path / "out", long_side_px=48, num_steps=8, quick=True)
+def test_a_page_of_every_part_is_made_once_and_kept(hamlet_scene: Path, paper_models: Path) -> None:
+    bench = PaperBench(scene=hamlet_scene, out=paper_models, long_side_px=48, num_steps=8, quick=True)
     metrics = bench_paper(bench)
     page = (bench.out / "paper.md").read_text()
     record = read_json(bench.out / "paper.json")
@@ -73,17 +57,19 @@ def test_a_page_of_every_part_is_made_once_and_kept(scene: Path, tmp_path: Path)
     assert stamps == {path: path.stat().st_mtime_ns for folder in ("models", "joined") for path in (bench.out / folder).iterdir()}
 
 
-def test_the_main_table_is_made_row_by_row_and_no_row_twice(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_main_table_is_made_row_by_row_and_no_row_twice(
+    hamlet_scene: Path, paper_models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     every = paper_table.table_methods(2)
     assert [method.name.removesuffix("-style") for method in every] == [*MILL_19, "F3DGS"]
     some = ("3DGS", "Mega-NeRF-style", "Fed3DGS", "Even, system 1", "F3DGS-style")
     monkeypatch.setattr(paper_table, "table_methods", lambda steps: [method for method in every if method.name in some])
-    bench = PaperBench(scene=scene, out=tmp_path / "out", parts=("table2",), long_side_px=48, num_steps=8, quick=True, field_steps=2)
+    bench = PaperBench(scene=hamlet_scene, out=paper_models, parts=("table2",), long_side_px=48, num_steps=8, quick=True, field_steps=2)
     found = {metric.key: metric.value for metric in bench_paper(bench)}
     rows = {row["method"]: row for row in read_json(bench.out / "paper.json")["parts"]["table2"]["figures"]["table"]}
     assert tuple(rows) == some and all(np.isfinite(row["psnr_db"]) and row["lpips"] is None for row in rows.values())
-    trained = load_arms(scene, bench.out, Layout(num_edges=2, num_devices=1), bench_settings(48, 8)).scene.training.cameras.names
-    photographs = sum((scene.parent / "hamlet" / "images" / name).stat().st_size for name in trained)
+    trained = load_arms(hamlet_scene, bench.out, Layout(num_edges=2, num_devices=1), bench_settings(48, 8)).scene.training.cameras.names
+    photographs = sum((hamlet_scene.parent / "hamlet" / "images" / name).stat().st_size for name in trained)
     assert rows["3DGS"]["sent_bytes"] == rows["Mega-NeRF-style"]["sent_bytes"] == photographs > 0
     assert rows["Mega-NeRF-style"]["num_gaussians"] == 0 < rows["Mega-NeRF-style"]["num_parameters"]
     emulated = {name for name, row in rows.items() if row["scene_s"] is not None}
@@ -100,17 +86,17 @@ def test_the_main_table_is_made_row_by_row_and_no_row_twice(scene: Path, tmp_pat
     assert {path.name for path in again if again[path] != stamps.get(path)} == {path.name for path in again if "perceptual" in path.name}
 
 
-def test_a_row_that_is_not_made_stands_there_as_not_made(scene: Path, tmp_path: Path) -> None:
-    arms = load_arms(scene, tmp_path, Layout(num_edges=2, num_devices=1), bench_settings(48, 8))
+def test_a_row_that_is_not_made_stands_there_as_not_made(hamlet_scene: Path, tmp_path: Path) -> None:
+    arms = load_arms(hamlet_scene, tmp_path, Layout(num_edges=2, num_devices=1), bench_settings(48, 8))
     lines = paper_table.table_lines(arms, paper_table.table_methods(1), {})
     assert sum("not made yet" in line for line in lines) == 13
     assert "| hierarchical | Radiant, system 2 | not made yet | – | – | – | – | – | – | – | yes | yes |" in lines
     assert "| FedNeRF | 20.12, –, – | 17.51, –, – |" in lines
 
 
-def test_kept_figures_are_those_of_the_kept_model(scene: Path, tmp_path: Path) -> None:
+def test_kept_figures_are_those_of_the_kept_model(hamlet_scene: Path, paper_models: Path) -> None:
     layout = Layout(num_edges=2, num_devices=1)
-    arms = load_arms(scene, tmp_path, layout, bench_settings(48, 8))
+    arms = load_arms(hamlet_scene, paper_models, layout, bench_settings(48, 8))
     cell = arms.first
     row = arms.row(cell, METHODS["crop"])
     assert epochs_arm("ours", 0).name == epochs_arm("paper", 0).name == "crop"
@@ -141,16 +127,16 @@ def test_the_worst_window_is_where_the_errors_are() -> None:
     assert _worst_window([np.zeros((1, 1))]) == (0, (slice(0, 1), slice(0, 1)))
 
 
-def test_what_is_wrong_is_told_before_anything_is_made(scene: Path, tmp_path: Path) -> None:
+def test_what_is_wrong_is_told_before_anything_is_made(hamlet_scene: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=f"'magic' of the paper's figures is unknown: use {', '.join(PARTS)}"):
-        PaperBench(scene=scene, out=tmp_path, parts=("main", "magic"))
+        PaperBench(scene=hamlet_scene, out=tmp_path, parts=("main", "magic"))
     assert {*PAGE_ORDER} == {*PARTS} - {"fed3dgs"}
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="is a file: name a folder"):
-        bench_paper(PaperBench(scene=scene, out=tmp_path / "file"))
+        bench_paper(PaperBench(scene=hamlet_scene, out=tmp_path / "file"))
     for options, told in (
-        ({"scene": scene}, "paper needs --scene"),
-        ({"scene": scene, "out": tmp_path, "num_placements": 2}, "--placements"),
+        ({"scene": hamlet_scene}, "paper needs --scene"),
+        ({"scene": hamlet_scene, "out": tmp_path, "num_placements": 2}, "--placements"),
     ):
         with pytest.raises(BadInput, match=told):
             run_bench("paper", None, BenchOptions(**options))

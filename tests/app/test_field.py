@@ -49,7 +49,7 @@ from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.train.config import train_preset
 from radiant_viewer.runs.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
-from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, add_broken, canaries_of, files_with, watermark
+from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, Parts, add_broken, canaries_of, files_with, watermark
 
 TINY = TrainOptions(long_side_px=96, num_steps=60, max_num_splats=1500)
 ONE_EDGE = '[[edge]]\nid = "north"\n[[edge.device]]\nid = "north-1"\n[[edge.device]]\nid = "south-1"\n'
@@ -265,6 +265,7 @@ def assert_no_canary_elsewhere(run_folder: Path, source: Path, broken: dict[str,
     assert {"report.html", "manifest.json", "events.jsonl", "said.txt"} <= {path.name for path in of_owner}
     nodes = [path for kind in ("devices", "positions", "edges") for path in (run_folder / kind).glob("*")]
     nodes += [path for path in (run_folder / "cloud", run_folder / "planning") if path.is_dir()]
+    parts_of = Parts()
     for name in ("north-1", "south-1"):
         device = run_folder / "devices" / name
         skipped = [path.name for path in broken[name]]
@@ -275,10 +276,10 @@ def assert_no_canary_elsewhere(run_folder: Path, source: Path, broken: dict[str,
         assert len(elsewhere) >= 2 and run_folder / "cloud" in elsewhere
         # A reconstruction of the other device's own photographs is most of all bytes:
         # tests/stress/test_canaries.py searches that too.
-        assert files_with(canaries, [path for node in elsewhere for path in node.iterdir() if path.name != "sfm"]) == []
-        assert files_with(canaries.of(PHOTOGRAPH_KINDS), [own_edge, *of_owner]) == []
+        assert files_with(canaries, [path for node in elsewhere for path in node.iterdir() if path.name != "sfm"], parts_of) == []
+        assert files_with(canaries.of(PHOTOGRAPH_KINDS), [own_edge, *of_owner], parts_of) == []
         # The search finds what is there.
-        assert files_with(canaries.of(POSE_KINDS), [own_edge])
+        assert files_with(canaries.of(POSE_KINDS), [own_edge], parts_of)
         found = {hit.split(" in /")[0] for hit in files_with(canaries, [source / name])}
         assert found >= {"name", "EXIF", "pixels", "JPEG", *SEGMENTS}
 
@@ -319,6 +320,7 @@ def assert_no_image_bytes(folder: Path, source: Path) -> None:
         assert not any(stretch in data for stretch in stretches), path
 
 
+@pytest.mark.draws
 def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path, system: Path, tmp_path: Path) -> None:
     """Alone goes on, after a device failed at its work, to a scene, a report and a new plan."""
     source = split_by_device(hamlet / "images", tmp_path / "captured")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import shutil
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,6 +19,7 @@ from radiant_app.run.pipeline import RunResult, run
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_viewer.pictures.turntable import MARGIN, crop_to, turntable
+from tests.browsers import chromium
 from tests.core.scenes import cameras_above, ground_splats
 
 PHONE_PX = 390
@@ -35,16 +35,10 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
 @pytest.fixture
 def page(finished: RunResult) -> Iterator[Any]:
     """The report in a browser as wide as a phone."""
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: it comes with the extra 'test'")
-    with playwright.sync_playwright() as tool:
-        browser = tool.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+    with chromium() as browser:
         opened = browser.new_page(viewport={"width": PHONE_PX, "height": 844})
         opened.goto(finished.report.as_uri())
         yield opened
-        browser.close()
 
 
 def scene_of(frame: Frame, *, depth_m: float = 6.0) -> SfmScene:

@@ -1,4 +1,4 @@
-"""One Ray cluster for all tests of a session: a head with two CPUs."""
+"""One Ray cluster for all tests of a session, a head with two CPUs; reports with blank pictures, as in tests/app."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ from importlib.util import find_spec
 
 import pytest
 
+from tests.app.blank_reports import blank_pictures
+
 from .ray_machines import ray_cluster
+
+__all__ = ["address", "blank_pictures"]
 
 
 @pytest.fixture(scope="session")

@@ -51,8 +51,7 @@ from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.photographs import load_training_views
 from tests.core.scenes import cameras_above, ground_splats
-
-from .forked_workers import forked_workers
+from tests.forked_workers import forked_workers
 
 SIDE_PX = 80
 DRAFT = replace(train_preset("draft"), num_steps=24, long_side_px=SIDE_PX, max_num_splats=700)

@@ -6,7 +6,6 @@ Structure from motion with several threads differs in the last digits from run t
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -20,22 +19,17 @@ from radiant_app.commands.inspect_feeds import feeds_of
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import Event, StageDone, StageProgress
 from radiant_app.executors import local, network
-from radiant_app.executors.protocol import NodeTask
 from radiant_app.network import hub
 from radiant_app.run import over_network
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.io.records import load_cameras
+from tests.app.blank_reports import leave_pictures_blank
 from tests.app.network_nodes import Nodes, nodes_in, split_photographs
+from tests.forked_workers import forked_workers
 
 EDGES = {"north": ["north-1", "north-2"], "south": ["south-1"]}
 DEVICES = [device for devices in EDGES.values() for device in devices]
 TINY = TrainOptions(long_side_px=96, num_steps=40, max_num_splats=1200)
-WORKER = "import os, sys; os.cpu_count = lambda: 1; from radiant_app.workers.worker import main; sys.exit(main(sys.argv[1:]))"
-
-
-def command(task: NodeTask) -> list[str]:
-    """A worker with one core."""
-    return [sys.executable, "-c", WORKER, task.kind, str(task.folder), task.stage, task.key]
 
 
 @dataclass
@@ -58,14 +52,20 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
     system.write_text(
         "".join(f'[[edge]]\nid = "{edge}"\n' + "".join(f'[[edge.device]]\nid = "{each}"\n' for each in EDGES[edge]) for edge in EDGES)
     )
-    with pytest.MonkeyPatch.context() as patch, nodes_in(folder, command) as nodes:
+    place = tmp_path_factory.mktemp("server")
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        forked_workers(place, "tests.app.network_worker") as command,
+        nodes_in(folder, command) as nodes,
+    ):
         patch.setattr(hub, "POLL_S", 0.1)
         for module in (local, network, over_network):
             patch.setattr(module, "worker_command", command)
-        patch.setattr("radiant_app.run.stages.LocalExecutor", one_core_executor)
-        here = run(
-            RunConfig(source=source, frames="known", sfm=SfmOptions(poses=hamlet / "known"), system=system, out=folder / "here", train=TINY)
-        )
+        patch.setattr("radiant_app.run.stages.LocalExecutor", lambda **options: local.LocalExecutor(**{**options, "command": command}))
+        with pytest.MonkeyPatch.context() as blank:
+            leave_pictures_blank(blank)
+            known = SfmOptions(poses=hamlet / "known")
+            here = run(RunConfig(source=source, frames="known", sfm=known, system=system, out=folder / "here", train=TINY))
         nodes.make(EDGES)
         for edge in EDGES:
             nodes.start_edge(edge)
@@ -81,10 +81,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
         )
         events: list[Event] = []
         yield Runs(here=here, far=run(config, events.append), nodes=nodes, config=config, events=events, source=source)
-
-
-def one_core_executor(**options: object) -> local.LocalExecutor:
-    return local.LocalExecutor(**{**options, "command": command})  # pyright: ignore[reportArgumentType]
 
 
 def test_the_scene_is_that_of_a_run_on_one_machine_to_the_bit(runs: Runs) -> None:

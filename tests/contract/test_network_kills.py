@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.app.network_processes import CHECKPOINTS, Fleet, run_here
+from tests.forked_workers import forked_workers
 
 
 def has_state(home: Path, stage: str, *states: str) -> Callable[[], bool]:
@@ -27,11 +28,13 @@ def has_state(home: Path, stage: str, *states: str) -> Callable[[], bool]:
 
 
 @pytest.fixture
-def fleet(tmp_path: Path):
-    fleet = Fleet(folder=tmp_path)
-    fleet.make()
-    yield fleet
-    fleet.close()
+def fleet(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+    place = tmp_path_factory.mktemp("server")
+    with forked_workers(place, "tests.app.network_worker"):
+        fleet = Fleet(folder=tmp_path, workers=place / "workers")
+        fleet.make()
+        yield fleet
+        fleet.close()
 
 
 def test_a_run_whose_machines_are_killed_ends_with_the_scene_of_one_left_alone(fleet: Fleet) -> None:
@@ -45,6 +48,6 @@ def test_a_run_whose_machines_are_killed_ends_with_the_scene_of_one_left_alone(f
     ]
     fleet.hold_training()
     assert fleet.run_with(kills) == len(kills), fleet.logs()
-    assert (fleet.folder / "far" / "scene.ply").read_bytes() == run_here(fleet.folder)
+    assert (fleet.folder / "far" / "scene.ply").read_bytes() == run_here(fleet.folder, fleet.workers)
     first, *later = fleet.trained_from("own_field")
     assert first == 0 and later == fleet.saved_at_kill and all(step > 0 for step in later), "a training begins once"

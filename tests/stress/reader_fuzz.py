@@ -33,7 +33,6 @@ from radiant_core.io.colmap.model import read_model
 from radiant_core.io.export.glb import glb_bytes
 from radiant_core.io.export.lod import META_NAME, save_lod
 from radiant_core.io.export.sog import save_sog, save_sog_folder
-from radiant_core.io.glb_reader import load_glb
 from radiant_core.io.lod_reader import load_lod_level
 from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
 from radiant_core.io.photos.jpeg import read_jpeg_facts
@@ -46,6 +45,7 @@ from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.lod.cells import whole_region
 from radiant_core.lod.levels import LodLimits
 from radiant_core.scene import SfmScene
+from tests.core.io.glb_reader import load_glb
 from tests.core.scenes import cameras_above, ground_splats
 
 SEED = 9

@@ -16,7 +16,8 @@ from radiant_app.network import hub
 from radiant_app.run import over_network
 from radiant_app.run.pipeline import run
 from tests.app.network_nodes import nodes_in, split_photographs
-from tests.contract.test_network import TINY, command, one_core_executor
+from tests.app.network_worker import command
+from tests.contract.test_network import TINY
 
 pytestmark = pytest.mark.stress
 DEVICES = ["north-1", "north-2"]
@@ -32,7 +33,7 @@ def test_a_device_that_comes_back_takes_part_when_the_run_goes_on(tmp_path: Path
     monkeypatch.setattr(network, "ALIVE_S", 0.5)
     for module in (local, network, over_network):
         monkeypatch.setattr(module, "worker_command", command)
-    monkeypatch.setattr("radiant_app.run.stages.LocalExecutor", one_core_executor)
+    monkeypatch.setattr("radiant_app.run.stages.LocalExecutor", lambda **options: local.LocalExecutor(**{**options, "command": command}))
     config = RunConfig(source=source, frames="known", system=tmp_path / "system.toml", out=tmp_path / "here", train=TINY)
     here = run(replace(config, sfm=SfmOptions(poses=hamlet / "known")))
     with nodes_in(tmp_path, command) as nodes:

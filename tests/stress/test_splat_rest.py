@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.viewer.made_up_run import made_up_town, save_run
-from tests.viewer.test_window import run_python, virtual_display
+from tests.viewer.window_kit import run_python, virtual_display
 
 SIZES_WH = ((1280, 781), (1280, 800), (1920, 1061), (1024, 600))
 DRIVER = """

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.viewer.made_up_run import EDGE_IDS, made_up_town, save_run
-from tests.viewer.test_window import display, run_python  # noqa: F401 (a fixture)
+from tests.viewer.window_kit import display, run_python  # noqa: F401 (a fixture)
 
 DRIVER = """
 import sys, time

@@ -8,7 +8,7 @@ import pytest
 
 from radiant_core.io.ply import save_ply
 from tests.viewer.made_up_run import made_up_town, save_run
-from tests.viewer.test_window import DRIVER, display, run_python  # noqa: F401 (a fixture)
+from tests.viewer.window_kit import display, run_python  # noqa: F401 (a fixture)
 
 
 @pytest.mark.stress
@@ -18,6 +18,6 @@ def test_windows_film_and_draw_the_splats(tmp_path: Path, display: str) -> None:
     save_ply(tmp_path / "model.ply", made_up_town().splats)
     (tmp_path / "out").mkdir()
     tasks = [f"film={tmp_path / 'run'}", f"splats={tmp_path / 'model.ply'}"]
-    result = run_python(DRIVER, str(tmp_path / "out"), *tasks, DISPLAY=display, QT_QPA_PLATFORM="xcb")
+    result = run_python(["-m", "tests.viewer.window_driver"], str(tmp_path / "out"), *tasks, DISPLAY=display, QT_QPA_PLATFORM="xcb")
     assert result.returncode == 0, result.stderr[-4000:]
     assert (tmp_path / "out/splats.gif").stat().st_size > 1000

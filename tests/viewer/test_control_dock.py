@@ -16,7 +16,7 @@ from radiant_core.io.run_store import write_json
 from radiant_viewer.runs.control_session import ControlSession
 from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import Town, made_up_town, save_run
-from tests.viewer.test_window import run_python
+from tests.viewer.window_kit import run_python
 
 PLACES_M = np.array([[-20.0, 5.0, 0.5], [30.0, -8.0, 0.5], [0.0, 30.0, 0.5], [5.0, -35.0, 0.5]])
 NAMES = ("north-1", "north-2", "far", "near")
@@ -90,27 +90,13 @@ import sys
 from pathlib import Path
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QMainWindow
-from radiant_core.errors import RadiantError
+from PySide6.QtWidgets import QApplication
 from radiant_viewer.docks.control_dock import ControlDock
 from radiant_viewer.runs.run_view import load_run_view
-
-class Window(QMainWindow):
-    layers_drawn = {}
-    def attempt(self, action):
-        try:
-            return action()
-        except RadiantError as error:
-            print("refused:", error)
-    def draw_mark(self, layer):
-        self.layers_drawn[layer.name] = layer
-    def remove_mark(self, name):
-        self.layers_drawn.pop(name, None)
-    def render_views(self):
-        pass
+from tests.viewer.dock_host import DockHost
 
 application, run = QApplication([]), Path(sys.argv[1])
-window = Window()
+window = DockHost()
 dock = ControlDock(window, load_run_view(run))
 window.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, dock)
 window.resize(500, 800)

@@ -21,7 +21,7 @@ from radiant_viewer.runs.run_pictures import comparisons_picture, screenshot
 from radiant_viewer.runs.run_view import RunView, load_run_view
 from radiant_viewer.window.subject import run_subject
 from tests.viewer.made_up_run import made_up_town
-from tests.viewer.test_window import run_python
+from tests.viewer.window_kit import run_python
 
 HERE, ELSEWHERE = "north-1", "harbour-2"
 WORST = f"{HERE}/held-out-0000"

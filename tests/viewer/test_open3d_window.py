@@ -22,7 +22,7 @@ from radiant_viewer.pictures.images import load_image
 from radiant_viewer.pictures.splat_picture import draw_splat_view, fit_camera
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.test_model_among_layers import SIZE_WH, VIEW, house
-from tests.viewer.test_window import virtual_display
+from tests.viewer.window_kit import virtual_display
 
 ROOT = Path(__file__).parents[2]
 BY_DEPTH = """

@@ -15,7 +15,7 @@ from radiant_viewer.editing.plan_files import plan_subject
 from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.test_plan_editor import editor_of
-from tests.viewer.test_window import display, run_python  # noqa: F401 (a fixture)
+from tests.viewer.window_kit import run_python
 
 DRIVER = """
 import sys, time
@@ -127,7 +127,7 @@ sys.exit(code)
 
 def test_the_window_drags_pins_undoes_saves_and_loses_nothing(
     tmp_path: Path,
-    display: str,  # noqa: F811
+    display: str,
 ) -> None:
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     from radiant_app.commands.inspect import run_setting

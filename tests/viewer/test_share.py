@@ -5,9 +5,7 @@ from __future__ import annotations
 import base64
 import http.client
 import json
-import shutil
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +29,6 @@ from radiant_viewer.share.scene_page import run_overview
 from radiant_viewer.share.serving import served
 from tests.viewer.made_up_run import made_up_town, save_run
 
-CHROMIUM = shutil.which("chromium")
 SIZE_WH = (320, 180)
 """16:9, for which the page turns the angle of the overview into its own."""
 DEADLINE_S = 240
@@ -184,21 +181,9 @@ def test_only_who_knows_the_secret_is_served_and_only_from_the_folder(tmp_path: 
         answer(address, base)
 
 
-@pytest.fixture
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: it comes with the extra 'test'")
-    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
-    with playwright.sync_playwright() as tool:
-        opened = tool.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield opened
-        opened.close()
-
-
-def test_chromium_draws_what_our_renderer_draws_and_asks_nobody_else(browser: Any, run: RunView, page_folder: Path) -> None:
+def test_chromium_draws_what_our_renderer_draws_and_asks_nobody_else(drawing_browser: Any, run: RunView, page_folder: Path) -> None:
     width, height = SIZE_WH
-    tab = browser.new_page(viewport={"width": width, "height": height})
+    tab = drawing_browser.new_page(viewport={"width": width, "height": height})
     asked, failed = [], []
     tab.on("request", lambda request: asked.append(request.url))
     tab.on("pageerror", lambda error: failed.append(str(error)))

@@ -22,7 +22,7 @@ from radiant_viewer.layers.region_layer import region_layer
 from radiant_viewer.pictures.offscreen import draw_map
 from radiant_viewer.window.subject import load_subject
 from tests.viewer.made_up_run import made_up_town, save_run
-from tests.viewer.test_window import run_python
+from tests.viewer.window_kit import run_python
 
 SYSTEM, EPSG, CELL = "EPSG:32631", 32631, 0.5
 ORIGIN = np.zeros(3)
@@ -105,12 +105,12 @@ import sys
 from pathlib import Path
 import numpy as np
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QMainWindow
-from radiant_core.errors import RadiantError
+from PySide6.QtWidgets import QApplication
 from radiant_viewer.docks.survey_dock import SurveyDock
 from radiant_viewer.pictures.view_pose import ViewPose
 from radiant_viewer.runs.run_feeds import SurveyCommands
 from radiant_viewer.runs.run_view import load_run_view
+from tests.viewer.dock_host import DockHost
 
 class View:
     # Looks straight down from 50 m onto ground at 0, north up; 100 px high, 90 degrees wide.
@@ -126,24 +126,6 @@ class Map(View):
     def ground_place(self, pixel):
         return np.array([float(pixel[0]), float(pixel[1])])
 
-class Window(QMainWindow):
-    layers_drawn, said, reloads = {}, [], 0
-    def attempt(self, action):
-        try:
-            return action()
-        except RadiantError as error:
-            print("refused:", error)
-    def draw_mark(self, layer):
-        self.layers_drawn[layer.name] = layer
-    def remove_mark(self, name):
-        self.layers_drawn.pop(name, None)
-    def render_views(self):
-        pass
-    def show_status(self, text):
-        self.said.append(text)
-    def reload(self):
-        self.reloads += 1
-
 def until(done):
     for _ in range(600):
         if done():
@@ -152,7 +134,7 @@ def until(done):
     raise AssertionError("nothing came")
 
 application, run, folder = QApplication([]), Path(sys.argv[1]), Path(sys.argv[2])
-window = Window()
+window = DockHost()
 window.map, window.view = Map(), View()
 python = sys.executable
 maker = (python, str(folder / "maker.py"), str(folder / "ortho.tif"))

@@ -26,7 +26,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.splats import SH_C0
 from tests.viewer.made_up_run import EDGE_IDS, SITES, Town, made_up_town, save_run
-from tests.viewer.test_window import display, run_python  # noqa: F401 (a fixture)
+from tests.viewer.window_kit import run_python
 
 MAX_ACTIONS = 5
 MOVED = 20
@@ -57,7 +57,7 @@ def planned(town: Town, system_file: Path, method: PlanMethod) -> tuple[CloudPla
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory, display: str) -> Any:  # noqa: F811 (the fixture)
+def done(tmp_path_factory: pytest.TempPathFactory, display: str) -> Any:
     """The run, what was written beside it, and what the tasks came to."""
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     folder = tmp_path_factory.mktemp("tasks")

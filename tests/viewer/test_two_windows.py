@@ -11,7 +11,7 @@ from radiant_viewer.editing.edit_log import load_edits, plan_key
 from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import Edit, LockRegion, MoveEdge, PinCameras
 from tests.viewer.test_plan_editor import editor_of
-from tests.viewer.test_window import run_python
+from tests.viewer.window_kit import run_python
 
 FIRST, SECOND = LockRegion(edge="edge-1"), MoveEdge(edge="edge-2", position=(90.5, 40.25))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -27,15 +26,6 @@ from radiant_viewer.web.rows import camera_headers, camera_pictures, camera_rows
 from radiant_viewer.web.server import address_text, open_page, require_web
 from tests.viewer.made_up_run import made_up_town, save_run
 
-CHROMIUM = shutil.which("chromium")
-CHROMIUM_ARGUMENTS = [
-    "--headless=new",
-    "--no-sandbox",
-    *(f"--disable-{part}" for part in ("gpu", "quic", "background-networking", "component-update", "sync")),
-    "--no-first-run",
-    # No WebGL: what the server draws is in sight.
-    "--disable-3d-apis",
-]
 DEADLINE_S = 120
 """For each step, on a busy machine; a step takes under a second on an idle one."""
 
@@ -63,17 +53,6 @@ def address(run_folder: Path) -> Iterator[str]:
     said = server.communicate(timeout=DEADLINE_S)
     assert server.returncode == 130, said
     assert "Traceback" not in said[1]
-
-
-@pytest.fixture
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: it comes with the extra 'test'")
-    with playwright.sync_playwright() as tool:
-        opened = tool.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_ARGUMENTS)
-        yield opened
-        opened.close()
 
 
 def picture(page: Any, view: str) -> np.ndarray:
@@ -186,18 +165,6 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     stranger.wait_for_timeout(1500)
     assert "DJI_" not in stranger.content()
     assert stranger.locator("[data-layer]").count() == 0
-
-
-@pytest.fixture
-def drawing_browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        pytest.skip("chromium is not installed: apt-get install chromium")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: it comes with the extra 'test'")
-    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
-    with playwright.sync_playwright() as tool:
-        opened = tool.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield opened
-        opened.close()
 
 
 def test_a_browser_with_webgl_draws_the_model_itself_and_follows_the_page(drawing_browser: Any, address: str) -> None:

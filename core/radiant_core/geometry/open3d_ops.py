@@ -34,7 +34,6 @@ MAX_BLOCKS = 160_000
 BLOCKS_AT_ONCE = 8_192
 """Open3D counts 16 bytes for each voxel of a mesh with 32 bits: from 32,768 blocks on it writes
 outside of its memory."""
-RAYS_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -248,27 +247,3 @@ def _weld_mesh(pieces: Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]
     mesh.vertices, mesh.vertex_colors = o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3dVector(colors)
     mesh.triangles = o3d.utility.Vector3iVector(triangles.astype(np.int32))
     return mesh if len(parts) == 1 else mesh.remove_duplicated_vertices()
-
-
-def heights_from_above(mesh: Mesh, places: ArrayLike) -> FloatArray:
-    """Height (P,) of the topmost surface over places (P,2), NaN where there is none.
-
-    Rays are cast in float32: keep coordinates near the origin.
-    """
-    import open3d as o3d
-
-    places = check_array("places", places, (None, 2))
-    if not len(mesh.triangles):
-        return np.full(len(places), np.nan)
-    tensor = cast(Any, o3d.core.Tensor)
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(tensor(np.ascontiguousarray(mesh.vertices, np.float32)), tensor(np.ascontiguousarray(mesh.triangles, np.uint32)))
-    top = float(mesh.vertices[:, 2].max()) + 1.0
-    heights = np.full(len(places), np.nan)
-    for start in range(0, len(places), RAYS_AT_ONCE):
-        rows = slice(start, start + RAYS_AT_ONCE)
-        rays = np.zeros((len(places[rows]), 6), np.float32)
-        rays[:, :2], rays[:, 2], rays[:, 5] = places[rows], top, -1.0
-        distance = scene.cast_rays(tensor(rays))["t_hit"].numpy().astype(np.float64)
-        heights[rows] = np.where(np.isfinite(distance), top - distance, np.nan)
-    return heights

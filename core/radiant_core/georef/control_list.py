@@ -16,9 +16,9 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic
-from radiant_core.georef.control_points import CHECK, LOCAL, MAX_LIST_BYTES, ListLine, list_line, named_lines
+from radiant_core.georef.control_points import CHECK, LOCAL, ListLine, list_line, named_lines, read_list, system_of
 from radiant_core.georef.crs import parse_crs
-from radiant_core.io.run_store import read_bounded, write_atomic
+from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray
 
 CONTROL_LIST = "gcp_list.txt"
@@ -105,13 +105,7 @@ class ControlList:
 
 def load_control_list(path: Path) -> ControlList:
     """Read gcp_list.txt or a table of points; BadInput names the line that is neither."""
-    if not path.is_file():
-        raise BadInput(f"there is no file {path}: give a list of surveyed points.")
-    try:
-        text = read_bounded(path, MAX_LIST_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise BadInput(f"{path} is no text in UTF-8: write the list of points as plain text.") from None
-    return parse_control_list(text, path.name)
+    return parse_control_list(read_list(path), path.name)
 
 
 def parse_control_list(text: str, source: str) -> ControlList:
@@ -131,11 +125,7 @@ def parse_control_list(text: str, source: str) -> ControlList:
             lines.append((number, own))
     if not header:
         raise BadInput(f"{source} is empty: the system stands on its first line, such as EPSG:32632, then {POINT_HINT}.")
-    if header.upper() != LOCAL:
-        try:
-            parse_crs(header)
-        except BadInput as error:
-            raise BadInput(f"{source}, first line: {error} LOCAL is a site without a place on the globe.") from None
+    system_of(header, source)
     found = _with_marks(header, points, [list_line(source, number, line) for number, line in lines], source)
     if not 0 < len(found.points) <= MAX_POINTS:
         raise BadInput(f"{source} has {len(found.points)} points, expected 1 to {MAX_POINTS:,}: {POINT_HINT}.")

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
-from radiant_core.georef.crs import parse_crs
+from radiant_core.georef.crs import Crs, parse_crs
 from radiant_core.io.run_store import read_bounded
 from radiant_core.numerics import FloatArray
 
@@ -93,16 +93,31 @@ class ListLine:
 def control_request(path: Path, accuracy: str | None, check: str | None) -> ControlRequest:
     """Read `--gcp`, `--gcp-accuracy` M or H,V in metres, and `--check-points`; BadInput for a file
     that is no list, whose content is parsed here once to say so early."""
-    if not path.is_file():
-        raise BadInput(f"there is no file {path}: give the list of ground control, such as gcp_list.txt.")
-    try:
-        text = read_bounded(path, MAX_LIST_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise BadInput(f"{path} is no text in UTF-8: write the list of ground control as plain text.") from None
+    text = read_list(path)
     horizontal_m, vertical_m = _accuracy(accuracy)
     request = ControlRequest(text=text, source=path.name, horizontal_m=horizontal_m, vertical_m=vertical_m, check=check or "")
     parse_control(request)
     return request
+
+
+def read_list(path: Path) -> str:
+    """The text of a list of points; BadInput where there is none."""
+    if not path.is_file():
+        raise BadInput(f"there is no file {path}: give a list of surveyed points, such as gcp_list.txt.")
+    try:
+        return read_bounded(path, MAX_LIST_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise BadInput(f"{path} is no text in UTF-8: write the list of points as plain text.") from None
+
+
+def system_of(header: str, source: str) -> Crs | None:
+    """The system that a list's first line names, None for `LOCAL`; BadInput where it names none."""
+    if header.upper() == LOCAL:
+        return None
+    try:
+        return parse_crs(header)
+    except BadInput as error:
+        raise BadInput(f"{source}, first line: {error} LOCAL is a site without a place on the globe.") from None
 
 
 def parse_control(request: ControlRequest) -> ControlPoints:
@@ -177,14 +192,11 @@ def list_line(source: str, number: int, text: str) -> ListLine:
 
 def _in_metres(header: str, places: FloatArray, source: str) -> tuple[FloatArray, FloatArray | None, str]:
     """Places (G,3) in metres east, north, up, the origin, and what the system is called."""
-    if header.upper() == LOCAL:
+    crs = system_of(header, source)
+    if crs is None:
         if np.abs(places).max() > MAX_LOCAL_M:
             raise BadInput(f"{source}: LOCAL coordinates reach {np.abs(places).max():,.0f} m: subtract what they have in common.")
         return places, None, LOCAL
-    try:
-        crs = parse_crs(header)
-    except BadInput as error:
-        raise BadInput(f"{source}, first line: {error} LOCAL is a site without a place on the globe.") from None
     geodetic = crs.to_geodetic(places)
     origin = geodetic.mean(axis=0)
     return enu_from_geodetic(geodetic, origin), origin, crs.title

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
-from radiant_core.map_projection import geodetic_from_utm, utm_epsg, utm_from_geodetic
+from radiant_core.map_projection import geodetic_from_utm, utm_from_geodetic
 from radiant_core.numerics import FloatArray, check_array
 
 GEOGRAPHIC_EPSG = (4326, 4979)
@@ -139,12 +139,6 @@ def parse_crs(text: str) -> Crs:
         unit=system.unit,
         bounds_deg=system.bounds_deg,
     )
-
-
-def utm_of(lat_lon_alt: ArrayLike) -> Crs:
-    """The UTM zone of a place (3,) [deg, deg, m]; BadInput beyond 84° north and 80° south."""
-    lat, lon, _ = np.asarray(lat_lon_alt, np.float64).tolist()
-    return _own_utm(utm_epsg(lat, lon))
 
 
 def _utm_string(text: str) -> re.Match[str] | None:

@@ -17,6 +17,7 @@ from radiant_core.hierarchy.decisions import density_decision, fill_decision, sh
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.light.canonical import canonical_validation, canonical_views
+from radiant_core.render.contract import Backend
 from radiant_core.render.gsplat_backend import free_vram_bytes
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
@@ -27,7 +28,7 @@ from radiant_core.train.dense.seeding import seed_densely
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
-from radiant_core.train.needs import fit_to_scene
+from radiant_core.train.needs import fit_to_views
 from radiant_core.train.results import TrainResult
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.views import TrainingViews
@@ -92,7 +93,7 @@ def prepare_training(
         statistics_bytes = plan.statistics_bytes
     scene, views, decisions = worth_training(task.scene, views, config)
     _decide(reporter, decisions)
-    config, decisions = fit_to_scene(config, scene, views)
+    config, decisions = fit_to_views(config, views)
     _decide(reporter, decisions)
     views, lights, decisions = canonical_views(scene, views, config.light)
     _decide(reporter, decisions)
@@ -111,8 +112,8 @@ def prepare_training(
     return PreparedTraining(task=task, scene=scene, views=views, config=config, initial=initial, options=options)
 
 
-def _within_cuda(config: TrainConfig, cameras: Cameras, backend: str, stage: str) -> tuple[TrainConfig, Sequence[Decision]]:
-    free_bytes = free_vram_bytes(resolve_backend(backend))  # pyright: ignore[reportArgumentType]
+def _within_cuda(config: TrainConfig, cameras: Cameras, backend: Backend, stage: str) -> tuple[TrainConfig, Sequence[Decision]]:
+    free_bytes = free_vram_bytes(resolve_backend(backend))
     return (config, ()) if free_bytes is None else within_vram(config, cameras, free_bytes, stage)
 
 

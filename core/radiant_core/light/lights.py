@@ -76,13 +76,6 @@ class Lights:
         return np.exp(logs).astype(np.float32)
 
 
-def no_lights(cameras: Cameras) -> Lights:
-    """The lights of photographs that were all taken in the canonical one."""
-    camera_of, count = cameras_alike(cameras)
-    known = np.zeros(len(cameras), bool)
-    return Lights(log_gains=np.zeros((len(cameras), 3)), camera_of=camera_of, vignettings=np.zeros((count, NUM_TERMS, 3)), known=known)
-
-
 def cameras_alike(cameras: Cameras) -> tuple[NDArray[np.int64], int]:
     """Which camera took each photograph (V,), told by size and focal length, and their number."""
     kinds, which = np.unique(camera_keys(cameras), axis=0, return_inverse=True)

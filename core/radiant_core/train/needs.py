@@ -13,7 +13,6 @@ from typing import Any
 
 from radiant_core.decisions import Decision
 from radiant_core.plan.profiles.step_law import StepLaw
-from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, with_settings
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.views import TrainingViews
@@ -107,8 +106,8 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
     )
 
 
-def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """What is "auto", decided by the scene; `views.cameras` are the scene's in the same order."""
+def fit_to_views(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """What is "auto", decided by the photographs that are trained on."""
     config, decisions = _fit_size(config, views)
     config, length = _fit_length(config, len(views))
     config, dropping = _fit_dropping(config, len(views))

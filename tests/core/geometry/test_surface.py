@@ -6,11 +6,12 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import open3d as o3d
 import pytest
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.geometry.open3d_ops import heights_from_above
+from radiant_core.geometry.open3d_ops import Mesh
 from radiant_core.geometry.surface import Surface, extract_surface
 from radiant_core.render.trajectories import Lens, cameras_looking_at
 from radiant_core.splats import SH_C0, Splats
@@ -51,6 +52,16 @@ def surface() -> Surface:
     return extract_surface(block(), flight(), resolution=0.2)
 
 
+def heights_from_above(mesh: Mesh, places: np.ndarray) -> np.ndarray:
+    """Height (P,) of the topmost surface over places (P,2), NaN where there is none."""
+    scene, top = o3d.t.geometry.RaycastingScene(), float(mesh.vertices[:, 2].max()) + 1.0
+    scene.add_triangles(o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
+    rays = np.tile(np.array([0, 0, top, 0, 0, -1], np.float32), (len(places), 1))
+    rays[:, :2] = places
+    distances = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+    return np.where(np.isfinite(distances), top - distances, np.nan)
+
+
 def test_heights_of_ground_and_roof_are_right_and_what_nobody_saw_has_none() -> None:
     mesh = replace(surface().mesh, vertices=surface().mesh.vertices - SHIFT)
     x, y = np.meshgrid(np.arange(-11, 11.1, 0.5), np.arange(-11, 11.1, 0.5))
@@ -64,7 +75,7 @@ def test_heights_of_ground_and_roof_are_right_and_what_nobody_saw_has_none() -> 
     for found, truth in ((roof, HEIGHT_M), (ground, 0.0)):
         assert np.nanmedian(np.abs(found - truth)) < 0.03
         assert np.nanquantile(np.abs(found - truth), 0.95) < 0.15
-    assert np.isnan(heights_from_above(mesh, [[40.0, 0.0]])).all()
+    assert np.isnan(heights_from_above(mesh, np.array([[40.0, 0.0]]))).all()
     # The block's edge lies within a voxel.
     east = np.arange(BLOCK_M - 2, BLOCK_M + 2, 0.05)
     high = heights_from_above(mesh, np.column_stack([east, np.zeros(len(east))])) > HEIGHT_M / 2

@@ -10,7 +10,7 @@ import pytest
 from pyproj import CRS, Transformer
 
 from radiant_core.errors import BadInput
-from radiant_core.georef.crs import parse_crs, utm_of
+from radiant_core.georef.crs import parse_crs
 
 ZURICH = np.array([[47.37, 8.54, 430.0], [47.38, 8.56, 512.5]])
 
@@ -87,8 +87,3 @@ def test_places_outside_of_a_system_are_refused() -> None:
         parse_crs("EPSG:2056").from_geodetic([[-89.0, 170.0, 0.0]])
     with pytest.raises(BadInput):
         parse_crs("EPSG:32632").from_geodetic([[47.0, 60.0, 0.0]])
-
-
-def test_the_zone_of_a_place_is_its_own() -> None:
-    assert utm_of([47.37, 8.54, 430.0]).horizontal_epsg == 32632
-    assert utm_of([-33.9, 18.4, 0.0]).horizontal_epsg == 32734

@@ -14,10 +14,10 @@ from radiant_core.hierarchy.choosing import BEST_DB, CUT, JOINED, REFINED, choos
 from radiant_core.hierarchy.in_process import InProcessRun, keep_best
 from radiant_core.hierarchy.messages import SceneModel
 from radiant_core.hierarchy.reporter import Recorder
-from radiant_core.light.lights import no_lights
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
+from tests.core.light.plain_lights import no_lights
 from tests.core.scenes import cameras_above, ground_splats
 
 NAMES = [REFINED, JOINED, CUT]

@@ -15,11 +15,11 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, ecef_from_local, geodetic_from_enu
 from radiant_core.io.export.glb import EXTENSION, glb_bytes
 from radiant_core.io.export.tiles import save_tiles
-from radiant_core.io.glb_reader import load_glb
 from radiant_core.lod.levels import LodLimits
 from radiant_core.numerics import rotmats_from_quats
 from radiant_core.spherical_harmonics import sh_terms
 from radiant_core.splats import Splats, concatenate_splats
+from tests.core.io.glb_reader import load_glb
 from tests.core.lod.test_levels import at, square
 from tests.core.lod.test_merging import made_up
 

@@ -12,8 +12,9 @@ import pytest
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import write_json
 from radiant_core.light.captures import CAPTURES_NAME, Shots, complete_captures, load_captures, read_captures, save_captures, shots_of
-from radiant_core.light.lights import Lights, no_lights
+from radiant_core.light.lights import Lights
 from radiant_core.light.predict import predict_lights
+from tests.core.light.plain_lights import no_lights
 from tests.core.scenes import cameras_above
 
 RNG = np.random.default_rng(0)

@@ -11,11 +11,12 @@ import pytest
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.light.lights import NUM_TERMS, Lights, cameras_alike, in_canonical_light, no_lights
+from radiant_core.light.lights import NUM_TERMS, Lights, cameras_alike, in_canonical_light
 from radiant_core.light.solve import MIN_SHARED, Observations, lights_from_model, lights_from_tracks, solve_lights
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.train.views import TrainingViews
+from tests.core.light.plain_lights import no_lights
 from tests.core.scenes import cameras_above, ground_splats
 
 NUM_VIEWS = 12

@@ -12,7 +12,7 @@ from radiant_core.render.contract import SplatTensors
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.drop import DROPPED_LOGIT, DroppedGaussians
-from radiant_core.train.needs import FEW_PHOTOGRAPHS, fit_to_scene
+from radiant_core.train.needs import FEW_PHOTOGRAPHS, fit_to_views
 from radiant_core.train.parts import Moment
 from radiant_core.train.trainer import FitOptions, Training, fit_splats
 from tests.core.scenes import ground_splats
@@ -49,14 +49,14 @@ def test_saturated_opacities_stay_finite_and_so_do_their_gradients(logit: float)
 
 
 def test_few_photographs_decide_and_a_wish_is_followed() -> None:
-    few, many = scene_of(FEW_PHOTOGRAPHS - 1), scene_of(FEW_PHOTOGRAPHS)
+    few, many = scene_of(FEW_PHOTOGRAPHS - 1)[1], scene_of(FEW_PHOTOGRAPHS)[1]
     auto = TrainConfig(drop_gaussians="auto", density=NoDensification())
-    config, (decision,) = fit_to_scene(auto, *few)
+    config, (decision,) = fit_to_views(auto, few)
     assert config.drop_gaussians == "always" and decision.choice == "up to 20% at each step" and decision.figure == FEW_PHOTOGRAPHS - 1
-    config, (decision,) = fit_to_scene(auto, *many)
+    config, (decision,) = fit_to_views(auto, many)
     assert config.drop_gaussians == "none" and decision.changes_nothing
     for wish in ("none", "always"):
-        assert fit_to_scene(with_settings(auto, {"drop_gaussians": wish}), *few)[0].drop_gaussians == wish
+        assert fit_to_views(with_settings(auto, {"drop_gaussians": wish}), few)[0].drop_gaussians == wish
     assert train_preset("default").drop_gaussians == "auto" and train_preset("paper").drop_gaussians == "none"
 
 

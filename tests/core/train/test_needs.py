@@ -11,7 +11,7 @@ from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
-from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_scene
+from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_views
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above
 
@@ -32,17 +32,17 @@ def scene_of(num_views: int, gains: np.ndarray | None = None, size_wh: tuple[int
 
 class TestLength:
     def test_a_long_run_of_few_photographs_is_cut_and_says_so(self) -> None:
-        scene, views = scene_of(20)
-        config, decisions = fit_to_scene(TrainConfig(num_steps=10**9, max_epochs=100), scene, views)
+        _, views = scene_of(20)
+        config, decisions = fit_to_views(TrainConfig(num_steps=10**9, max_epochs=100), views)
         assert config.num_steps == 2_000
         (decision,) = decisions
         assert decision.topic == "length" and "2,000" in decision.choice and decision.figure == 20 and not decision.forced
 
     def test_never_below_the_floor_and_never_longer_than_asked(self) -> None:
-        scene, views = scene_of(3)
-        assert fit_to_scene(TrainConfig(num_steps=7_000, max_epochs=10), scene, views)[0].num_steps == MIN_STEPS
-        assert fit_to_scene(TrainConfig(num_steps=800, max_epochs=10), scene, views)[0].num_steps == 800
-        assert fit_to_scene(TrainConfig(num_steps=7_000, max_epochs=None), scene, views)[0].num_steps == 7_000
+        _, views = scene_of(3)
+        assert fit_to_views(TrainConfig(num_steps=7_000, max_epochs=10), views)[0].num_steps == MIN_STEPS
+        assert fit_to_views(TrainConfig(num_steps=800, max_epochs=10), views)[0].num_steps == 800
+        assert fit_to_views(TrainConfig(num_steps=7_000, max_epochs=None), views)[0].num_steps == 7_000
 
     def test_steps_that_were_asked_for_are_all_taken(self) -> None:
         assert fit_to_backend(train_preset("default"), "native", Overrides())[0].max_epochs == 120
@@ -62,12 +62,12 @@ class TestLength:
 class TestSize:
     @pytest.mark.parametrize("density", [Adc(kind="planned", pixels_per_splat=80), Mcmc(pixels_per_splat=80)])
     def test_growth_is_limited_by_the_pixels_of_the_photographs(self, density) -> None:
-        scene, views = scene_of(50, size_wh=(160, 120))
-        config, decisions = fit_to_scene(TrainConfig(density=density, max_epochs=None), scene, views)
+        _, views = scene_of(50, size_wh=(160, 120))
+        config, decisions = fit_to_views(TrainConfig(density=density, max_epochs=None), views)
         assert config.max_num_splats == 50 * 160 * 120 // 80 and [d.topic for d in decisions] == ["number of Gaussians"]
 
     def test_a_floor_a_switch_and_policies_without_a_limit_to_reach(self) -> None:
-        scene, views = scene_of(2)
-        assert fit_to_scene(TrainConfig(density=Adc(kind="planned")), scene, views)[0].max_num_splats == MIN_PLANNED
+        _, views = scene_of(2)
+        assert fit_to_views(TrainConfig(density=Adc(kind="planned")), views)[0].max_num_splats == MIN_PLANNED
         for config in (TrainConfig(density=density) for density in (Adc(kind="planned", pixels_per_splat=None), Adc(), NoDensification())):
-            assert fit_to_scene(config, scene, views) == (config, ())
+            assert fit_to_views(config, views) == (config, ())

@@ -33,7 +33,7 @@ from radiant_viewer.docks.ortho_job import OrthoJob
 from radiant_viewer.host.line_process import LineProcess
 from radiant_viewer.host.place_tool import PlaceTool
 from radiant_viewer.host.protocols import Host
-from radiant_viewer.layers.measure_layer import CLICKED, KEPT, clicked_layer, kept_layer
+from radiant_viewer.layers.measure_layer import CLICKED, CLOSED, KEPT, clicked_layer, kept_layer
 from radiant_viewer.runs.run_feeds import SurveyCommands
 from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
@@ -182,7 +182,7 @@ class SurveyDock(QDockWidget):
         # Asked for while the dock is made.
         kind = self.kind.currentText() if hasattr(self, "kind") else ""
         if len(self.tool.points):
-            self._host.draw_mark(clicked_layer(self.tool.drawn, kind))
+            self._host.draw_mark(clicked_layer(self.tool.drawn, closed=kind in CLOSED))
             self._host.show_status(f"{len(self.tool.points)} places of {kind}; Backspace takes the last one back, 'Measure' measures.")
         else:
             self._host.remove_mark(CLICKED)

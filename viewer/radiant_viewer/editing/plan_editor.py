@@ -82,10 +82,6 @@ class PlanEditor:
         before = self._done[-2].after if len(self._done) > 1 else self.base
         return plan_difference((before.cloud, before.edges), (self.state.cloud, self.state.edges))
 
-    def preview(self, edit: Edit) -> EditedPlan:
-        """Return the regions of an edit without doing it, without strips. BadInput as `apply`."""
-        return apply_edit(self.subject, self.state, edit, strips=False)
-
     def apply(self, edit: Edit) -> EditedPlan:
         """Do an edit and return the plan; an impossible one raises BadInput and changes nothing."""
         self.begin(edit)

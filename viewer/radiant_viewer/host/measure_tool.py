@@ -8,8 +8,8 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.host.protocols import Host
-from radiant_viewer.layers.layer import Label, Layer
-from radiant_viewer.layers.palette import ORANGE
+from radiant_viewer.layers.layer import Label
+from radiant_viewer.layers.measure_layer import clicked_layer
 from radiant_viewer.pictures.measure import area_text, length_text, path_length, polygon_area
 
 MARK, HINT = "Measurement", "Measure: click corners on the map; Backspace takes the last one back, M ends."
@@ -66,21 +66,7 @@ class MeasureTool:
             self._host.remove_mark(self.mark)
         else:
             places = np.column_stack([self.corners, np.full(len(self.corners), self._height)])
-            ends = np.stack([places, np.roll(places, -1, axis=0)], axis=1)
-            ends = ends if len(places) > 2 else ends[: len(places) - 1]
-            self._host.draw_mark(
-                Layer(
-                    name=self.mark,
-                    points=places,
-                    point_colors=np.tile(np.array(ORANGE, np.uint8), (len(places), 1)),
-                    point_size_px=8,
-                    point_rim=True,
-                    segments=ends,
-                    segment_colors=np.tile(np.array(ORANGE, np.uint8), (len(ends), 1)),
-                    line_width_px=2.5,
-                    in_front=True,
-                    labels=(Label(text=self.text.replace("   ·   ", ", "), position=places[-1]),),
-                )
-            )
+            label = Label(text=self.text.replace("   ·   ", ", "), position=places[-1])
+            self._host.draw_mark(clicked_layer(places, closed=True, name=self.mark, labels=(label,)))
         self._host.render_views()
         self._host.show_status(self.text)

@@ -27,9 +27,9 @@ def kept_layer(kept: Mapping[str, Any], map_frame: MapFrame) -> Layer:
     )
 
 
-def clicked_layer(points: FloatArray, kind: str) -> Layer:
-    """The places (P,3) clicked so far."""
-    return _layer(CLICKED, points, _segments(points, kind in CLOSED and len(points) > 2), (), ORANGE)
+def clicked_layer(points: FloatArray, *, closed: bool, name: str = CLICKED, labels: tuple[Label, ...] = ()) -> Layer:
+    """The places (P,3) clicked so far; an outline, if `closed`, from three places on."""
+    return _layer(name, points, _segments(points, closed and len(points) > 2), labels, ORANGE)
 
 
 def _layer(name: str, points: FloatArray, segments: FloatArray, labels: tuple[Label, ...], color: tuple[int, int, int]) -> Layer:

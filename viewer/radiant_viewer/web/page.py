@@ -38,8 +38,6 @@ from radiant_viewer.web.rows import (
 )
 from radiant_viewer.web.scene import WebScene
 
-MAX_MESSAGE_BYTES = 64 * 2**20
-
 
 class WebPage:
     """The page of one run; create and serve it inside a running event loop."""

@@ -21,6 +21,8 @@ from radiant_core.frames import Sim3
 from radiant_core.numerics import FloatArray, check_array
 
 NUM_TRIALS = 500
+PAIRS_AT_ONCE = 100_000
+"""Residuals that are computed together."""
 NUM_REFITS = 30
 INLIER_SIGMAS = 2.5
 SIGMA_FROM_MEDIAN = 1 / 1.538
@@ -139,19 +141,29 @@ def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3
     if len(source) < 3:
         return None
     rng = np.random.default_rng(seed)
-    best, best_median = None, np.inf
-    for _ in range(NUM_TRIALS):
-        picked = rng.choice(len(source), 3, replace=False)
-        try:
-            fit = fit_sim3(source[picked], target[picked])
-        except BadInput:
-            continue
-        median = float(np.median(np.linalg.norm(fit.apply(source) - target, axis=1)))
+    picked = np.array([rng.choice(len(source), 3, replace=False) for _ in range(NUM_TRIALS)])
+    scales, rotations, translations = _fit_triples(source[picked], target[picked])
+    medians = np.full(NUM_TRIALS, np.inf)
+    for rows in np.array_split(np.flatnonzero(scales > 0), -(-NUM_TRIALS * len(source) // PAIRS_AT_ONCE)):
+        moved = scales[rows, None, None] * (source @ rotations[rows].transpose(0, 2, 1)) + translations[rows, None]
         # A shrunken scene always lies near the middle of the target; compare in the source's unit
         # so that it cannot win.
-        if median / fit.scale < best_median:
-            best, best_median = fit, median / fit.scale
-    return best
+        medians[rows] = np.median(np.linalg.norm(moved - target, axis=2), axis=1) / scales[rows]
+    best = int(np.argmin(medians))
+    return fit_sim3(source[picked[best]], target[picked[best]]) if np.isfinite(medians[best]) else None
+
+
+def _fit_triples(source: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`fit_sim3` of T times three pairs (T,3,3): scales (T,), rotations (T,3,3), translations
+    (T,3). No scale is above 0 where all of one side coincide."""
+    from_source, from_target = (side - side.mean(axis=1, keepdims=True) for side in (source, target))
+    variances = np.square(from_source).sum(axis=(1, 2))
+    U, D, Vt = np.linalg.svd(from_target.transpose(0, 2, 1) @ from_source)
+    signs = np.stack([np.ones(len(D)), np.ones(len(D)), np.sign(np.linalg.det(U @ Vt))], axis=1)
+    scales = (D * signs).sum(axis=1) / np.where(variances > 0, variances, np.inf)
+    rotations = (U * signs[:, None]) @ Vt
+    translations = target.mean(axis=1) - scales[:, None] * np.einsum("tij,tj->ti", rotations, source.mean(axis=1))
+    return scales, rotations, translations
 
 
 def _refit(source: FloatArray, target: FloatArray, fit: Sim3) -> tuple[Sim3, FloatArray, NDArray[np.bool_]]:

@@ -71,7 +71,8 @@ def test_the_bowl_is_taken_out_and_ties_still_fit() -> None:
 
 
 def test_positions_of_known_accuracy_place_the_scene_alone() -> None:
-    model, truth, rng = found_model(), true_centers(), np.random.default_rng(5)
+    # All points: only many ties hold photographs together better than a receiver alone.
+    model, truth, rng = found_model(kept_every=1), true_centers(), np.random.default_rng(5)
     photos = tuple(
         replace(
             photo,

@@ -28,35 +28,44 @@ IMPORTED = (
     "radiant_core.hierarchy.cloud",
     "radiant_core.train.photographs",
 )
-ROOT = Path(__file__).parents[2]
-CLIENT = """
+ROOT = Path(__file__).parents[1]
+WORKER = "radiant_app.workers.worker"
+TOLD = ("OMP_NUM_THREADS", "RADIANT_")
+"""How the variables begin that a worker gets from its client; the others are the server's."""
+CLIENT = f"""
 import json, os, socket, sys
+told = {{name: value for name, value in os.environ.items() if name.startswith({TOLD})}}
 with socket.socket(socket.AF_UNIX) as server:
     server.connect(sys.argv[1])
-    socket.send_fds(server, [json.dumps([os.environ["OMP_NUM_THREADS"], *sys.argv[2:]]).encode()], [0, 1, 2])
+    socket.send_fds(server, [json.dumps([told, *sys.argv[2:]]).encode()], [0, 1, 2])
     sys.exit(int(server.recv(8) or 1))
 """
 
 
 @contextmanager
-def forked_workers(folder: Path) -> Iterator[Callable[[NodeTask], list[str]]]:
-    """The `command` of executors whose nodes run as forks, and the server behind it until the end of the block."""
-    address = str(folder / "workers")
-    server = subprocess.Popen([sys.executable, "-m", __spec__.name, address], cwd=ROOT, stdout=subprocess.PIPE)
+def forked_workers(folder: Path, module: str = WORKER) -> Iterator[Callable[[NodeTask], list[str]]]:
+    """The `command` of executors whose nodes run as forks, and the server behind it until the end of
+    the block. `module` has the `main` that runs a node."""
+    address = folder / "workers"
+    server = subprocess.Popen([sys.executable, "-m", __spec__.name, str(address), module], cwd=ROOT, stdout=subprocess.PIPE)
     try:
         assert server.stdout is not None and server.stdout.readline() == b"ready\n"
-        yield lambda task: [sys.executable, "-S", "-c", CLIENT, address, task.kind, str(task.folder.resolve()), task.stage, task.key]
+        yield lambda task: client_command(address, task)
     finally:
         server.kill()
         server.communicate()
 
 
-def serve(address: str) -> None:
+def client_command(address: Path, task: NodeTask) -> list[str]:
+    """What starts a node at the server that listens at this address."""
+    return [sys.executable, "-S", "-c", CLIENT, str(address), task.kind, str(task.folder.resolve()), task.stage, task.key]
+
+
+def serve(address: str, module: str) -> None:
     """Fork a worker for every client that connects."""
     import torch
 
-    from radiant_app.workers.worker import main
-
+    main = import_module(module).main
     for name in IMPORTED:
         import_module(name)
 
@@ -75,8 +84,9 @@ def serve(address: str) -> None:
             record, streams, _, _ = socket.recv_fds(client, 1 << 16, 3)
             for number, stream in enumerate(streams):
                 os.dup2(stream, number)
-            threads, *arguments = json.loads(record)
-            torch.set_num_threads(int(threads))
+            told, *arguments = json.loads(record)
+            os.environ.update(told)
+            torch.set_num_threads(int(told["OMP_NUM_THREADS"]))
             threading.Thread(target=_end_with, args=(client,), daemon=True).start()
             client.send(str(main(arguments)).encode())
             os._exit(0)
@@ -88,4 +98,4 @@ def _end_with(client: socket.socket) -> None:
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1])
+    serve(*sys.argv[1:])

@@ -1,0 +1,48 @@
+"""Reports whose pictures are blank: to draw them takes longer than all stages of a tiny run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from radiant_app.files.run_folder import Manifest
+from radiant_app.report import html
+from radiant_app.run.prediction_error import SYSTEM_NAME
+
+BLANK = np.full((2, 2, 3), 255, np.uint8)
+
+
+def leave_pictures_blank(patch: pytest.MonkeyPatch) -> None:
+    """From here on, reports that this process writes have blank pictures of the same names."""
+    patch.setattr(html, "_save_pictures", _save_blank_pictures)
+    patch.setattr(html, "_save_sides", _save_blank_sides)
+
+
+@pytest.fixture(autouse=True)
+def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs that a test itself makes leave them blank; those of fixtures of a module or session, and of
+    tests marked `draws`, draw them."""
+    if request.node.get_closest_marker("draws") is None:
+        leave_pictures_blank(monkeypatch)
+
+
+def _save_blank_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[str, Path]:
+    names = ["timeline", "regions", "cameras"]
+    names += ["gantt"] if (run / SYSTEM_NAME).is_file() else []
+    names += ["timeline_emulated"] if manifest.emulated else []
+    names += ["seams"] if has_borders else []
+    return {name: _save_blank(run / "pictures" / f"{name}.png") for name in names}
+
+
+def _save_blank_sides(run: Path) -> list[str]:
+    _save_blank(run / "pictures" / "model.png")
+    return [html._jpeg(BLANK)] * 2
+
+
+def _save_blank(path: Path) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    assert cv2.imwrite(str(path), BLANK)
+    return path

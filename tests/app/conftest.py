@@ -1,0 +1,54 @@
+"""The run that many tests look at, and reports with blank pictures."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.steps import sfm
+from radiant_app.config.run_config import RunConfig
+from radiant_app.events import Event
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.pipeline import run
+from radiant_core.sfm.config import SfmConfig
+from tests.app.blank_reports import blank_pictures
+from tests.app.pipeline_kit import TINY, Finished
+
+__all__ = ["blank_pictures", "finished", "hamlet", "hamlet_scene", "paper_models"]
+
+
+@pytest.fixture(scope="session")
+def hamlet() -> Path:
+    return sample_scenes_folder() / "hamlet" / "images"
+
+
+@pytest.fixture(scope="session")
+def finished(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    folder = tmp_path_factory.mktemp("runs")
+    shutil.copytree(hamlet, folder / "photos")
+    whole = next(hamlet.iterdir()).read_bytes()
+    (folder / "photos" / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    config = RunConfig(source=folder / "photos", out=folder / "hamlet", train=TINY)
+    events: list[Event] = []
+    return config, run(config, events.append), events
+
+
+@pytest.fixture(scope="session")
+def hamlet_scene(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder `scene` of the hamlet from its known cameras, 10 photographs to train on; the
+    photographs lie in hamlet/images beside it."""
+    folder = tmp_path_factory.mktemp("scenes")
+    shutil.copytree(hamlet, folder / "hamlet" / "images")
+    shutil.copytree(hamlet.parent / "known", folder / "hamlet" / "sparse" / "0")
+    sfm(folder / "hamlet", folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
+    return folder / "scene"
+
+
+@pytest.fixture(scope="session")
+def paper_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where tests of `radiant bench paper`, all by one layout and setting, keep what they have made."""
+    return tmp_path_factory.mktemp("paper") / "out"

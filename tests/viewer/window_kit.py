@@ -1,0 +1,49 @@
+"""Processes that show windows, and displays for them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@contextmanager
+def virtual_display(size: str) -> Iterator[str]:
+    """A display of its own, "width x height x depth" large; skips where there is no Xvfb."""
+    if shutil.which("Xvfb") is None:
+        pytest.skip("Xvfb is not installed: apt-get install xvfb")
+    read_end, write_end = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", size, "-nolisten", "tcp"]
+    server = subprocess.Popen(command, pass_fds=[write_end], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    os.close(write_end)
+    with os.fdopen(read_end) as pipe:
+        number = pipe.readline().strip()
+    assert number, "Xvfb ended without naming its display"
+    yield f":{number}"
+    server.terminate()
+    server.wait(10)
+
+
+@pytest.fixture(scope="session")
+def display() -> Iterator[str]:
+    with virtual_display("1280x800x24") as name:
+        yield name
+
+
+def run_python(code: str | list[str], *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code, or a module named by `["-m", …]`, in a process with every warning as an error."""
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+    command = [sys.executable, "-W", "error", *(["-c", code] if isinstance(code, str) else code), *arguments]
+    # A home of its own: windows remember their size there.
+    with tempfile.TemporaryDirectory() as home:
+        env = {name: value for name, value in os.environ.items() if name not in hidden} | {"XDG_CONFIG_HOME": home} | environment
+        return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
