@@ -83,7 +83,7 @@ def export(
         typer.Option("--tiles", help="A folder of 3D Tiles. spz: as CesiumJS draws them; plain: float32 attributes."),
     ] = None,
     spz_version: Annotated[
-        int | None, typer.Option("--spz-version", min=2, max=4, help="spz: 2 or 3, which every reader knows, else 3; or 4, Zstandard.")
+        int | None, typer.Option("--spz-version", min=2, max=4, help="spz: 2 (else) or 3, which all readers know; 4: Zstandard.")
     ] = None,
     levels: Annotated[int | None, typer.Option(min=1, max=8, help="Levels of detail, else as many as the model needs.")] = None,
     regions: Annotated[

@@ -51,7 +51,7 @@ class ExportRequest:
     tile_form: TileContent | None = None
     """Of 3D Tiles; None: spz."""
     spz_version: SpzVersion | None = None
-    """Of SPZ files; None: 3."""
+    """Of SPZ files; None: 2."""
     photographs: bool = False
     """Whether the page of a run shows its worst photographs beside the model."""
 

@@ -28,7 +28,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, morton_order
 
-DEFAULT_SPZ_VERSION: SpzVersion = 3
+DEFAULT_SPZ_VERSION: SpzVersion = 2
 
 
 @dataclass(frozen=True, kw_only=True)
