@@ -8,7 +8,7 @@ gzip of a header of 16 bytes, then, each for all N Gaussians:
     scales     3 bytes, round(16 (ln s + 10)): ln s from −10 to 5.9375
     rotations  version 2: 3 bytes, x y z in steps of 1/127.5 with w = √(1 − x² − y² − z²) ≥ 0
                version 3: the largest component's number in 2 bits, the others in 10 each
-    shN        3 (K − 1) bytes, 128 + round(128 c): ±1, degree 1 in steps of 1/16, above of 1/8
+    shN        3 (K − 1) bytes, 128 + 4 round(32 c): ±1 in steps of 1/32
 Version 4 is Open3D's (`io.open3d_formats`). Source: Niantic's `load-spz.cc`.
 
 In version 2 an error of x, y, z grows by 1/w in w. An ellipsoid has 24 rotations, one per labelling
@@ -33,6 +33,8 @@ from radiant_core.splats import SH_BASES, Splats
 SPZ_FRACTION_BITS = 12
 """Steps of 0.24 mm within ±2048, which every writer takes."""
 MAX_FRACTION_BITS = 23
+HARMONIC_STEP = 4
+"""Of 128ths. Niantic's own writer takes 8 for degree 1 and 16 above."""
 _HEADER = struct.Struct("<4sIIBBBB")
 _MAGIC, _ANTIALIASED = b"NGSP", 1
 _COLOR = 0.15 * 255
@@ -96,14 +98,15 @@ def splats_from_gzip_spz(data: bytes) -> Splats:
     means, opacities, colors, scales, rotations, rest = np.split(rows, widths * count)
     fixed = np.zeros((3 * count, 4), np.uint8)
     fixed[:, 1:] = means.reshape(-1, 3)
+    quats = (_from_first_three if version == 2 else _from_smallest_three)(rotations.reshape(count, -1))
     opacity = np.clip(opacities / 255.0, _END_OPACITY, 1 - _END_OPACITY)
     return Splats(
-        means=(fixed.view("<i4") >> 8).reshape(count, 3) / 2.0**fraction_bits,
-        quats=(_from_first_three if version == 2 else _from_smallest_three)(rotations.reshape(count, -1)),
-        log_scales=scales.reshape(count, 3) / 16.0 - 10,
+        means=np.asarray((fixed.view("<i4") >> 8).reshape(count, 3) / 2.0**fraction_bits, np.float32),
+        quats=quats.astype(np.float32),
+        log_scales=np.asarray(scales.reshape(count, 3) / 16.0 - 10, np.float32),
         logit_opacities=np.log(opacity) - np.log1p(-opacity),
         sh0=(colors.reshape(count, 1, 3) - 127.5) / _COLOR,
-        shN=(rest.reshape(count, SH_BASES[degree] - 1, 3) - 128.0) / 128,
+        shN=np.asarray((rest.reshape(count, SH_BASES[degree] - 1, 3) - 128.0) / 128, np.float32),
         antialiased=bool(flags & _ANTIALIASED),
     )
 
@@ -122,10 +125,9 @@ def _bytes_of(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def _harmonic_bytes(shN: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Bytes of (N,K-1,3); coarser steps than a byte has, as other writers take them: the rest of
-    the precision is noise that does not compress."""
-    step = np.where(np.arange(shN.shape[1]) < 3, 8, 16)[:, None]
-    return np.clip(np.rint(128 * shN / step) * step + 128, 0, 255).astype(np.uint8)
+    """Bytes of (N,K-1,3) in steps coarser than a byte has: what is finer is noise that does not
+    compress."""
+    return np.clip(np.rint(128 / HARMONIC_STEP * shN) * HARMONIC_STEP + 128, 0, 255).astype(np.uint8)
 
 
 def _near_identity(splats: Splats) -> tuple[FloatArray, FloatArray]:

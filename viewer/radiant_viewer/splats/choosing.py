@@ -77,9 +77,10 @@ def _open3d_measured(path: Path, given: Path) -> Measured:
     command = [sys.executable, "-m", "radiant_viewer.splats.open3d_rgbd", str(path), str(given)]
     try:
         ended = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False)
-        said = json.loads(ended.stdout)
-        return float(said["seconds"]), float(said["depth_error"])
     except subprocess.TimeoutExpired:
         return f"no picture within {PATIENCE_S:.0f} s"
+    try:
+        said = json.loads(ended.stdout)
+        return float(said["seconds"]), float(said["depth_error"])
     except (ValueError, KeyError, TypeError):
         return f"its process ended with exit code {ended.returncode}"

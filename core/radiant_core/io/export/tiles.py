@@ -35,7 +35,7 @@ from radiant_core.splats import Splats
 
 TILESET_NAME = "tileset.json"
 TILE_LIMITS = LodLimits(chunk_count=64 * 1024)
-"""A plain GLB takes 60 bytes a Gaussian and 12 for each harmonic above degree 0; SPZ a fifth."""
+"""A plain GLB takes 56 bytes a Gaussian and 12 for each harmonic above degree 0; SPZ a fifth."""
 
 
 @dataclass(frozen=True, kw_only=True)
