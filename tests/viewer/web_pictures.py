@@ -1,5 +1,5 @@
-"""The picture of the page for a browser under the dark theme, taken of a run that `radiant demo`
-made: `python -m tests.viewer.web_pictures RUN docs/pictures/web_dark.png`.
+"""The picture of the page for a browser under the dark theme, taken of a run that `radiant demo` or
+sample_scenes made: `python -m tests.viewer.web_pictures RUN docs/pictures/web_dark.png`.
 
 Chromium draws the model; the seam tour is at its worst place.
 """
@@ -14,10 +14,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 SIZE_WH = (1280, 800)
 ARGUMENTS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
 PATIENCE_MS = 600_000
-REST_MS = 20_000
+REST_MS = 15_000
 """So long after the last action the model is drawn in full, in software too."""
 
 
@@ -41,6 +43,8 @@ def dark_seam_tour(address: str, out: Path) -> None:
         page.mouse.move(SIZE_WH[0] / 2, SIZE_WH[1] - 20)
         page.wait_for_timeout(REST_MS)
         page.screenshot(path=str(out))
+        # 256 colours take a third of the bytes.
+        Image.open(out).convert("RGB").quantize(256).save(out, optimize=True)
         browser.close()
 
 
