@@ -101,15 +101,10 @@ def export(
         from radiant_app.commands.export import export as write_export
         from radiant_app.commands.export_request import ExportRequest
 
-    asked = {"--lod": "lod" if lod else None, "--tiles": "tiles" if tiles else None, "--format": format}
-    kinds = {kind for kind in asked.values() if kind is not None}
-    if len(kinds) > 1:
-        named = " and ".join(option for option, kind in asked.items() if kind is not None)
-        raise BadInput(f"{named} ask for {' and '.join(sorted(kinds))}: ask for one of them.")
     request = ExportRequest(
         model=model,
         out=out,
-        format="lod" if lod else "tiles" if tiles else format,
+        format=_asked_format(format, lod, tiles),
         tile_form=tiles,
         spz_version=cast("SpzVersion | None", spz_version),
         resolution=resolution,
@@ -141,3 +136,13 @@ def view(
         from radiant_app.commands.view import view as serve_page
 
     serve_page(model, port, terminal_display(), typer.echo)
+
+
+def _asked_format(format: ExportFormat | None, lod: bool, tiles: TileContent | None) -> ExportFormat | None:  # noqa: A002
+    """The format that options ask for; BadInput where they ask for two."""
+    asked: dict[str, ExportFormat | None] = {"--lod": "lod" if lod else None, "--tiles": "tiles" if tiles else None, "--format": format}
+    kinds = {kind for kind in asked.values() if kind is not None}
+    if len(kinds) > 1:
+        named = " and ".join(option for option, kind in asked.items() if kind is not None)
+        raise BadInput(f"{named} ask for {' and '.join(sorted(kinds))}: ask for one of them.")
+    return next(iter(kinds), None)
