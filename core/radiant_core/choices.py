@@ -32,6 +32,13 @@ ExportFormat = Literal[
 a page to fly through it; geojson, colmap: regions and cameras; mesh: the surface; dsm: heights of
 the surface, dtm: without buildings and trees; ortho: the scene from straight above; contours: lines
 of equal height; laz: points of the surface; glb: a textured mesh."""
+TileContent = Literal["spz", "plain"]
+"""Of 3D Tiles. spz: compressed, as CesiumJS draws them; plain: attributes of float32, as glTF's
+extension for Gaussians alone has them."""
+GzipSpzVersion = Literal[2, 3]
+"""2: rotations of 3 bytes; 3: of 4, more exact. Both are compressed by gzip."""
+SpzVersion = Literal[2, 3, 4]
+"""As before; 4: compressed by Zstandard, by Open3D."""
 MeasureKind = Literal["distance", "height", "area", "volume", "profile"]
 """What is measured on a surface."""
 Trajectory = Literal["orbit", "border"]

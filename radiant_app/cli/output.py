@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
 from radiant_app.cli.option_types import AsJson, CrsOption, SizeOption
 from radiant_app.report.tables import finish
-from radiant_core.choices import ExportFormat, Trajectory
+from radiant_core.choices import ExportFormat, SpzVersion, TileContent, Trajectory
 from radiant_core.errors import BadInput
 
 
@@ -78,6 +78,13 @@ def export(
     uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
     crs: CrsOption = None,
     lod: Annotated[bool, typer.Option("--lod", help="A folder of streamed SOG: levels of detail that a viewer fetches as needed.")] = False,
+    tiles: Annotated[
+        TileContent | None,
+        typer.Option("--tiles", help="A folder of 3D Tiles. spz: as CesiumJS draws them; plain: float32 attributes."),
+    ] = None,
+    spz_version: Annotated[
+        int | None, typer.Option("--spz-version", min=2, max=4, help="spz: 2 (else) or 3, which all readers know; 4: Zstandard.")
+    ] = None,
     levels: Annotated[int | None, typer.Option(min=1, max=8, help="Levels of detail, else as many as the model needs.")] = None,
     regions: Annotated[
         list[Path] | None, typer.Option(help="--lod of a PLY: run whose regions its chunks belong to; repeatable, a joined one last.")
@@ -94,12 +101,12 @@ def export(
         from radiant_app.commands.export import export as write_export
         from radiant_app.commands.export_request import ExportRequest
 
-    if lod and format not in (None, "lod"):
-        raise BadInput(f"--lod is a format of its own and --format is {format}: ask for one of them.")
     request = ExportRequest(
         model=model,
         out=out,
-        format="lod" if lod else format,
+        format=_asked_format(format, lod, tiles),
+        tile_form=tiles,
+        spz_version=cast("SpzVersion | None", spz_version),
         resolution=resolution,
         long_side_px=long_side_px,
         tile_px=tile_px,
@@ -129,3 +136,13 @@ def view(
         from radiant_app.commands.view import view as serve_page
 
     serve_page(model, port, terminal_display(), typer.echo)
+
+
+def _asked_format(format: ExportFormat | None, lod: bool, tiles: TileContent | None) -> ExportFormat | None:  # noqa: A002
+    """The format that options ask for; BadInput where they ask for two."""
+    asked: dict[str, ExportFormat | None] = {"--lod": "lod" if lod else None, "--tiles": "tiles" if tiles else None, "--format": format}
+    kinds = {kind for kind in asked.values() if kind is not None}
+    if len(kinds) > 1:
+        named = " and ".join(option for option, kind in asked.items() if kind is not None)
+        raise BadInput(f"{named} ask for {' and '.join(sorted(kinds))}: ask for one of them.")
+    return next(iter(kinds), None)

@@ -99,12 +99,12 @@ def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.export.scene import save_spz
+    from radiant_core.io.export.scene import DEFAULT_SPZ_VERSION, save_spz
     from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 
     splats, cleaned = exported_model(request, display)
     splats, place = placed(request, splats)
-    cuts = save_spz(request.out, splats)
+    cuts = save_spz(request.out, splats, request.spz_version or DEFAULT_SPZ_VERSION)
     figures = {"gaussians": len(splats) - cuts.num_left_out, **asdict(cuts), "position_max_error": SPZ_MEAN_STEP}
     return {**figures, **cleaned, **place.write(request.out)}
 

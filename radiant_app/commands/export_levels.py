@@ -39,7 +39,7 @@ def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, An
 
 def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """A folder of 3D Tiles, on the globe where the run has GPS; its figures."""
-    from radiant_core.io.export.tiles import TILE_LIMITS, TILESET_NAME, save_tiles
+    from radiant_core.io.export.tiles import TILE_LIMITS, TILESET_NAME, TileOptions, save_tiles
 
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
@@ -52,8 +52,7 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
             request.out,
             splats,
             regions,
-            frame,
-            replace(TILE_LIMITS, num_levels=request.num_levels),
+            TileOptions(frame=frame, limits=replace(TILE_LIMITS, num_levels=request.num_levels), form=request.tile_form or "spz"),
             lambda done, total: report(done, total, "Gaussians"),
         )
         written = place.write_local(request.out / TILESET_NAME)

@@ -28,6 +28,10 @@ def require_options(request: ExportRequest, kind: ExportFormat) -> None:
         raise BadInput("--uncleaned is of a model's Gaussians, and geojson has none: leave it out.")
     if (request.num_levels is not None or request.regions) and kind not in LEVELLED:
         raise BadInput(f"--levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
+    if request.tile_form is not None and kind != "tiles":
+        raise BadInput(f"--tiles is of 3D Tiles, and {kind} is none: leave it out, or the other format.")
+    if request.spz_version is not None and kind != "spz":
+        raise BadInput(f"--spz-version is of SPZ files, and {kind} is none: leave it out, or let the name end in .spz.")
     if request.photographs and kind != "viewer":
         raise BadInput(f"--photographs is of a page, and {kind} has none: leave it out, or add --format viewer.")
     if request.clean and request.side_file.exists():

@@ -11,7 +11,7 @@ from radiant_app.commands.clean import measure_support, require_cleaned_model
 from radiant_app.commands.export_place import ExportPlace, place_of
 from radiant_app.events import Warned
 from radiant_app.report.progress import ProgressDisplay
-from radiant_core.choices import ExportFormat
+from radiant_core.choices import ExportFormat, SpzVersion, TileContent
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import SupportStep, Surroundings, keeps
 from radiant_core.io.ply import save_ply
@@ -48,6 +48,10 @@ class ExportRequest:
     """Levels of detail; None: by the number of Gaussians."""
     regions: tuple[Path, ...] = ()
     """Runs whose regions chunks belong to, of a model that is no run."""
+    tile_form: TileContent | None = None
+    """Of 3D Tiles; None: spz."""
+    spz_version: SpzVersion | None = None
+    """Of SPZ files; None: 2."""
     photographs: bool = False
     """Whether the page of a run shows its worst photographs beside the model."""
 

@@ -304,8 +304,11 @@ def test_levels_of_detail_belong_to_the_regions_of_the_run_and_say_nothing_but_g
 def test_levels_of_what_has_none_are_refused(run: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="--levels and --regions"):
         radiant("export", run, tmp_path / "a.ply", "--levels", "3")
-    with pytest.raises(BadInput, match="--lod is a format of its own"):
+    with pytest.raises(BadInput, match="--lod and --format ask for colmap and lod"):
         radiant("export", run, tmp_path / "a", "--lod", "--format", "colmap")
+    for options, told in ((("--lod", "--tiles", "spz"), "--lod and --tiles"), (("--lod", "--spz-version", "2"), "--spz-version is of SPZ")):
+        with pytest.raises(BadInput, match=told):
+            radiant("export", run, tmp_path / "a", *options)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").write_text("x")
     with pytest.raises(BadInput, match="exists"):
@@ -314,7 +317,7 @@ def test_levels_of_what_has_none_are_refused(run: Path, tmp_path: Path) -> None:
 
 
 def test_tiles_and_pages_are_written_and_photographs_only_where_asked_for(run: Path, tmp_path: Path) -> None:
-    said = json.loads(radiant("export", run, tmp_path / "tiles", "--format", "tiles", "--levels", "2", "--json"))
+    said = json.loads(radiant("export", run, tmp_path / "tiles", "--tiles", "spz", "--levels", "2", "--json"))
     tileset = json.loads((tmp_path / "tiles" / "tileset.json").read_text())
     assert said["gaussians"] == 9000 and len(tileset["root"]["transform"]) == 16, "the town has GPS"
     page = json.loads(radiant("export", run, tmp_path / "page", "--format", "viewer", "--json"))

@@ -281,7 +281,8 @@ def _lod(folder: Path) -> Target:
 def _glb(folder: Path) -> Target:
     splats = ground_splats(5)
     more = type(splats)(**{**splats.arrays(), "shN": np.zeros((5, 3, 3), np.float32)})
-    return Target(seeds=[glb_bytes(splats), glb_bytes(more)], place=lambda _: "m.glb", read=lambda inside, _: load_glb(inside / "m.glb"))
+    seeds = [glb_bytes(splats), glb_bytes(more), glb_bytes(more, form="spz")]
+    return Target(seeds=seeds, place=lambda _: "m.glb", read=lambda inside, _: load_glb(inside / "m.glb"))
 
 
 def _json(folder: Path) -> Target:

@@ -1,7 +1,7 @@
 """GLB files of strangers with KHR_gaussian_splatting as models, z up. Once per file.
 
-Strict: the one layout that `io.export.glb` writes, a primitive of POINTS with float attributes,
-each accessor inside the file.
+Strict: the two layouts that `io.export.glb` writes, a primitive of POINTS with float attributes,
+each accessor inside the file, or with one SPZ, whose count and degree the attributes repeat.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from scipy.special import logit  # pyright: ignore[reportMissingTypeStubs]
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.geometry.similarity import move_splats
-from radiant_core.io.export.glb import EXTENSION, GLTF_FROM_WORLD
+from radiant_core.io.export.glb import COMPRESSION, EXTENSION, GLTF_FROM_WORLD
 from radiant_core.io.run_store import parse_json, read_bounded
+from radiant_core.io.spz import splats_from_gzip_spz
 from radiant_core.splats import SH_BASES, Splats
 
 MAX_BYTES, MAX_JSON_BYTES = 1 << 32, 1 << 24
@@ -47,6 +48,9 @@ def _splats(data: bytes) -> Splats:
         raise BadInput(f"it has no mesh of {EXTENSION}") from error
     if mode != 0 or not isinstance(extension, dict) or extension.get("kernel") != "ellipse" or not isinstance(attributes, dict):
         raise BadInput("its mesh is no set of points with ellipses")
+    children = extension.get("extensions", {})
+    if isinstance(children, dict) and COMPRESSION in children:
+        return _upright(_compressed(children[COMPRESSION], attributes, accessors, views, binary))
     read = {name: _accessor(name, index, accessors, views, binary) for name, index in attributes.items()}
     names = [f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY", "SH_DEGREE_0_COEF_0")]
     missing = [name for name in ("POSITION", *names) if name not in read]
@@ -58,7 +62,7 @@ def _splats(data: bytes) -> Splats:
     quats, scales, opacities, base = (read[name] for name in names)
     if not (scales > 0).all() or not ((opacities >= 0) & (opacities <= 1)).all():
         raise BadInput("a scale is not above 0, or an opacity is not in 0 to 1")
-    turned = Splats(
+    plain = Splats(
         means=_shaped("POSITION", read["POSITION"], 3),
         quats=_shaped("ROTATION", quats, 4)[:, [3, 0, 1, 2]],
         log_scales=np.log(_shaped("SCALE", scales, 3).astype(np.float64)),
@@ -66,7 +70,28 @@ def _splats(data: bytes) -> Splats:
         sh0=_shaped("SH_DEGREE_0", base, 3)[:, None],
         shN=_harmonics(read, count),
     )
-    return move_splats(turned, Sim3(scale=1.0, rotation=GLTF_FROM_WORLD.T, translation=np.zeros(3)))
+    return _upright(plain)
+
+
+def _upright(splats: Splats) -> Splats:
+    return move_splats(splats, Sim3(scale=1.0, rotation=GLTF_FROM_WORLD.T, translation=np.zeros(3)))
+
+
+def _compressed(child: Any, attributes: dict[str, Any], accessors: Any, views: Any, binary: bytes) -> Splats:
+    try:
+        view = views[_index(child["bufferView"])]
+        start, size = _index(view.get("byteOffset", 0)), _index(view["byteLength"])
+        inside = _index(view["buffer"]) == 0 and start + size <= len(binary)
+        counts = {_index(accessors[_index(index)]["count"]) for index in attributes.values()}
+    except (KeyError, IndexError, TypeError, AttributeError) as error:
+        raise BadInput(f"its {COMPRESSION} names no SPZ, or an attribute has no accessor") from error
+    if not inside:
+        raise BadInput(f"its {COMPRESSION} lies outside the file")
+    splats = splats_from_gzip_spz(binary[start : start + size])
+    num_rest = sum(":SH_DEGREE_" in name for name in attributes)
+    if counts != {len(splats)} or num_rest != splats.shN.shape[1]:
+        raise BadInput(f"its attributes are not those of an SPZ of {len(splats)} Gaussians of degree {splats.sh_degree}")
+    return splats
 
 
 def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:

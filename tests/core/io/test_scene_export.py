@@ -32,7 +32,7 @@ def test_open3d_reads_ply_exactly_and_spz_within_its_steps(tmp_path: Path) -> No
     np.testing.assert_array_equal(points["opacity"].numpy()[:, 0], splats.logit_opacities)
     assert points["scale"].numpy() == pytest.approx(np.exp(splats.log_scales), rel=1e-6)
     far = replace(splats, means=np.where(np.arange(500)[:, None] == 7, 3000.0, splats.means), log_scales=splats.log_scales + 8)
-    cuts = save_spz(tmp_path / "a.spz", far)
+    cuts = save_spz(tmp_path / "a.spz", far, 4)
     assert cuts.num_left_out == 1
     assert cuts.num_shrunk > 100
     points = o3d.t.io.read_point_cloud(tmp_path / "a.spz").point

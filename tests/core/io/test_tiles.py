@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from radiant_core.choices import TileContent
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, ecef_from_local, geodetic_from_enu
-from radiant_core.io.export.glb import EXTENSION, glb_bytes
-from radiant_core.io.export.tiles import save_tiles
+from radiant_core.io.export.glb import COMPRESSION, EXTENSION, glb_bytes
+from radiant_core.io.export.tiles import TileOptions, save_tiles
 from radiant_core.lod.levels import LodLimits
+from radiant_core.lod.merging import covariances
 from radiant_core.numerics import rotmats_from_quats
 from radiant_core.spherical_harmonics import sh_terms
 from radiant_core.splats import Splats, concatenate_splats
@@ -82,13 +84,17 @@ def test_our_reader_brings_a_model_back(tmp_path: Path) -> None:
     assert rotmats_from_quats(back.quats) == pytest.approx(rotmats_from_quats(splats.quats), abs=1e-5)
 
 
-def test_every_gaussian_of_the_finest_level_lies_where_it_lies_on_the_globe(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", ["spz", "plain"])
+def test_every_gaussian_of_the_finest_level_lies_where_it_lies_on_the_globe(tmp_path: Path, form: TileContent) -> None:
     splats = concatenate_splats([made_up(300), at(made_up(10, 4), (5000, 0, 0))])
     frame = Frame(kind="metric", origin_lat_lon_alt=ORIGIN)
-    counts = save_tiles(tmp_path, splats, [square(-20.0), square(0.0)], frame, SMALL)
+    counts = save_tiles(tmp_path, splats, [square(-20.0), square(0.0)], TileOptions(frame=frame, limits=SMALL, form=form))
     assert counts[0] == 300 and counts == tuple(sorted(counts, reverse=True))
     tileset = json.loads((tmp_path / "tileset.json").read_text())
     assert tileset["asset"]["version"] == "1.1"
+    assert tileset["extensions"]["3DTILES_content_gltf"].get("extensionsRequired", []) == (
+        [EXTENSION, COMPRESSION] if form == "spz" else []
+    )
     root = tileset["root"]
     placed, leaves, errors = [], 0, []
     for tile in root["children"]:
@@ -108,10 +114,9 @@ def test_every_gaussian_of_the_finest_level_lies_where_it_lies_on_the_globe(tmp_
     assert root["geometricError"] > max(errors) and leaves > 3
     ecef = np.concatenate(placed)
     truth = splats.means.astype(float) @ ecef_from_local(ORIGIN)[:3, :3].T + ecef_from_local(ORIGIN)[:3, 3]
-    order, other = np.lexsort(ecef.round(2).T), np.lexsort(truth.round(2).T)
     assert len(ecef) == 310
-    # 0.3 mm: float32 about a tile's middle, which is 5 km away for none.
-    assert np.sort(ecef[order], axis=0) == pytest.approx(np.sort(truth[other], axis=0), abs=3e-4)
+    # 0.3 mm: float32 about a tile's middle, which is 5 km away for none, or steps of 0.24 mm.
+    assert np.sort(ecef, axis=0) == pytest.approx(np.sort(truth, axis=0), abs=3e-4)
 
 
 def matrix(numbers: list[float]) -> np.ndarray:
@@ -130,7 +135,7 @@ def test_the_matrix_of_an_origin_agrees_with_its_geodetic_position() -> None:
 
 
 def test_without_gps_there_is_no_transform_and_without_gaussians_one_sentence(tmp_path: Path) -> None:
-    save_tiles(tmp_path, made_up(20), [square(-10.0)], None, SMALL)
+    save_tiles(tmp_path, made_up(20), [square(-10.0)], TileOptions(limits=SMALL))
     assert "transform" not in json.loads((tmp_path / "tileset.json").read_text())["root"]
     with pytest.raises(BadInput, match="expected at least 1"):
         save_tiles(tmp_path, made_up(0), [square(0.0)])
@@ -141,18 +146,72 @@ def test_without_gps_there_is_no_transform_and_without_gaussians_one_sentence(tm
         glb_bytes(huge)
 
 
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_a_compressed_glb_has_what_cesium_reads_and_comes_back_within_its_steps(tmp_path: Path, degree: int) -> None:
+    splats = made_up(50, degree=degree)
+    data = glb_bytes(splats, np.array([1.0, 2, 3]), "spz")
+    content = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+    primitive = content["meshes"][0]["primitives"][0]
+    assert primitive["extensions"][EXTENSION]["extensions"][COMPRESSION] == {"bufferView": 0}
+    # By the number of harmonics CesiumJS tells the degree: one more, of degree 0, and it drops them.
+    assert sum("SH_DEGREE" in name for name in primitive["attributes"]) == splats.shN.shape[1]
+    color = content["accessors"][primitive["attributes"]["COLOR_0"]]
+    assert color == {
+        "componentType": 5121,
+        "count": 50,
+        "type": "VEC4",
+        "normalized": True,
+    }
+    (tmp_path / "a.glb").write_bytes(data)
+    back = load_glb(tmp_path / "a.glb")
+    assert back.means == pytest.approx(splats.means - [1, 2, 3], abs=2e-4)
+    assert back.opacities == pytest.approx(splats.opacities, abs=0.5 / 255 + 1e-6)
+    # A scale is off by up to 1/32 of its logarithm, so a covariance by up to 6.5 %.
+    error = np.linalg.norm(covariances(back) - covariances(splats), axis=(1, 2))
+    assert (error < 0.07 * np.linalg.norm(covariances(splats), axis=(1, 2))).all()
+    # Off by half a step of 1/32, and turned, where the errors of a band's seven may add up.
+    assert back.shN == pytest.approx(splats.shN, abs=0.04)
+
+
+@pytest.mark.parametrize("broken", ["count", "view", "outside", "stream", "degree"])
+def test_a_broken_compressed_glb_is_one_sentence(tmp_path: Path, broken: str) -> None:
+    data = glb_bytes(made_up(9, degree=1), form="spz")
+    size = struct.unpack_from("<I", data, 12)[0]
+    content, binary = json.loads(data[20 : 20 + size]), bytearray(data[28 + size :])
+    primitive = content["meshes"][0]["primitives"][0]
+    if broken == "count":
+        content["accessors"][0]["count"] = 8
+    elif broken == "view":
+        primitive["extensions"][EXTENSION]["extensions"][COMPRESSION] = {}
+    elif broken == "outside":
+        content["bufferViews"][0]["byteLength"] = len(binary) + 1
+    elif broken == "stream":
+        binary[len(binary) // 2] ^= 255
+    else:
+        del primitive["attributes"][f"{EXTENSION}:SH_DEGREE_1_COEF_0"]
+    text = json.dumps(content).encode()
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    (tmp_path / "a.glb").write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    told = {"view": "names no SPZ", "outside": "lies outside", "stream": "gzip"}
+    with pytest.raises(BadInput, match=told.get(broken, "attributes are not those")):
+        load_glb(tmp_path / "a.glb")
+
+
 ATTRIBUTES = "/meshes/0/primitives/0/attributes/"
 
 
 @pytest.mark.skipif(shutil.which("gltf-validate") is None, reason="needs a command gltf-validate FILE on PATH (npm's gltf-validator)")
-def test_the_validator_finds_nothing_but_names_that_it_does_not_know(tmp_path: Path) -> None:
-    (tmp_path / "a.glb").write_bytes(glb_bytes(made_up(20, degree=3)))
+@pytest.mark.parametrize("form", ["spz", "plain"])
+def test_the_validator_finds_nothing_but_names_that_it_does_not_know(tmp_path: Path, form: TileContent) -> None:
+    (tmp_path / "a.glb").write_bytes(glb_bytes(made_up(20, degree=3), form=form))
     said = json.loads(subprocess.run(["gltf-validate", str(tmp_path / "a.glb")], check=True, capture_output=True).stdout)
     messages = said["issues"]["messages"]
-    harmonics = [f"SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(2 * degree + 1)]
-    unknown = {f"{ATTRIBUTES}{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY", *harmonics)}
-    assert {(message["code"], message["pointer"]) for message in messages} == {
-        ("UNSUPPORTED_EXTENSION", "/extensionsUsed/0"),
-        *(("MESH_PRIMITIVE_INVALID_ATTRIBUTE", pointer) for pointer in unknown),
-    }
+    base = ["SH_DEGREE_0_COEF_0", "OPACITY"] if form == "plain" else []
+    names = ["ROTATION", "SCALE", *base, *(f"SH_DEGREE_{degree}_COEF_{n}" for degree in range(1, 4) for n in range(2 * degree + 1))]
+    allowed = {("MESH_PRIMITIVE_INVALID_ATTRIBUTE", f"{ATTRIBUTES}{EXTENSION}:{name}") for name in names}
+    allowed |= {("UNSUPPORTED_EXTENSION", "/extensionsUsed/0")}
+    if form == "spz":
+        # The SPZ's view is named by the extension alone.
+        allowed |= {("UNSUPPORTED_EXTENSION", "/extensionsUsed/1"), ("UNUSED_OBJECT", "/bufferViews/0")}
+    assert {(message["code"], message["pointer"]) for message in messages} == allowed
     assert said["info"]["totalVertexCount"] == 20

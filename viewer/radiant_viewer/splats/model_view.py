@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.splat_picture import Ground, camera_above
+from radiant_viewer.splats.choosing import OPEN3D, OURS
 from radiant_viewer.splats.splat_process import Frame, Part, SplatProcess
 
 MOVING_S, REST_MS, MAP_REST_MS = 0.04, 80, 160
@@ -57,10 +59,7 @@ class ModelView(QObject):
         self.ply_path = Path(self._folder.name) / "model.ply"
         save_ply(self.ply_path, splats)
         self._keep(kept)
-        self._process = SplatProcess(self, self.ply_path)
-        self._process.drawn.connect(self._on_drawn)
-        self._process.ready.connect(self._on_ready)
-        self._process.failed.connect(self._on_failed)
+        self._process = self._start(chooses=True)
         self._wanted, self._asked, self._drawn = b"", (b"", False), (b"", False)
         self._map_asked, self._map_drawn = b"", b""
         self._map_extent = (0.0, 0.0, 1.0, 1.0)
@@ -145,6 +144,18 @@ class ModelView(QObject):
         self._process.end()
         self._folder.cleanup()
 
+    @property
+    def decision(self) -> Decision | None:
+        """Which renderer draws and why, once it is known."""
+        return self._process.decision
+
+    def _start(self, *, chooses: bool) -> SplatProcess:
+        process = SplatProcess(self, self.ply_path, chooses=chooses)
+        process.drawn.connect(self._on_drawn)
+        process.ready.connect(self._on_ready)
+        process.failed.connect(self._on_failed)
+        return process
+
     def _look_soon(self) -> None:
         # A camera moves in steps, between which it may look nowhere.
         if not self._is_looking:
@@ -211,6 +222,8 @@ class ModelView(QObject):
         )
 
     def _on_ready(self) -> None:
+        if (made := self.decision) is not None:
+            self._host.view.note.setToolTip(f"Drawn by {made.choice}, {made.figure} {made.unit}: {made.reason}.")
         self.look()
 
     def _on_drawn(self, frame: Frame) -> None:
@@ -257,6 +270,12 @@ class ModelView(QObject):
         self._host.map.backdrop.place(shift, ((right - left) / width, (top - bottom) / height), self._host.theme.view)
 
     def _on_failed(self, reason: str) -> None:
+        if self.decision is not None and self.decision.choice == OPEN3D:
+            # Open3D or a graphics driver ended it: ours draws on.
+            self._host.view.note.setToolTip(f"Drawn by {OURS}: with {OPEN3D}, {reason}.")
+            self._process.end()
+            self._process = self._start(chooses=False)
+            return
         self.has_failed = True
         self._hide()
         self.failed.emit(f"The model cannot be drawn: {reason}. Its Gaussians are shown as points; reopen the run to try again.")

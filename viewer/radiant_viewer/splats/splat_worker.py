@@ -1,4 +1,4 @@
-"""A renderer process: `python -m radiant_viewer.splats.splat_worker MODEL.ply FRAMES`.
+"""A renderer process: `python -m radiant_viewer.splats.splat_worker MODEL.ply FRAMES [choose]`.
 
 One JSON line per request on standard input: {"id", "K", "cam_from_world", "size_wh", "background",
 "box", "max_gaussians", "kept", "slot"}; box is null or the lower and upper corner (2,3) of what is
@@ -6,7 +6,8 @@ drawn, max_gaussians null or the most that are drawn, the weightiest ones, kept 
 file of a mask (N,) of those that are drawn. The picture, H·W·4 float32 of colour and depth
 (`render_rgbd`), is written at the start of the file FRAMES<slot>, which only grows: who asks maps
 it, so that no pixel goes through a pipe. Per answer one JSON line {"id", "size_wh", "seconds"}; the
-first line is {"ready", "num_gaussians"}. Ends with its standard input.
+first line is {"ready", "num_gaussians", "decision"}, the fields of the `Decision` which renderer
+draws, null where none was asked for by "choose": ours then. Ends with its standard input.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import os
 import sys
 import time
 from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
@@ -28,7 +31,11 @@ from radiant_core.io.ply import load_ply
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.layers.splat_layer import inside_box
+from radiant_viewer.splats.choosing import OPEN3D, choose_renderer
+from radiant_viewer.splats.open3d_rgbd import Open3DRenderer
 from radiant_viewer.splats.rgbd import ModelRenderer
+
+Drawer = ModelRenderer | Open3DRenderer
 
 MAX_PARTS = 4
 """Parts of the model that are kept: the whole, the ground of the map, few Gaussians, a box."""
@@ -37,11 +44,11 @@ MAX_PARTS = 4
 class Parts:
     """Parts of a model, each cut out once, of which the latest few are kept."""
 
-    def __init__(self, splats: Splats) -> None:
-        self._splats = splats
-        self._kept: OrderedDict[str, ModelRenderer | None] = OrderedDict()
+    def __init__(self, splats: Splats, made: Callable[[Splats], Drawer]) -> None:
+        self._splats, self._made = splats, made
+        self._kept: OrderedDict[str, Drawer | None] = OrderedDict()
 
-    def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, kept: str | None) -> ModelRenderer | None:
+    def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, kept: str | None) -> Drawer | None:
         """The renderer of the weightiest Gaussians in the box; None where there are none."""
         key = json.dumps([box, max_gaussians, kept])
         if key not in self._kept:
@@ -50,7 +57,7 @@ class Parts:
             if max_gaussians is not None and len(inside) > max_gaussians:
                 weights = _weights(self._splats)[inside]
                 inside = inside[np.sort(np.argpartition(-weights, max_gaussians)[:max_gaussians])]
-            self._kept[key] = ModelRenderer(self._splats.select(inside)) if len(inside) else None
+            self._kept[key] = self._made(self._splats.select(inside)) if len(inside) else None
         self._kept.move_to_end(key)
         while len(self._kept) > MAX_PARTS:
             self._kept.popitem(last=False)
@@ -64,10 +71,12 @@ def _weights(splats: Splats) -> NDArray[np.float32]:
     return np.asarray(np.exp(log_scales[:, 1] + log_scales[:, 2]) / (1 + np.exp(-splats.logit_opacities)), np.float32)
 
 
-def serve(path: Path, frames: str, requests: IO[bytes], answers: IO[bytes]) -> None:
+def serve(path: Path, frames: str, chooses: bool, requests: IO[bytes], answers: IO[bytes]) -> None:
     """Answer requests until the stream ends."""
-    parts = Parts(splats := load_ply(path))
-    _answer(answers, {"ready": True, "num_gaussians": len(splats)})
+    splats = load_ply(path)
+    decision = choose_renderer(splats, path) if chooses and len(splats) else None
+    parts = Parts(splats, Open3DRenderer if decision is not None and decision.choice == OPEN3D else ModelRenderer)
+    _answer(answers, {"ready": True, "num_gaussians": len(splats), "decision": None if decision is None else asdict(decision)})
     for line in requests:
         request = json.loads(line)
         width, height = (int(side) for side in request["size_wh"])
@@ -109,7 +118,7 @@ def main() -> int:
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     try:
-        serve(Path(sys.argv[1]), sys.argv[2], sys.stdin.buffer, pipe)
+        serve(Path(sys.argv[1]), sys.argv[2], sys.argv[3:] == ["choose"], sys.stdin.buffer, pipe)
     except BrokenPipeError:
         return 0
     except RadiantError as error:

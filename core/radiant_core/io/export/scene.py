@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from radiant_core.choices import SpzVersion
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.georef.crs import Crs
@@ -22,9 +23,12 @@ from radiant_core.io.colmap.text import write_model
 from radiant_core.io.export.plan import land_features, point_feature, write_features
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, spz_bytes
 from radiant_core.io.run_store import write_atomic
+from radiant_core.io.spz import gzip_spz_bytes
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
-from radiant_core.splats import Splats
+from radiant_core.splats import Splats, morton_order
+
+DEFAULT_SPZ_VERSION: SpzVersion = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +40,9 @@ class SpzCuts:
     num_shrunk: int
 
 
-def save_spz(path: Path, splats: Splats) -> SpzCuts:
+def save_spz(path: Path, splats: Splats, version: SpzVersion = DEFAULT_SPZ_VERSION) -> SpzCuts:
     """Write a model as SPZ in its own coordinates, atomically; BadInput when no Gaussian lies
-    within its reach."""
+    within its reach, which all versions share."""
     inside = (np.abs(splats.means) < SPZ_MAX_MEAN).all(axis=1)
     kept = splats.select(inside)
     if not len(kept):
@@ -46,7 +50,9 @@ def save_spz(path: Path, splats: Splats) -> SpzCuts:
             f"cannot write {path}: none of {len(splats)} Gaussians lies within {SPZ_MAX_MEAN:.0f} units of the origin: write PLY."
         )
     shrunk = int((kept.log_scales > SPZ_MAX_LOG_SCALE).any(axis=1).sum())
-    write_atomic(path, spz_bytes(replace(kept, log_scales=np.minimum(kept.log_scales, np.float32(SPZ_MAX_LOG_SCALE)))))
+    kept = replace(kept, log_scales=np.minimum(kept.log_scales, np.float32(SPZ_MAX_LOG_SCALE)))
+    # Along a Z curve neighbours share their high bytes, which gzip finds.
+    write_atomic(path, spz_bytes(kept) if version == 4 else gzip_spz_bytes(kept.select(morton_order(kept.means)), version))
     return SpzCuts(num_left_out=int((~inside).sum()), num_shrunk=shrunk)
 
 

@@ -1,4 +1,5 @@
-"""A model as 3D Tiles 1.1: levels of detail as GLB with KHR_gaussian_splatting. Once per export.
+"""A model as 3D Tiles 1.1: levels of detail as GLB with KHR_gaussian_splatting, compressed as SPZ or
+plain. Once per export.
 
     tileset.json     root ─ far field, whole
                      └ per chunk: the coarsest level ─ … ─ the finest, each for the last
@@ -13,15 +14,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from radiant_core import __version__
+from radiant_core.choices import TileContent
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, ecef_from_local
-from radiant_core.io.export.glb import glb_bytes
+from radiant_core.io.export.glb import EXTENSIONS, glb_bytes
 from radiant_core.io.export.lod import FAR_NAME, MAX_REGIONS
 from radiant_core.io.run_store import write_atomic
 from radiant_core.lod.cells import LodRegion, ellipsoid_box
@@ -32,29 +35,41 @@ from radiant_core.splats import Splats
 
 TILESET_NAME = "tileset.json"
 TILE_LIMITS = LodLimits(chunk_count=64 * 1024)
-"""A GLB is not compressed: 60 bytes a Gaussian and 12 for each harmonic."""
+"""A plain GLB takes 56 bytes a Gaussian and 12 for each harmonic above degree 0; SPZ a fifth."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileOptions:
+    """How tiles are written; a frame with GPS puts them on the globe."""
+
+    frame: Frame | None = None
+    limits: LodLimits = TILE_LIMITS
+    form: TileContent = "spz"
+
+
+DEFAULT_OPTIONS = TileOptions()
 
 
 def save_tiles(
     folder: Path,
     splats: Splats,
     regions: Sequence[LodRegion],
-    frame: Frame | None = None,
-    limits: LodLimits = TILE_LIMITS,
+    options: TileOptions = DEFAULT_OPTIONS,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[int, ...]:
-    """Write a model of at least one Gaussian into the existing empty `folder`; a `frame` with GPS
-    puts it on the globe. Returns the Gaussians of each level; raises BadInput as `save_lod`."""
+    """Write a model of at least one Gaussian into the existing empty `folder`. Returns the
+    Gaussians of each level; raises BadInput as `save_lod`."""
+    form, frame = options.form, options.frame
     if not len(splats) or len(regions) > MAX_REGIONS:
         raise BadInput(f"cannot write {folder}: {len(splats)} Gaussians in {len(regions)} regions, expected at least 1 in at most 1000.")
-    layout = lay_out(splats, regions, limits)
+    layout = lay_out(splats, regions, options.limits)
     counts, done, tiles = np.zeros(layout.num_levels, np.int64), len(layout.far), []
     if len(layout.far):
         far = far_field(splats, layout)
-        tiles.append(_placed(_tile(folder, f"{FAR_NAME}.glb", far, _box(far), 0.0), _box(far)))
+        tiles.append(_placed(_tile(folder / f"{FAR_NAME}.glb", far, _box(far), 0.0, form), _box(far)))
     for chunk in chunks_of(splats, layout):
         box = np.stack([np.min([leaf.box[0] for leaf in chunk.leaves], axis=0), np.max([leaf.box[1] for leaf in chunk.leaves], axis=0)])
-        tiles.append(_placed(_chain(folder, chunk, box), box))
+        tiles.append(_placed(_chain(folder, chunk, box, form), box))
         counts += [len(level) for level in chunk.levels]
         done += len(chunk.levels[0])
         report(done, len(splats))
@@ -64,10 +79,12 @@ def save_tiles(
     root: dict[str, Any] = {"boundingVolume": _volume(np.stack([low, high])), "geometricError": error_m, "refine": "ADD"}
     if frame is not None and frame.kind == "metric":
         root["transform"] = ecef_from_local(frame.origin_lat_lon_alt).T.ravel().tolist()
+    # CesiumJS takes content for Gaussians only where both extensions are required.
+    keys = ("extensionsUsed", "extensionsRequired") if form == "spz" else ("extensionsUsed",)
     tileset = {
         "asset": {"version": "1.1", "generator": f"radiant {__version__}"},
         "extensionsUsed": ["3DTILES_content_gltf"],
-        "extensions": {"3DTILES_content_gltf": {"extensionsUsed": ["KHR_gaussian_splatting"]}},
+        "extensions": {"3DTILES_content_gltf": dict.fromkeys(keys, EXTENSIONS[form])},
         "geometricError": 2 * error_m,
         "root": {**root, "children": tiles},
     }
@@ -75,7 +92,7 @@ def save_tiles(
     return tuple(counts.tolist())
 
 
-def _chain(folder: Path, chunk: Chunk, box: FloatArray) -> dict[str, Any]:
+def _chain(folder: Path, chunk: Chunk, box: FloatArray, form: TileContent) -> dict[str, Any]:
     """The levels of a chunk, each the only child of the coarser one, which it replaces."""
     n = MAX_REGIONS * chunk.number + chunk.region
     tile: dict[str, Any] = {}
@@ -83,14 +100,14 @@ def _chain(folder: Path, chunk: Chunk, box: FloatArray) -> dict[str, Any]:
         # The finest has no error; a coarser one is as wrong as its Gaussians are large.
         error_m = 0.0 if level == 0 else max(_radius(splats), 1.001 * tile["geometricError"])
         finer = {"children": [tile]} if tile else {}
-        tile = {**_tile(folder, f"{level}_{n}.glb", splats, box, error_m), **finer}
+        tile = {**_tile(folder / f"{level}_{n}.glb", splats, box, error_m, form), **finer}
     return tile
 
 
-def _tile(folder: Path, name: str, splats: Splats, box: FloatArray, error_m: float) -> dict[str, Any]:
+def _tile(path: Path, splats: Splats, box: FloatArray, error_m: float, form: TileContent) -> dict[str, Any]:
     middle = _middle(box)
-    write_atomic(folder / name, glb_bytes(splats, middle))
-    return {"boundingVolume": _volume(box - middle), "geometricError": error_m, "refine": "REPLACE", "content": {"uri": name}}
+    write_atomic(path, glb_bytes(splats, middle, form))
+    return {"boundingVolume": _volume(box - middle), "geometricError": error_m, "refine": "REPLACE", "content": {"uri": path.name}}
 
 
 def _placed(tile: dict[str, Any], box: FloatArray) -> dict[str, Any]:

@@ -1,0 +1,96 @@
+"""`Open3DRenderer`: a model drawn by Open3D's scene, colour and depth in one picture, as
+`ModelRenderer` draws it. Once per frame of a view, where `choosing` found it to be the faster one.
+
+Run as `python -m radiant_viewer.splats.open3d_rgbd MODEL.ply OURS.npz` it draws the picture of
+OURS.npz (picture, K, cam_from_world) and prints {"seconds", "depth_error"}: a graphics driver or
+Open3D may end its process, and here that takes nothing with it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_core.cameras import Cameras
+from radiant_core.io.open3d_formats import open3d_point_cloud
+from radiant_core.io.ply import load_ply
+from radiant_core.splats import Splats
+from radiant_viewer.layers.backdrop import Rgbd
+
+TILES_PER_SPLAT = 4096
+"""Splats over more tiles of the picture are not drawn; Open3D's own limit loses the near ones."""
+_NAME = "model"
+
+
+class Open3DRenderer:
+    """Renders one model by Open3D, about its middle: Open3D keeps float32."""
+
+    def __init__(self, splats: Splats) -> None:
+        self._origin = splats.means.astype(np.float64).mean(axis=0)
+        self._cloud = open3d_point_cloud(replace(splats, means=(splats.means - self._origin).astype(np.float32)))
+        self._of_size: dict[tuple[int, int], Any] = {}
+
+    def draw(self, camera: Cameras, background: tuple[int, int, int], into: Rgbd) -> None:
+        """Write the picture of one camera over a background (0 to 255): (H,W,4) float32, colours 0
+        to 1 and depth in metres, 0 where nothing is."""
+        width, height = (int(side) for side in camera.sizes_wh[0])
+        renderer = self._renderer(width, height)
+        renderer.scene.set_background(np.array([*background, 255]) / 255)
+        pose = camera.cam_from_world[0].copy()
+        pose[:3, 3] += pose[:3, :3] @ self._origin
+        renderer.setup_camera(camera.Ks[0], pose, width, height)
+        into[..., :3] = np.asarray(renderer.render_to_image()) / np.float32(255)
+        depths = np.asarray(renderer.render_to_depth_image(z_in_view_space=True))
+        into[..., 3] = np.where(np.isfinite(depths), depths, 0)
+
+    def _renderer(self, width: int, height: int) -> Any:
+        """The renderer of a size, which Open3D cannot change; a view has a full and some coarse
+        ones."""
+        from open3d.visualization import rendering
+
+        if (width, height) not in self._of_size:
+            made: Any = rendering.OffscreenRenderer(width, height)
+            material: Any = rendering.MaterialRecord()
+            material.shader = "gaussianSplat"
+            material.gaussian_splat_max_tiles_per_splat = TILES_PER_SPLAT
+            made.scene.add_geometry(_NAME, self._cloud, material)
+            self._of_size[width, height] = made
+        return self._of_size[width, height]
+
+
+def depth_error(picture: Rgbd, ours: Rgbd) -> float:
+    """What nine in ten pixels' depths differ by at most, as a share of the distance; infinite where
+    the two show different pixels."""
+    both = (picture[..., 3] > 0) & (ours[..., 3] > 0)
+    if not both.any() or both.sum() < 0.9 * (ours[..., 3] > 0).sum():
+        return float("inf")
+    return float(np.quantile(np.abs(picture[both][:, 3] / ours[both][:, 3] - 1), 0.9))
+
+
+def main() -> int:
+    """Draw and compare one picture; Open3D 0.20 ends by a signal where it tidies up, so it does
+    not."""
+    pipe = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    with np.load(sys.argv[2]) as given:
+        ours, K, pose = (given[name] for name in ("picture", "K", "cam_from_world"))
+    height, width = ours.shape[:2]
+    camera = Cameras(names=("view",), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]]))
+    renderer, picture = Open3DRenderer(load_ply(Path(sys.argv[1]))), np.zeros_like(ours)
+    renderer.draw(camera, (0, 0, 0), picture)
+    began = time.monotonic()
+    renderer.draw(camera, (0, 0, 0), picture)
+    pipe.write(json.dumps({"seconds": time.monotonic() - began, "depth_error": min(depth_error(picture, ours), 1e9)}))
+    pipe.flush()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
