@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -151,3 +154,31 @@ def test_clicks_in_the_window_are_measured_and_kept_as_by_the_command(tmp_path: 
     assert measuring.answer({"export": str(tmp_path / "b.csv")}) == {"name": "b.csv"} and (tmp_path / "b.csv").is_file()
     assert "exists" in measuring.answer({"export": str(tmp_path / "b.csv")})["error"]
     assert measuring.answer({"remove": "a"}) == {"name": "a"} and "no measure" in measuring.answer({"remove": "a"})["error"]
+
+
+WRITING = """
+import sys, time
+from pathlib import Path
+from radiant_app.commands import measure_worker
+from radiant_core.io.run_store import atomic_path
+
+def write_slowly(run, *_):
+    with atomic_path(run / "heights.safetensors") as temporary:
+        temporary.touch()
+        time.sleep(60)
+
+measure_worker.serve = write_slowly
+sys.exit(measure_worker.main())
+"""
+
+
+def test_a_measure_worker_that_is_told_to_end_leaves_nothing_half_written(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", WRITING, str(tmp_path)], stdin=subprocess.PIPE) as worker:
+        for _ in range(600):
+            if any(tmp_path.iterdir()):
+                break
+            time.sleep(0.05)
+        assert any(tmp_path.iterdir())
+        worker.terminate()
+        assert worker.wait(20) == 0
+    assert not any(tmp_path.iterdir())

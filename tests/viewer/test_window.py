@@ -35,6 +35,7 @@ from PySide6.QtWidgets import QApplication, QMessageBox, QTabBar
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_viewer.window import inspector
+from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.pictures.images import load_image
 from radiant_viewer.runs.run_feeds import RunFeeds, RunProgress, StageState
 from radiant_viewer.charts.charts import TimelineSpan
@@ -123,7 +124,7 @@ def said_by(wrong):
     return "nothing"
 
 def vermillion(image):
-    return int((np.abs(image.astype(int) - (213, 94, 0)).max(axis=2) < 8).sum())
+    return int((np.abs(image.astype(int) - VERMILLION).max(axis=2) < 8).sum())
 
 def cameras(window):
     before = vermillion(window.screenshot())
