@@ -30,6 +30,7 @@ from dataclasses import replace
 from pathlib import Path
 import numpy as np
 from PySide6.QtCore import QPoint, QTimer, Qt
+from PySide6.QtGui import QAction
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox, QTabBar
 from radiant_core.errors import BadInput
@@ -228,6 +229,14 @@ def tools(window):
     window.measure.undo()
     assert window.statusBar().currentMessage().startswith("Distance 1")
     window.measure.set_active(False)
+    measure, drawing = next(action for action in window.findChildren(QAction) if action.text() == "Measure"), window.docks.cleaning
+    measure.trigger()
+    drawing.draw.setChecked(True)
+    assert drawing.polygon.is_active and not window.measure.is_active, "two tools take the clicks"
+    measure.trigger()
+    assert window.measure.is_active and not drawing.polygon.is_active and not drawing.draw.isChecked()
+    measure.trigger()
+    assert not window.measure.is_active
     before = window.screenshot()
     crop = window.docks.cleaning.box
     crop.active.setChecked(True)

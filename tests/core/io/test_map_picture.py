@@ -104,9 +104,10 @@ def test_parts_that_unpack_to_more_than_they_promise_are_refused(
     bomb = pack(bytes(8 << 20))
     assert len(bomb) < 2 * values.size
     with tifffile.TiffFile(tmp_path / "a.tif", mode="r+b") as file:
-        end = file.filehandle.seek(0, 2)
+        page, end = file.pages[0], file.filehandle.seek(0, 2)
         file.filehandle.write(bomb)
-        file.pages[0].tags["StripOffsets"].overwrite([end])
-        file.pages[0].tags["StripByteCounts"].overwrite([len(bomb)])
+        assert isinstance(page, tifffile.TiffPage)
+        page.tags["StripOffsets"].overwrite([end])
+        page.tags["StripByteCounts"].overwrite([len(bomb)])
     with pytest.raises(BadInput, match="unpacks to more than the 32,400 bytes"):
         load_map_picture(tmp_path / "a.tif", 100)
