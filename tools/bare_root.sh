@@ -4,7 +4,7 @@
 set -euo pipefail
 
 usage="usage: tools/bare_root.sh [--wheel FILE] [--bind FOLDER]... SUITE FOLDER
-  SUITE    bookworm, trixie: what debootstrap knows
+  SUITE    bookworm, trixie, forky: a Debian
   FOLDER   the root: made by debootstrap if it is not there, otherwise used as it is
   --wheel  install this wheel with --only-binary :all: and no compiler, instead of the README's lines
   --bind   a folder of this machine that pip needs in there (wheels, certificates); variables PIP_* go along"
@@ -28,10 +28,17 @@ done
 suite="$1" root="$2" checkout="$(git -C "$(dirname "${BASH_SOURCE[0]}")" rev-parse --show-toplevel)"
 
 # A private set of mounts: they are gone when the command ends, however it ends.
-[[ -n "${BARE_ROOT_PRIVATE:-}" ]] || BARE_ROOT_PRIVATE=1 exec unshare --mount --propagation private "${BASH_SOURCE[0]}" \
-  ${wheel:+--wheel "$wheel"} ${binds[@]/#/--bind } "$suite" "$root"
+if [[ -z "${BARE_ROOT_PRIVATE:-}" ]]; then
+  again=(${wheel:+--wheel "$wheel"})
+  for folder in "${binds[@]}"; do again+=(--bind "$folder"); done
+  BARE_ROOT_PRIVATE=1 exec unshare --mount --propagation private "${BASH_SOURCE[0]}" "${again[@]}" "$suite" "$root"
+fi
 
-[[ -d "$root/usr" ]] || debootstrap --variant=minbase "$suite" "$root" http://deb.debian.org/debian >"$root.debootstrap.log"
+# A Debian that this debootstrap does not know yet is made as sid, as all since 2005 are.
+script=()
+[[ -e "/usr/share/debootstrap/scripts/$suite" ]] || script=(sid)
+
+[[ -d "$root/usr" ]] || debootstrap --variant=minbase "$suite" "$root" http://deb.debian.org/debian "${script[@]}" >"$root.debootstrap.log"
 root="$(realpath "$root")"
 mount -t proc proc "$root/proc"
 mount --rbind /dev "$root/dev"

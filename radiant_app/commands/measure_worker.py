@@ -8,7 +8,7 @@ One JSON line per request on standard input, one per answer on standard output:
 
 What is kept is what `radiant measure` keeps, by the same functions; progress goes to standard
 error. The run and its surface are read for the first measure, and anew once its files changed. Ends
-with its standard input.
+with its standard input or by SIGTERM, and then leaves no half-written file behind.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 
 from radiant_app.commands import measure as measures
 from radiant_app.commands.survey_parts import Survey, load_survey
+from radiant_app.interrupts import interrupt_on_signals, stop_repeating_interrupt
 from radiant_app.report.progress import ProgressDisplay, terminal_display
 from radiant_core.choices import MeasureKind
 from radiant_core.errors import BadInput, RadiantError
@@ -94,8 +95,10 @@ def main() -> int:
     # What libraries print becomes standard error; answers keep the pipe.
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    with suppress(BrokenPipeError):
+    interrupt_on_signals()
+    with suppress(BrokenPipeError, KeyboardInterrupt):
         serve(Path(sys.argv[1]), sys.stdin.buffer, pipe)
+    stop_repeating_interrupt()
     return 0
 
 

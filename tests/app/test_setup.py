@@ -132,3 +132,17 @@ def test_a_placed_scene_needs_neither_pycolmap_nor_flip(module: str, tmp_path: P
         placed = radiant("sfm", tmp_path / "images", "--out", tmp_path / "scene")
         assert placed.returncode == 2 and "-m pip install 'radiant-splats[sfm]', or " in placed.stderr
         assert not (tmp_path / "scene").exists()
+
+
+def test_a_bare_root_is_given_folders_with_blanks_in_their_names(tmp_path: Path) -> None:
+    """Its second start, in mounts of its own, gets the arguments of the first."""
+    program(tmp_path / "bin/unshare", f'for word in "$@"; do echo "$word"; done > "{tmp_path}/given"')
+    text = (ROOT / "tools/bare_root.sh").read_text()
+    tool = tmp_path / "bare_root.sh"
+    tool.write_text(text.replace("$EUID -eq 0", "1 -eq 1"))
+    assert tool.read_text() != text
+    subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
+    line = ["bash", str(tool), "--bind", "/a folder", "--bind", "/b", "trixie", "/tmp/a root"]
+    subprocess.run(line, check=True, env={**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"})
+    given = (tmp_path / "given").read_text().splitlines()
+    assert given == ["--mount", "--propagation", "private", str(tool), *line[2:]]

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands import export_heights, measure
+from radiant_app.commands import export_heights, measure, measure_worker
 from radiant_app.commands.measure_worker import Measuring
 from radiant_app.commands.survey_parts import load_survey
 from radiant_app.report.progress import terminal_display
@@ -19,6 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, PolygonStep
 from radiant_core.io.cleaning_file import save_cleaning
 from radiant_core.io.measures_file import load_measures, save_measures
+from radiant_core.io.run_store import atomic_path
 from radiant_core.survey.map_grid import map_frame_of
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -151,3 +155,23 @@ def test_clicks_in_the_window_are_measured_and_kept_as_by_the_command(tmp_path: 
     assert measuring.answer({"export": str(tmp_path / "b.csv")}) == {"name": "b.csv"} and (tmp_path / "b.csv").is_file()
     assert "exists" in measuring.answer({"export": str(tmp_path / "b.csv")})["error"]
     assert measuring.answer({"remove": "a"}) == {"name": "a"} and "no measure" in measuring.answer({"remove": "a"})["error"]
+
+
+def test_a_measure_worker_that_is_told_to_end_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    processes = multiprocessing.get_context("fork")
+    begun = processes.Event()
+
+    def write_slowly(run: Path, *_: object) -> None:
+        with atomic_path(run / "heights.safetensors") as temporary:
+            temporary.touch()
+            begun.set()
+            time.sleep(60)
+
+    monkeypatch.setattr("radiant_app.commands.measure_worker.serve", write_slowly)
+    monkeypatch.setattr("sys.argv", ["measure_worker", str(tmp_path)])
+    worker = processes.Process(target=lambda: sys.exit(measure_worker.main()))
+    worker.start()
+    assert begun.wait(60) and any(tmp_path.iterdir())
+    worker.terminate()
+    worker.join(60)
+    assert worker.exitcode == 0 and not any(tmp_path.iterdir())

@@ -75,6 +75,30 @@ def test_marks_move_a_point_that_was_surveyed_wrongly(marked_town: tuple[Path, T
     np.testing.assert_allclose(ControlSession(load_run_view(run)).places()[0], PLACES_M[0], atol=1e-3)
 
 
+def test_a_list_changed_elsewhere_is_gone_on_with(marked_town: tuple[Path, Town]) -> None:
+    run, town = marked_town
+    first, second = town.scene.cameras.names[:2]
+    session = ControlSession(load_run_view(run))
+    session.open(run.parent / "points.csv")
+    other = ControlSession(load_run_view(run))
+    other.mark("far", first, (100.0, 200.0))
+    session.mark("near", second, (10.0, 20.0))
+    assert session.list is not None and set(session.list.marks) == {("far", first), ("near", second)}
+    again = ControlSession(load_run_view(run)).list
+    assert again is not None and again.marks == session.list.marks
+    # What cannot be read is not written over.
+    session.path.write_text("EPSG:32631\nnone of it\n")
+    with pytest.raises(BadInput, match="line 2"):
+        session.mark("near", first, (1.0, 2.0))
+    assert session.path.read_text() == "EPSG:32631\nnone of it\n"
+    # Moved away, as the window says, other points can be opened.
+    session.path.unlink()
+    with pytest.raises(BadInput, match="no points are listed yet"):
+        session.mark("near", first, (1.0, 2.0))
+    session.open(run.parent / "points.csv")
+    assert session.list is not None and not session.list.marks
+
+
 def test_runs_without_their_photographs_say_why(marked_town: tuple[Path, Town]) -> None:
     run, _ = marked_town
     (run.parent / "photographs").rename(run.parent / "moved")
@@ -90,7 +114,7 @@ import sys
 from pathlib import Path
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QInputDialog
 from radiant_viewer.docks.control_dock import ControlDock
 from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.dock_host import DockHost
@@ -102,6 +126,10 @@ window.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, dock)
 window.resize(500, 800)
 window.show()
 dock.picture.picked.emit(5, 5)
+asked = []
+QInputDialog.getText = staticmethod(lambda _, title, text: asked.append(text) or ("", False))
+dock.add.click()
+assert len(asked) == 1, "who gives no system is not asked for a point"
 dock.open_points(run.parent / "points.csv")
 assert dock.points.count() == 4 and dock.text.text().startswith("0 marks"), dock.text.text()
 for point in ("north-1", "north-2", "far", "near"):

@@ -7,6 +7,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.charts.curve_chart import CurvePoint, _spread_labels, curve_picture
+from radiant_viewer.layers.palette import BLUE, ORANGE
 
 
 def points(offset_db: float) -> list[CurvePoint]:
@@ -16,7 +17,7 @@ def points(offset_db: float) -> list[CurvePoint]:
 def test_both_variants_are_drawn_in_their_colours() -> None:
     picture = curve_picture({"default": points(2), "standard": points(0)}, "Training", "town")
     assert picture.shape == (520, 1100, 3)
-    for rgb in ((0, 114, 178), (230, 159, 0)):
+    for rgb in (BLUE, ORANGE):
         for half in (picture[:, :550], picture[:, 550:]):
             assert (np.abs(half.astype(int) - rgb).max(axis=2) < 12).sum() > 100
 

@@ -7,6 +7,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.charts.frame_chart import frame_picture
+from radiant_viewer.layers.palette import BLUE, ORANGE, VERMILLION
 
 GPS_M = np.array([[0.0, 0, 50], [20, 0, 50], [40, 10, 51], [0, 20, 50], [20, 20, 52]])
 
@@ -16,12 +17,11 @@ def has_color(picture: np.ndarray, rgb: tuple[int, int, int]) -> int:
 
 
 def test_gps_cameras_and_far_lines_are_drawn() -> None:
-    vermillion = (213, 94, 0)
     near = frame_picture(GPS_M, GPS_M + 0.5, "Frame", "5 photographs")
     far = frame_picture(GPS_M, GPS_M + 60 * np.eye(5, 3, -2), "Frame", "5 photographs")
     assert near.shape == (560, 1100, 3) and near.dtype == np.uint8
-    assert has_color(near, (0, 114, 178)) > 50 and has_color(near, (230, 159, 0)) > 50
-    assert has_color(far, vermillion) > 50 > has_color(near, vermillion)
+    assert has_color(near, BLUE) > 50 and has_color(near, ORANGE) > 50
+    assert has_color(far, VERMILLION) > 50 > has_color(near, VERMILLION)
 
 
 def test_one_position_is_drawn_and_none_or_poison_is_refused() -> None:

@@ -77,9 +77,13 @@ def test_orthophotos_that_do_not_fit_are_named_and_the_run_is_shown(tmp_path: Pa
 
 
 WORKER = """
-import json, sys
+import json, signal, sys
 from pathlib import Path
 run = Path(sys.argv[1])
+def end(*_):
+    (run / "tidied").touch()
+    sys.exit(0)
+signal.signal(signal.SIGTERM, end)
 path = run / "survey/measures.json"
 for line in sys.stdin:
     request = json.loads(line)
@@ -104,9 +108,11 @@ DOCK = """
 import sys
 from pathlib import Path
 import numpy as np
+from PySide6.QtGui import QAction
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QPushButton
 from radiant_viewer.docks.survey_dock import SurveyDock
+from radiant_viewer.host.one_tool import keep_one_on
 from radiant_viewer.pictures.view_pose import ViewPose
 from radiant_viewer.runs.run_feeds import SurveyCommands
 from radiant_viewer.runs.run_view import load_run_view
@@ -192,6 +198,15 @@ assert not any((run / "survey").glob(".ortho_next*")), "what was begun is taken 
 dock.show_kept()
 print(dock.text.text())
 dock.end()
+assert (run / "tidied").exists(), "it had no time to take away what it had begun to write"
+action, button = QAction(), QPushButton()
+for switch in (action, button):
+    switch.setCheckable(True)
+keep_one_on([action, dock.click, button])
+for switch, others in ((action, (dock.click, button)), (dock.click, (action, button)), (button, (action, dock.click))):
+    switch.setChecked(True)
+    assert switch.isChecked() and not any(other.isChecked() for other in others), "two tools take the clicks"
+    assert dock.tool.is_active == (switch is dock.click)
 """
 
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_viewer.layers.layer import LegendEntry
+from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.pictures.page import _add_entry
 from radiant_viewer.runs.places import camera_heights, natural_key, place_text
 from radiant_viewer.runs.words import LAYER_TERMS, MEANINGS, tip
@@ -86,4 +87,4 @@ def test_a_pale_line_is_seen_in_a_legend() -> None:
         canvas.draw()
         return int((np.asarray(canvas.buffer_rgba())[..., :3] < 120).all(axis=2).sum())
 
-    assert swatch((255, 255, 255)) > 20 and swatch((213, 94, 0)) == 0
+    assert swatch((255, 255, 255)) > 20 and swatch(VERMILLION) == 0

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.window_user import User, until, use_window
 
@@ -83,7 +84,7 @@ def compare_plans(user: User, out: Path) -> dict[str, Any]:
     assert planning is not None
 
     def vermillion() -> int:
-        return int((np.abs(user.window.map.screenshot().astype(int) - (213, 94, 0)).max(axis=2) < 8).sum())
+        return int((np.abs(user.window.map.screenshot().astype(int) - VERMILLION).max(axis=2) < 8).sum())
 
     before = vermillion()
     user.click_tab("Plan")

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 from PySide6.QtCore import QPoint, Qt
+from PySide6.QtGui import QAction
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QMessageBox
 
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
+from radiant_viewer.layers.palette import VERMILLION
 
 
 def until(done, seconds=30):
@@ -43,7 +45,7 @@ def said_by(wrong):
 
 
 def vermillion(image):
-    return int((np.abs(image.astype(int) - (213, 94, 0)).max(axis=2) < 8).sum())
+    return int((np.abs(image.astype(int) - VERMILLION).max(axis=2) < 8).sum())
 
 
 def layers(window):
@@ -170,6 +172,14 @@ def tools(window, out: Path):
     window.measure.undo()
     assert window.statusBar().currentMessage().startswith("Distance 1")
     window.measure.set_active(False)
+    measure, drawing = next(action for action in window.findChildren(QAction) if action.text() == "Measure"), window.docks.cleaning
+    measure.trigger()
+    drawing.draw.setChecked(True)
+    assert drawing.polygon.is_active and not window.measure.is_active, "two tools take the clicks"
+    measure.trigger()
+    assert window.measure.is_active and not drawing.polygon.is_active and not drawing.draw.isChecked()
+    measure.trigger()
+    assert not window.measure.is_active
     before = window.screenshot()
     crop = window.docks.cleaning.box
     crop.active.setChecked(True)

@@ -6,6 +6,7 @@ read is checked: files come from strangers.
 
 from __future__ import annotations
 
+import lzma
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 MAX_SIDE = 1 << 20
 MAX_SEGMENT_BYTES = 1 << 28
 _PIXEL_SCALE, _TIEPOINT, _ALPHA = 33550, 33922, (1, 2)
+_DEFLATE, _LZMA, _PACKBITS, _ZSTD = (8, 32946), 34925, 32773, 50000
+_DEFLATE_RATIO, _PACKBITS_RATIO = 1032, 64
+"""What a packed byte unpacks to at most."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +49,8 @@ def load_map_picture(path: Path, max_px: int) -> MapPicture:
     import tifffile
 
     # What tifffile and its decoders raise on files that are cut or spoilt.
-    spoilt = (ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError, RuntimeError, OSError, struct_error, zlib.error)
+    spoilt = (ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError, RuntimeError, OSError, struct_error)
+    spoilt = (*spoilt, zlib.error, lzma.LZMAError)
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give an orthophoto, a GeoTIFF.")
     try:
@@ -54,6 +59,7 @@ def load_map_picture(path: Path, max_px: int) -> MapPicture:
             assert isinstance(page, tifffile.TiffPage)
             corner, cell_wh = _place(page, path)
             height, width = _shape(page, path)
+            _require_to_fit(page, path)
             step = -(-max(height, width) // max_px)
             image = _thinned(page, step)
             epsg = _epsg(page)
@@ -69,13 +75,46 @@ def _shape(page: TiffPage, path: Path) -> tuple[int, int]:
     height, width, depth = int(page.imagelength), int(page.imagewidth), int(page.samplesperpixel)
     if page.dtype != np.uint8 or depth < 3 or int(page.planarconfig) != 1:
         raise BadInput(f"{path} is no picture in red, green and blue of 8 bits: export one with --format ortho.")
-    segment = (page.tilelength or page.rowsperstrip or height) * (page.tilewidth or width) * depth
+    segment = _segment_bytes(page)
     if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE and 0 < segment <= MAX_SEGMENT_BYTES):
         raise BadInput(f"{path} promises {width} × {height} cells in parts of {segment:,} bytes: write it in tiles.")
-    # Deflate packs a thousandfold: a part larger packed than unpacked would fill the memory.
-    if max(page.databytecounts, default=0) > 2 * segment + 4096:
+    # A part much larger packed than unpacked would fill the memory by itself.
+    if max(page.databytecounts, default=0) > _most(segment):
         raise BadInput(f"{path} has parts of {max(page.databytecounts):,} bytes for {segment:,}: write it anew.")
     return height, width
+
+
+def _segment_bytes(page: TiffPage) -> int:
+    """Bytes of an unpacked tile or strip, as the file promises them."""
+    height, width = int(page.imagelength), int(page.imagewidth)
+    return int((page.tilelength or page.rowsperstrip or height) * (page.tilewidth or width) * page.samplesperpixel)
+
+
+def _most(segment: int) -> int:
+    return 2 * segment + 4096
+
+
+def _require_to_fit(page: TiffPage, path: Path) -> None:
+    """Raise BadInput where a part unpacks to more than it promises: the decoders of Python's own
+    libraries unpack all there is. Small parts cannot unpack to more than `MAX_SEGMENT_BYTES`."""
+    packing, most = int(page.compression), _most(_segment_bytes(page))
+    if packing == _ZSTD:
+        raise BadInput(f"{path} is packed with Zstandard, which is not read here: write it with deflate.")
+    ratio = {**dict.fromkeys(_DEFLATE, _DEFLATE_RATIO), _PACKBITS: _PACKBITS_RATIO, _LZMA: MAX_SEGMENT_BYTES}.get(packing, 1)
+    for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        if count * ratio <= MAX_SEGMENT_BYTES:
+            continue
+        page.parent.filehandle.seek(offset)
+        if _unpacks_to_more(page.parent.filehandle.read(count), packing, most):
+            raise BadInput(f"{path} has a part that unpacks to more than the {_segment_bytes(page):,} bytes it promises: write it anew.")
+
+
+def _unpacks_to_more(data: bytes, packing: int, most: int) -> bool:
+    if packing in _DEFLATE:
+        return len(zlib.decompressobj().decompress(data, most + 1)) > most
+    if packing == _LZMA:
+        return len(lzma.LZMADecompressor().decompress(data, most + 1)) > most
+    return len(data) * _PACKBITS_RATIO > max(most, MAX_SEGMENT_BYTES)
 
 
 def _place(page: TiffPage, path: Path) -> tuple[FloatArray, FloatArray]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import lzma
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -87,3 +90,24 @@ def test_cut_and_empty_files_are_refused(tmp_path: Path) -> None:
         except BadInput:
             continue
         assert max(found.image.shape[:2]) <= 100
+
+
+@pytest.mark.parametrize(("packing", "pack"), [("zlib", zlib.compress), ("lzma", lzma.compress)])
+def test_parts_that_unpack_to_more_than_they_promise_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, packing: str, pack: Callable[[bytes], bytes]
+) -> None:
+    # Of parts that may be 1 MB one of 30 kB unpacks to 8 MB, and is smaller than it may be packed.
+    monkeypatch.setattr("radiant_core.io.map_picture.MAX_SEGMENT_BYTES", 1 << 20)
+    monkeypatch.setattr("tifffile.TiffPage.segments", lambda _: pytest.fail("it was unpacked"))
+    values = np.zeros((90, 120, 3), np.uint8)
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric="rgb", rowsperstrip=90, compression=packing, extratags=PLACE)
+    bomb = pack(bytes(8 << 20))
+    assert len(bomb) < 2 * values.size
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+b") as file:
+        page, end = file.pages[0], file.filehandle.seek(0, 2)
+        file.filehandle.write(bomb)
+        assert isinstance(page, tifffile.TiffPage)
+        page.tags["StripOffsets"].overwrite([end])
+        page.tags["StripByteCounts"].overwrite([len(bomb)])
+    with pytest.raises(BadInput, match="unpacks to more than the 32,400 bytes"):
+        load_map_picture(tmp_path / "a.tif", 100)

@@ -221,8 +221,10 @@ class ControlDock(QDockWidget):
         assert self.session is not None
         listed = self.session.list
         system = listed.system if listed is not None else QInputDialog.getText(self, "Add point", "System, such as EPSG:32632, or LOCAL")[0]
+        if not system.strip():
+            return
         text, is_given = QInputDialog.getText(self, "Add point", f"Name, east, north, up in {system}")
-        if is_given and system.strip():
+        if is_given:
             self._host.attempt(lambda: self.add_point(system.strip(), text))
 
     def add_point(self, system: str, text: str) -> None:

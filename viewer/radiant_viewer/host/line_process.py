@@ -13,7 +13,8 @@ from typing import Any
 
 from PySide6.QtCore import QObject, QProcess, Signal
 
-END_MS = 2000
+TERMINATE_MS, END_MS = 500, 2000
+"""How long a process is waited for: told to end, so that it can take away what is half written, then killed."""
 MAX_WORDS = 2000
 
 
@@ -60,9 +61,10 @@ class LineProcess(QObject):
         self._is_ending = True
         if self._process is not None and self.is_running:
             self._process.closeWriteChannel()
-            # What it writes is whole or not there.
-            self._process.kill()
-            self._process.waitForFinished(END_MS)
+            self._process.terminate()
+            if not self._process.waitForFinished(TERMINATE_MS):
+                self._process.kill()
+                self._process.waitForFinished(END_MS)
 
     def _on_output(self) -> None:
         assert self._process is not None

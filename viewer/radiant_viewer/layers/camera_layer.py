@@ -38,8 +38,8 @@ def camera_layer(
 
 
 def highlight_layer(cameras: Cameras, index: int) -> Layer:
-    """Return a ring about one camera and its pyramid, enlarged, as the mark of a selection: to
-    deuteranopes vermillion is near orange (`palette.CATEGORIES`), but no camera is a ring."""
+    """Return a ring about one camera and its pyramid, enlarged, as the mark of a selection:
+    vermillion is a colour of regions too, but no camera is a ring."""
     one = cameras.select([index])
     size = _pyramid_depth(cameras)
     segments = pyramid_segments(one, 2 * size)

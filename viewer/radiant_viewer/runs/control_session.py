@@ -1,6 +1,7 @@
 """`ControlSession`: ground control of a run while it is marked, kept in RUN/gcp_list.txt.
 
-Every mark is written at once. Photographs are listed as a surveyor wants them: those that are
+Every mark is written at once, into the list as the file has it then: another program or window may
+have changed it. Photographs are listed as a surveyor wants them: those that are
 marked, then those that should see the point, the nearest to their middle first, then the others.
 """
 
@@ -43,18 +44,20 @@ class ControlSession:
         self.path = run.folder / CONTROL_LIST
         self.list: ControlList | None = None
         self._surveyed: FloatArray = np.zeros((0, 3))
-        if self.path.is_file():
-            self._take(load_control_list(self.path))
+        self._written: bytes | None = None
+        self._read_again()
         self._sizes: dict[str, tuple[int, int] | None] = {}
 
     def open(self, path: Path) -> None:
         """Take the points of a file, and its marks; BadInput while points of another are marked."""
+        self._read_again()
         if self.list is not None and self.list.marks:
             raise BadInput(f"{self.path} has marks already: move it away to begin with other points.")
         self._keep(load_control_list(path))
 
     def add(self, system: str, point: ListedPoint) -> None:
         """Add a point, the first in a system."""
+        self._read_again()
         before = self.list
         if before is None:
             east, north, up = point.place
@@ -64,14 +67,17 @@ class ControlSession:
 
     def mark(self, point: str, photograph: str, pixel: tuple[float, float]) -> None:
         """Mark a point, px of the stored photograph."""
+        self._read_again()
         self._keep(self._listed().marked(point, photograph, pixel))
 
     def unmark(self, point: str, photograph: str) -> None:
         """Take a mark back."""
+        self._read_again()
         self._keep(self._listed().unmarked(point, photograph))
 
     def set_check(self, point: str, is_check: bool) -> None:
         """Keep a point out of the adjustment, or not."""
+        self._read_again()
         self._keep(self._listed().with_check(point, is_check))
 
     def photograph(self, name: str) -> Image:
@@ -140,7 +146,20 @@ class ControlSession:
             self._surveyed = world_places(found, self._run.scene.frame)
         self.list = found
 
+    def _read_again(self) -> None:
+        """Take the list of the file if that is not what was read or written last; BadInput where it
+        cannot be read, and then nothing is written over it."""
+        now = self.path.read_bytes() if self.path.is_file() else None
+        if now == self._written:
+            return
+        if now is None:
+            self.list, self._written = None, None
+            return
+        self._take(load_control_list(self.path))
+        self._written = now
+
     def _keep(self, found: ControlList) -> None:
         self._take(found)
         found.save(self.path)
+        self._written = found.text().encode()
         self.changed()

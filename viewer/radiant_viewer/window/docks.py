@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QDockWidget, QMainWindow, QTabWidget, QWidget
+from PySide6.QtWidgets import QDockWidget, QMainWindow, QPushButton, QTabWidget, QWidget
 
 from radiant_viewer.docks.camera_dock import CameraDock
 from radiant_viewer.docks.cleaning_dock import CleaningDock
@@ -47,6 +47,11 @@ class Docks:
         is_measuring = self.survey is not None and self.survey.is_busy
         is_marking = self.control is not None and self.control.isVisible() and self.control.photograph != ""
         return is_measuring or is_marking or self.fly.job is not None or self.cleaning.polygon.is_active
+
+    @property
+    def click_buttons(self) -> list[QPushButton]:
+        """What lets clicks in the views make places or corners."""
+        return [self.cleaning.draw, *([self.survey.click] if self.survey is not None else [])]
 
     def undo_corner(self) -> None:
         """Take the last clicked place or drawn corner back."""

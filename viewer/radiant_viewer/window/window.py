@@ -27,6 +27,7 @@ from radiant_viewer.editing.planning import make_planning
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.host.marks import Marks
 from radiant_viewer.host.measure_tool import MeasureTool
+from radiant_viewer.host.one_tool import keep_one_on
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.splat_layer import splat_layer
@@ -396,6 +397,8 @@ class InspectorWindow(QMainWindow):
                 self._dark_button.append(button)
             if text == "Edit plan":
                 self.edit_button = button
+            if text == "Measure":
+                keep_one_on([button, *self.docks.click_buttons])
             if text == "Crop":
                 cleaning.box.active.toggled.connect(button.setChecked)
         bar.addWidget(self.panels.button)

@@ -32,6 +32,14 @@ struct Pixels {
   F transmittance, red, green, blue, depth, weight;
 };
 
+// log₂ α before the cap at pixels (x, y) from the tile's centre, the same to the last bit on the way back; and (u, v).
+template <int P>
+RADIANT_INLINE Floats<P> log2_alpha(const Row& row, const Floats<P>& x, const Floats<P>& y, Floats<P>& u, Floats<P>& v) {
+  u = fma(row.l11, x, fma(row.l12, y, row.u));
+  v = fma(row.l22, y, row.v);
+  return fnma(v, v, fnma(u, u, broadcast<P>(row.log2_opacity)));
+}
+
 // α at 16 pixels, 0 where it is under α_min or no number; t = log₂ of it before the cap.
 RADIANT_INLINE F alpha_of(const F& t) {
   return keep(broadcast(kLog2AlphaMin) <= t, min(exp2_of_negative(t), broadcast(kAlphaMax)));
@@ -46,8 +54,8 @@ RADIANT_INLINE Pixels blend_block(const Row* rows, const uint32_t* list, uint32_
   uint32_t alive = 0xffff;
   for (uint32_t i = 0; i < count; ++i) {
     const Row& row = rows[list[i]];
-    const F u = row.l11 * x + (row.l12 * y + row.u), v = row.l22 * y + row.v;
-    const F alpha = alpha_of(row.log2_opacity - u * u - v * v);
+    F u, v;
+    const F alpha = alpha_of(log2_alpha(row, x, y, u, v));
     F weight = alpha * p.transmittance;
     F after = p.transmittance - weight;
     const uint32_t going_on = bits_of(broadcast(kTransmittanceCut) < after);
@@ -63,10 +71,10 @@ RADIANT_INLINE Pixels blend_block(const Row* rows, const uint32_t* list, uint32_
       }
     }
     p.transmittance = after;
-    p.red += row.red * weight;
-    p.green += row.green * weight;
-    p.blue += row.blue * weight;
-    p.depth += row.depth_m * weight;
+    p.red = fma(row.red, weight, p.red);
+    p.green = fma(row.green, weight, p.green);
+    p.blue = fma(row.blue, weight, p.blue);
+    p.depth = fma(row.depth_m, weight, p.depth);
     p.weight += weight;
   }
   p.transmittance = p.transmittance + finished;

@@ -91,16 +91,16 @@ RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t e
     BlockState& b = blocks[__builtin_ctz(reached)];
     if (__builtin_expect(entry < b.next, 0)) start_pixels(b, entry);
     for (int i = 0; i < kParts; ++i) {
-      const Part y = part(b.y, i), u = row.l11 * part(b.x, i) + (row.l12 * y + row.u), v = row.l22 * y + row.v;
-      const Part t = row.log2_opacity - u * u - v * v;
+      Part u, v;
+      const Part t = log2_alpha(row, part(b.x, i), part(b.y, i), u, v);
       const Part free_alpha = keep(broadcast<1>(kLog2AlphaMin) <= t, exp2_of_negative(t));
       const Part alpha = kCapped ? min(free_alpha, broadcast<1>(kAlphaMax)) : free_alpha;
       const Part transmittance = part(b.transmittance, i) * reciprocal(1.0f - alpha), weight = alpha * transmittance;
       const Part red = part(b.red, i), green = part(b.green, i), blue = part(b.blue, i), behind = part(b.behind, i);
-      Part difference = row.red * red + row.green * green + row.blue * blue - behind;
-      if (kDepth) difference += (row.depth_m - part(b.picture_depth, i)) * part(b.depth, i);
+      Part difference = fma(row.red, red, fma(row.green, green, fma(row.blue, blue, -behind)));
+      if (kDepth) difference = fma(row.depth_m - part(b.picture_depth, i), part(b.depth, i), difference);
       b.transmittance.p[i] = transmittance.p[0];
-      b.behind.p[i] = (behind + alpha * difference).p[0];
+      b.behind.p[i] = fma(alpha, difference, behind).p[0];
       Part h = weight * difference;
       // At the cap α does not move.
       if (kCapped) h = keep(t <= broadcast<1>(kLog2AlphaMax), h);
@@ -108,16 +108,16 @@ RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t e
       sums[0] += h;
       sums[1] += hu;
       sums[2] += hv;
-      sums[3] += hu * u;
-      sums[4] += hu * v;
-      sums[5] += hv * v;
-      sums[6] += weight * red;
-      sums[7] += weight * green;
-      sums[8] += weight * blue;
-      if (kDepth) sums[9] += weight * part(b.depth, i);
+      sums[3] = fma(hu, u, sums[3]);
+      sums[4] = fma(hu, v, sums[4]);
+      sums[5] = fma(hv, v, sums[5]);
+      sums[6] = fma(weight, red, sums[6]);
+      sums[7] = fma(weight, green, sums[7]);
+      sums[8] = fma(weight, blue, sums[8]);
+      if (kDepth) sums[9] = fma(weight, part(b.depth, i), sums[9]);
       if constexpr (kAbsolute) {
         sums[kMoments] += abs(hu);
-        sums[kMoments + 1] += abs(row.l12 * hu + row.l22 * hv);
+        sums[kMoments + 1] += abs(fma(row.l12, hu, row.l22 * hv));
       }
     }
   }

@@ -16,7 +16,7 @@ RADIANT_INLINE F view_directions(const View& view, const float* means, int64_t f
     for (int axis = 0; axis < 3; ++axis)
       away[axis][lane] = static_cast<float>(from[3 * (lane < lanes ? lane : lanes - 1) + axis] - view.center[axis]);
   for (int axis = 0; axis < 3; ++axis) direction[axis] = load(away[axis]);
-  const F length2 = direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2];
+  const F length2 = dot(direction[0], direction[0], direction[1], direction[1], direction[2], direction[2]);
   const F inverse = 1.0f / max(sqrt(length2), broadcast(1e-12f));
   for (int axis = 0; axis < 3; ++axis) direction[axis] *= inverse;
   return inverse;
@@ -101,9 +101,9 @@ RADIANT_INLINE void shade(const SplatArrays& splats, int64_t first, int lanes, u
       for (int i = 0; i < kLanes; ++i) {
         const int k = (part * kLanes + i) / 3, c = (part * kLanes + i) % 3;
         if (k >= kBases) continue;
-        color[c] += value[k] * column[i];
+        color[c] = fma(value[k], column[i], color[c]);
         if (slopes)
-          for (int axis = 0; axis < 3; ++axis) sums[3 * c + axis] += slope[k][axis] * column[i];
+          for (int axis = 0; axis < 3; ++axis) sums[3 * c + axis] = fma(slope[k][axis], column[i], sums[3 * c + axis]);
       }
     }
     if (slopes)

@@ -95,7 +95,7 @@ RADIANT_INLINE void rotate(const View& view, const float* quats, int64_t first, 
   // Scaled by the largest entry: no square overflows; below 1e-36 the inverse itself would.
   const F scale = 1.0f / select(nonzero, max(largest, broadcast(1e-36f)), broadcast(1.0f));
   for (int k = 0; k < 4; ++k) q[k] = select(nonzero, q[k] * scale, broadcast(k == 0 ? 1.0f : 0.0f));
-  const F norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+  const F norm2 = fma(q[3], q[3], dot(q[0], q[0], q[1], q[1], q[2], q[2]));
   const F inverse = 1.0f / sqrt(max(norm2, broadcast(1e-30f)));
   for (int k = 0; k < 4; ++k) g.quat[k] = q[k] * inverse;
   g.inverse_norm = keep(nonzero, scale * inverse);
@@ -106,8 +106,8 @@ RADIANT_INLINE void rotate(const View& view, const float* quats, int64_t first, 
   R[6] = 2.0f * (x * z - w * y), R[7] = 2.0f * (y * z + w * x), R[8] = 1.0f - 2.0f * (x * x + y * y);
   for (int row = 0; row < 3; ++row)
     for (int k = 0; k < 3; ++k)
-      g.axes[3 * row + k] = static_cast<float>(view.rotation[3 * row]) * R[k] + static_cast<float>(view.rotation[3 * row + 1]) * R[3 + k] +
-                            static_cast<float>(view.rotation[3 * row + 2]) * R[6 + k];
+      g.axes[3 * row + k] = dot(broadcast(static_cast<float>(view.rotation[3 * row])), R[k], broadcast(static_cast<float>(view.rotation[3 * row + 1])),
+                                R[3 + k], broadcast(static_cast<float>(view.rotation[3 * row + 2])), R[6 + k]);
 }
 
 RADIANT_INLINE void project_covariance(const View& view, const float* log_scales, int64_t first, int lanes, Geometry& g) {
@@ -125,23 +125,24 @@ RADIANT_INLINE void project_covariance(const View& view, const float* log_scales
   F largest = broadcast(0.0f);
   for (int k = 0; k < 3; ++k) {
     g.scales[k] = exp(g.log_scales[k]);
-    g.half_x[k] = g.scales[k] * scale_x * (g.axes[k] - g.clamped_x * g.axes[6 + k]);
-    g.half_y[k] = g.scales[k] * scale_y * (g.axes[3 + k] - g.clamped_y * g.axes[6 + k]);
+    g.half_x[k] = g.scales[k] * scale_x * fnma(g.clamped_x, g.axes[6 + k], g.axes[k]);
+    g.half_y[k] = g.scales[k] * scale_y * fnma(g.clamped_y, g.axes[6 + k], g.axes[3 + k]);
     largest = max(largest, max(abs(g.half_x[k]), abs(g.half_y[k])));
     // An infinite scale times 0 is no number, which the maximum above may drop.
     g.usable = g.usable & (g.scales[k] < broadcast(1e30f));
   }
   g.usable = g.usable & (largest < broadcast(kMaxHalfAxisPx));
   for (int k = 0; k < 3; ++k) g.half_x[k] = keep(g.usable, g.half_x[k]), g.half_y[k] = keep(g.usable, g.half_y[k]);
-  g.xx = g.half_x[0] * g.half_x[0] + g.half_x[1] * g.half_x[1] + g.half_x[2] * g.half_x[2];
-  g.xy = g.half_x[0] * g.half_y[0] + g.half_x[1] * g.half_y[1] + g.half_x[2] * g.half_y[2];
-  g.yy = g.half_y[0] * g.half_y[0] + g.half_y[1] * g.half_y[1] + g.half_y[2] * g.half_y[2];
+  const F *x = g.half_x, *y = g.half_y;
+  g.xx = dot(x[0], x[0], x[1], x[1], x[2], x[2]);
+  g.xy = dot(x[0], y[0], x[1], y[1], x[2], y[2]);
+  g.yy = dot(y[0], y[0], y[1], y[1], y[2], y[2]);
   const F area = scale_x * scale_y;
   g.determinant = broadcast(0.0f);
   for (int k = 0; k < 3; ++k) {
-    const F along = g.clamped_x * g.axes[k] + g.clamped_y * g.axes[3 + k] + g.axes[6 + k];
+    const F along = fma(g.clamped_x, g.axes[k], fma(g.clamped_y, g.axes[3 + k], g.axes[6 + k]));
     const F minor = g.scales[(k + 1) % 3] * (g.scales[(k + 2) % 3] * area) * along;
-    g.determinant += minor * minor;
+    g.determinant = fma(minor, minor, g.determinant);
   }
   g.dilated_xx = g.xx + kDilationPx2;
   g.dilated_yy = g.yy + kDilationPx2;

@@ -11,6 +11,7 @@ struct Reach {
   F extent_x, extent_y;       // half sides of the box with α ≥ α_min, px
   F limit;                    // largest u² + v²
   F l11, l12, l22, slope;     // slope = l12 / l11
+  F inverse_l11;
   F top;                      // y (relative) of the rightmost point
 };
 
@@ -23,8 +24,8 @@ RADIANT_INLINE void row_span(const View& view, const Reach& r, const F& row, F& 
   const F y_right = clamp(r.top, low, high), y_left = clamp(-r.top, low, high);
   const F v_right = r.l22 * y_right, v_left = r.l22 * y_left;
   const F left_right = limit - v_right * v_right, left_left = limit - v_left * v_left;
-  const F right = r.center_x - r.slope * y_right + sqrt(max(left_right, broadcast(0.0f))) / r.l11 + margin;
-  const F left = r.center_x - r.slope * y_left - sqrt(max(left_left, broadcast(0.0f))) / r.l11 - margin;
+  const F right = r.center_x - r.slope * y_right + sqrt(max(left_right, broadcast(0.0f))) * r.inverse_l11 + margin;
+  const F left = r.center_x - r.slope * y_left - sqrt(max(left_left, broadcast(0.0f))) * r.inverse_l11 - margin;
   const Mask hit = (broadcast(0.0f) <= max(left_right, left_left));
   const F tiles_x = broadcast(static_cast<float>(view.tiles_x));
   // Offsets by one tile keep the truncated numbers positive.
@@ -99,14 +100,17 @@ RADIANT_INLINE Mask reach_of(const View& view, const SplatArrays& splats, int64_
   r.limit = max(log2_opacity + 7.994353436858858f, broadcast(0.0f));  // − log₂ α_min
   const F root_det = sqrt(g.dilated_determinant), root_yy = sqrt(g.dilated_yy);
   const float s = 0.84932180f;  // √(½ log₂e)
-  r.l11 = s * root_yy / root_det;
-  r.l12 = -s * (g.xy / root_yy) / root_det;
-  r.l22 = s / root_yy;
-  r.slope = -(g.xy / g.dilated_yy);
+  const F inverse_yy = 1.0f / root_yy, inverse_det = 1.0f / root_det, along = g.xy * inverse_yy;
+  r.l11 = s * root_yy * inverse_det;
+  r.l12 = -s * along * inverse_det;
+  r.l22 = s * inverse_yy;
+  r.slope = -(along * inverse_yy);
+  r.inverse_l11 = (1.0f / s) * root_det * inverse_yy;
   const F reach = sqrt(r.limit) * (1.0f / s);
-  r.extent_x = reach * sqrt(g.dilated_xx);
+  const F root_xx = sqrt(g.dilated_xx);
+  r.extent_x = reach * root_xx;
   r.extent_y = reach * root_yy;
-  r.top = reach * g.xy / sqrt(g.dilated_xx);
+  r.top = reach * g.xy / root_xx;
   r.center_x = load(g.whole_x) + load(g.rest_x);
   r.center_y = load(g.whole_y) + load(g.rest_y);
   const F zero = broadcast(0.0f);

@@ -39,10 +39,9 @@ RADIANT_INLINE Group load_group(const Footprint* footprints, const Entry* entrie
     r[lane] = load(reinterpret_cast<const float*>(footprints + entries[lane < lanes ? lane : lanes - 1].owner));
   transpose(r);
   Group g;
-  // Whole pixels go through integers: -ffast-math would add the rest to them first, which costs the
-  // rest its digits (2e-6 px at 100 px).
-  g.dx = as_float(truncated(center_x - r[0])) - r[2];
-  g.dy = as_float(truncated(center_y - r[1])) - r[3];
+  // In this order: added to whole pixels first, the rest would lose digits (2e-6 px at 100 px).
+  g.dx = (center_x - r[0]) - r[2];
+  g.dy = (center_y - r[1]) - r[3];
   g.l11 = r[4], g.l22 = r[6], g.slope = r[12], g.lean = r[13];
   g.limit = r[7] - kLog2AlphaMin;
   const F zero = broadcast(0.0f);
