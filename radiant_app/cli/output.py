@@ -138,10 +138,10 @@ def view(
     serve_page(model, port, terminal_display(), typer.echo)
 
 
-def _asked_format(format: ExportFormat | None, lod: bool, tiles: TileContent | None) -> ExportFormat | None:  # noqa: A002
+def _asked_format(given: ExportFormat | None, lod: bool, tiles: TileContent | None) -> ExportFormat | None:
     """The format that options ask for; BadInput where they ask for two."""
-    asked: dict[str, ExportFormat | None] = {"--lod": "lod" if lod else None, "--tiles": "tiles" if tiles else None, "--format": format}
-    kinds = {kind for kind in asked.values() if kind is not None}
+    asked: dict[str, ExportFormat | None] = {"--lod": "lod" if lod else None, "--tiles": "tiles" if tiles else None, "--format": given}
+    kinds: set[ExportFormat] = {kind for kind in asked.values() if kind is not None}
     if len(kinds) > 1:
         named = " and ".join(option for option, kind in asked.items() if kind is not None)
         raise BadInput(f"{named} ask for {' and '.join(sorted(kinds))}: ask for one of them.")

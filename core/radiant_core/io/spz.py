@@ -131,7 +131,7 @@ def _harmonic_bytes(shN: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _near_identity(splats: Splats) -> tuple[FloatArray, FloatArray]:
-    """Rotations (N,4) wxyz with the greatest w of the 24, and the log scales (N,3) of their axes."""
+    """Rotations (N,4) wxyz with the greatest w of the 24, and log scales (N,3) of their axes."""
     turns, axes = _relabellings()
     quats = unit_quats(splats.quats).astype(np.float64)
     w, xyz = quats[:, :1], quats[:, 1:]
@@ -164,7 +164,7 @@ def _from_first_three(stored: NDArray[np.uint8]) -> FloatArray:
 
 
 def _smallest_three(quats: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Words (N,) as bytes: 2 bits of which of x y z w is left out, then sign and 9 bits of the rest."""
+    """Words (N,) as bytes: 2 bits of which of x y z w is left out; sign and 9 bits of the rest."""
     rows, xyzw = np.arange(len(quats)), quats[:, [1, 2, 3, 0]].astype(np.float64)
     largest = np.abs(xyzw).argmax(axis=1)
     xyzw = np.where(xyzw[rows, largest, None] < 0, -xyzw, xyzw)

@@ -1,5 +1,5 @@
-"""A model as 3D Tiles 1.1: levels of detail as GLB with KHR_gaussian_splatting, compressed as SPZ or
-plain. Once per export.
+"""A model as 3D Tiles 1.1: levels of detail as GLB with KHR_gaussian_splatting, compressed as SPZ
+or plain. Once per export.
 
     tileset.json     root ─ far field, whole
                      └ per chunk: the coarsest level ─ … ─ the finest, each for the last
