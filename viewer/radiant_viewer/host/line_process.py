@@ -14,7 +14,8 @@ from typing import Any
 from PySide6.QtCore import QObject, QProcess, Signal
 
 TERMINATE_MS, END_MS = 500, 2000
-"""How long a process is waited for: told to end, so that it can take away what is half written, then killed."""
+"""How long a process is waited for: told to end, so that it can take away what is half written, and
+then killed."""
 MAX_WORDS = 2000
 
 
