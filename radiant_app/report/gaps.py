@@ -20,6 +20,8 @@ def _of_devices(metrics: Mapping[str, Any]) -> Iterator[str]:
         yield f"No model came from {device}: {reason}"
     for device, reason in metrics.get("not_refined", {}).items():
         yield f"The photographs of {device} did not refine the joined scene, its model is in it: {reason}"
+    for device, reason in metrics.get("partly_refined", {}).items():
+        yield f"The photographs of {device} refined the joined scene in some rounds alone, {reason}"
 
 
 def _of_the_frame(frame: Frame) -> Iterator[str]:

@@ -110,7 +110,11 @@ class CloudRun:
         if not dealer.has_model("cloud"):
             reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
             raise StageFailed(f"no device delivered a model that could be used. {reasons}")
-        rounds = self._refine(plan_rounds(dealer, dealer.load_moves()), progress)
+        rounds, done = plan_rounds(dealer, dealer.load_moves()), [node for node in nodes if dealer.is_done(node)]
+        progress.listen(Outlined(stages=(*done, *(node.id for each in rounds for node in each.tree or ()), *scores)))
+        rounds = self._refine(rounds, progress)
+        refined = [node.id for each in rounds for node in each.tree or () if each.is_done(node.id)]
+        progress.listen(Outlined(stages=(*done, *refined, *scores)))
         self._score(dealer, progress)
         progress.manifest.access_log = [*dealer.access_log]
         return dealer, tree, rounds

@@ -32,7 +32,7 @@ from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
 from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
-from radiant_app.run.refining import Refining, expected_refines, fold_rounds, left_out, plan_rounds
+from radiant_app.run.refining import Refining, expected_refines, fold_rounds, left_out, partly_left_out, plan_rounds
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
@@ -130,7 +130,8 @@ def run(
             dealer, tree, rounds = _join(config, photographs, plan, progress)
         deal_files(dealer.scene_folder, ["scene.ply"], config.out)
         emulation = emulated_figures(config.out, tree, [own for each in rounds if (own := each.tree)], manifest) if config.emulated else {}
-        refined = {"refined": dealer.version == REFINED, "not_refined": left_out(rounds)}
+        missed = {"not_refined": left_out(rounds), "partly_refined": partly_left_out(rounds)}
+        refined = {"refined": dealer.version == REFINED, **missed}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe.cloud_plan, more)
         manifest.status = "done"

@@ -72,25 +72,34 @@ def fold_rounds(rounds: Sequence[Refining], fold: Callable[[Refining, Tree], Non
             kept = "it was joined" if each.dealer.refined is None else f"round {each.number - 1} left it"
             listen(Warned(stage=tree.id, message=f"the scene stays as {kept}: no refinement arrived; --resume tries again."))
             break
-    if tried and (missing := left_out(tried)):
+    if tried and (missing := {**left_out(tried), **partly_left_out(tried)}):
         stage, num_devices = tried[-1].node("cloud"), sum(map(len, tried[0].plan.devices.values()))
         listen(Decided(decision=left_out_decision(stage, missing, num_devices)))
     return tuple(tried)
 
 
 def left_out(rounds: Sequence[Refining]) -> dict[str, str]:
-    """Device that was to refine the scene in these rounds and did not in all of them → the reason,
-    with the round where it is one of several."""
+    """Device that was to refine the scene and did so in none of these rounds → the last reason."""
+    return {device: missed[-1][1] for device, missed in _missed_in(rounds).items() if len(missed) == len(rounds)}
+
+
+def partly_left_out(rounds: Sequence[Refining]) -> dict[str, str]:
+    """Device that refined the scene in some of these rounds alone → in which it did not, and the
+    last reason."""
+    found = {device: missed for device, missed in _missed_in(rounds).items() if len(missed) < len(rounds)}
+    return {device: f"not in round {_listed([number for number, _ in missed])}: {missed[-1][1]}" for device, missed in found.items()}
+
+
+def _missed_in(rounds: Sequence[Refining]) -> dict[str, list[tuple[int, str]]]:
     found: dict[str, list[tuple[int, str]]] = {}
     for each in rounds:
         for device, reason in each.left_out().items():
             found.setdefault(device, []).append((each.number, reason))
-    return {device: _reason_of(missed, len(rounds)) for device, missed in found.items()}
+    return found
 
 
-def _reason_of(missed: Sequence[tuple[int, str]], num_rounds: int) -> str:
-    number, reason = missed[-1]
-    return reason if len(missed) == num_rounds else f"in round {number} of {num_rounds} {reason}"
+def _listed(numbers: Sequence[int]) -> str:
+    return " and ".join([*([", ".join(map(str, numbers[:-1]))] if len(numbers) > 1 else []), str(numbers[-1])])
 
 
 def left_out_decision(stage: str, left_out: Mapping[str, str], num_devices: int) -> Decision:

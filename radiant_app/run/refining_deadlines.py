@@ -3,7 +3,8 @@ round.
 
     device   the time of its process beside training, and that of training × the share of its steps
              × how much larger the scene is than its model
-    edge     the time of joining × how much larger the scene is than its model; the cloud: as it is
+    edge     the time of joining × how much larger the scene is than its model, and a training step
+             for each photograph of its devices, whose renders weigh them; the cloud: joining alone
 
 Refining has no cost curve and needs none: each of its machines has just been measured. The rule is
 that of trainings and joins (`time_left.py`): given up after `execution.deadline_factor` times as
@@ -18,9 +19,10 @@ from pathlib import Path
 from statistics import median
 
 from radiant_app.files.run_folder import Manifest
+from radiant_app.run.dealing import Dealer
 from radiant_app.run.refining import Refining
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
-from radiant_core.aggregate.tree import refines_for
+from radiant_core.aggregate.tree import Tree, refines_for
 from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.io.messages import SUMMARY_NAME
 from radiant_core.io.run_store import read_json
@@ -72,12 +74,22 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
             num_dealt = dealer.photographs.num_dealt(own.rsplit("/", 1)[-1])
             num_steps = refining_steps(dealer.recipe.aggregate.refine_epochs, num_dealt)
         beside_s = (process_s - trained_s) * (1.0 if node.tier == "device" else larger)
+        beside_s += sum(_render_s(dealer, child, scene) for child in node.children) if node.tier == "edge" else 0.0
         expected[node.id] = beside_s + trained_s * larger * num_steps / max(1, summary.get("num_steps", 0))
     for node in refining.tree or ():
         alike = [expected[other.id] for other in refining.tree or () if other.tier == node.tier and other.id in expected]
         if alike:
             expected.setdefault(node.id, median(alike))
     return expected
+
+
+def _render_s(dealer: Dealer, node: Tree, scene: Mapping[str, float]) -> float:
+    """Seconds in which a device would render the scene forth and back at each of its photographs."""
+    own = refines_for(node.id)
+    summary = _summary(dealer.run / own)
+    step_s = summary.get("train_s", 0.0) / max(1, summary.get("num_steps", 0))
+    larger = max(1.0, scene.get("num_splats", 0) / max(1, summary.get("num_splats", 0)))
+    return step_s * larger * dealer.photographs.num_dealt(own.rsplit("/", 1)[-1])
 
 
 def _summary(folder: Path) -> Mapping[str, float]:

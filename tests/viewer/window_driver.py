@@ -153,7 +153,8 @@ def steps_of_begun_run(nothing):
     # There is no plan yet: what is at work is shown until there is one.
     assert nothing is None
     waiting = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, WaitingWindow))
-    assert "no plan yet" in waiting.text.text() and waiting.progress.table.item(0, 0).text() == "sfm"
+    first = waiting.progress.table.item(0, 0)
+    assert "no plan yet" in waiting.text.text() and first is not None and first.text() == "sfm"
     (given.out / "plan.json").rename(given.run_folder / "plan.json")
     until(windows)
     (window,) = windows()

@@ -36,6 +36,8 @@ MARGIN = 0.97
 NO_CAMERAS = concatenate_cameras([])
 ROUNDING = 4.0
 """Weights of edges are rounded down to powers of it."""
+ROUNDED_SUM = 1.001
+"""The Gaussians of a photograph fill it once at most; their shares are sums of float32."""
 BLOCK_ROWS = 65536
 """Gaussians averaged at a time, whose values are float64 meanwhile."""
 AVERAGE_PROCESS_BYTES, AVERAGE_COPIES, AVERAGE_BYTES_PER_SPLAT = 140_000_000, 9, 60
@@ -107,13 +109,13 @@ def _mean(refinements: Iterable[Refinement], scene: Splats) -> tuple[Splats, Flo
 
 
 def refinement_problem(refinement: Refinement, scene: Splats, num_dealt: float = float("inf")) -> str | None:
-    """Why a refinement does not fit to `scene`, one sentence, or None; one that counts more
+    """Why a refinement does not fit to `scene`, one sentence, or None; one whose Gaussians fill more
     photographs than were dealt would outweigh all others."""
     rows, splats = refinement.rows, refinement.splats
     if not len(rows):
         return None
-    if (most := float(refinement.weights.max())) > num_dealt:
-        return f"it counts {most:,.0f} photographs of one Gaussian, where {num_dealt:,.0f} were dealt to it."
+    if (filled := float(refinement.weights.sum(dtype=np.float64))) > num_dealt * ROUNDED_SUM:
+        return f"its Gaussians fill {filled:,.1f} photographs, where {num_dealt:,.0f} were dealt to it."
     if rows[-1] >= len(scene):
         return f"it names Gaussian {rows[-1]:,} of a scene of {len(scene):,}: it is of another scene."
     if splats.sh_degree != scene.sh_degree:

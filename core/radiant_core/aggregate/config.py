@@ -12,6 +12,7 @@ AggregatePreset = Literal["default", "paper"]
 the cloud, nothing skipped (paper Sec. III-D)."""
 
 MAX_TILES = 256
+MAX_ROUNDS = 99
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +61,8 @@ class AggregateConfig:
             raise BadInput(f"faint_opacity is {self.faint_opacity}, expected at least 0 and less than 1.")
         if self.refine_epochs < 0:
             raise BadInput(f"refine_epochs is {self.refine_epochs}, expected 0 (the scene is not refined) or more.")
-        if self.refine_rounds < 1:
-            raise BadInput(f"refine_rounds is {self.refine_rounds}, expected at least 1: set refine_epochs to 0 to refine nothing.")
+        if not 1 <= self.refine_rounds <= MAX_ROUNDS:
+            raise BadInput(f"refine_rounds is {self.refine_rounds}, expected 1 to {MAX_ROUNDS}: set refine_epochs to 0 to refine nothing.")
         if min(self.num_epochs, self.edge_epochs) < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
             raise BadInput("num_epochs, edge_epochs and max_num_steps of the aggregation must be at least 1.")
 

@@ -20,6 +20,9 @@ from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_C0, Splats
 
+SHARES_SIDE_PX = 640
+"""Of a Gaussian's share in a picture, which hardly depends on the picture's size."""
+
 
 def count_shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:
     """Pixels (N,) that each of N Gaussians makes in the pictures of C cameras."""
@@ -37,7 +40,9 @@ def count_shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "aut
 
 def count_shown_photographs(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:
     """What each of N Gaussians makes of the pictures of C cameras, (N,) from 0 to C, in pictures of
-    the largest of them; Gaussians that no camera can see are not rendered."""
+    the largest of them, which are rendered `SHARES_SIDE_PX` wide at most; Gaussians that no camera
+    can see are not rendered."""
+    cameras = cameras.scaled(SHARES_SIDE_PX)
     shown, rows = np.zeros(len(splats)), np.flatnonzero(reached_by(splats, cameras))
     if len(rows):
         shown[rows] = count_shown_pixels(splats.select(rows), cameras, backend) / cameras.sizes_wh.prod(axis=1).max()

@@ -89,7 +89,9 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     fitted = fit_splats(start, views, config, replace(options, steps=bare.steps, statistics_bytes=bare.statistics_bytes)).splats
     fitted = limit_changes(start, fitted)
     kept = np.flatnonzero(_changed(start, fitted))
-    return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=np.ones(len(kept), np.float32))
+    # Its edge weighs it, by renders of its own.
+    weights = np.full(len(kept), 1 / max(1, len(kept)), np.float32)
+    return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=weights)
 
 
 def _shortened(stage: str, taken: float, epochs: int) -> Decision:

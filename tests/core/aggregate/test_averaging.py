@@ -195,9 +195,13 @@ def test_an_edge_tells_powers_of_four_and_opposite_quaternions_are_one_rotation(
 
 
 def test_no_sender_outweighs_the_others_by_counting_more_photographs_than_it_has() -> None:
-    assert refinement_problem(refined([3, 5], 0.1, 12.0), SCENE, num_dealt=12) is None
-    found = refinement_problem(refined([3, 5], 0.1, 1e30), SCENE, num_dealt=12)
-    assert found is not None and "where 12 were dealt to it" in found
+    assert refinement_problem(refined([3, 5], 0.1, 6.0), SCENE, num_dealt=12) is None
+    for weight in (6.1, 1e30):
+        found = refinement_problem(refined([3, 5], 0.1, weight), SCENE, num_dealt=12)
+        assert found is not None and "where 12 were dealt to it" in found
+    # Honest ones: a photograph is filled once at most.
+    cameras = cameras_above([(0.0, 0.0), (1.0, 0.0)], height_m=3.0, size_wh=(64, 48))
+    assert 1 < count_shown_photographs(SCENE, cameras, "native").sum() <= 2
 
 
 def test_rows_that_wrap_around_are_refused() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -54,11 +55,12 @@ def surface() -> Surface:
 
 def heights_from_above(mesh: Mesh, places: np.ndarray) -> np.ndarray:
     """Height (P,) of the topmost surface over places (P,2), NaN where there is none."""
+    tensor: Any = o3d.core.Tensor
     scene, top = o3d.t.geometry.RaycastingScene(), float(mesh.vertices[:, 2].max()) + 1.0
-    scene.add_triangles(o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
+    scene.add_triangles(tensor(mesh.vertices.astype(np.float32)), tensor(mesh.triangles.astype(np.uint32)))
     rays = np.tile(np.array([0, 0, top, 0, 0, -1], np.float32), (len(places), 1))
     rays[:, :2] = places
-    distances = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+    distances = scene.cast_rays(tensor(rays))["t_hit"].numpy().astype(np.float64)
     return np.where(np.isfinite(distances), top - distances, np.nan)
 
 

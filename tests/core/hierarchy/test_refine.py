@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.averaging import admit_refinement, join_refinements, refine_scene
+from radiant_core.aggregate.averaging import admit_refinement, join_refinements, refine_scene, refinement_problem
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.hierarchy.messages import RefineTask
@@ -43,6 +43,7 @@ def error_db(scene: Splats) -> float:
 def test_a_blurred_scene_gains_from_photographs_of_two_devices_and_keeps_its_rows() -> None:
     refinements = [refine_device(TASK, BLURRED, photographs(which), Recorder()) for which in (0, 1)]
     for one in refinements:
+        assert refinement_problem(one, BLURRED, num_dealt=3) is None
         assert 0 < len(one.rows) < len(BLURRED) and one.splats.sh_degree == BLURRED.sh_degree
     passed = [passed_refinement(one, "float16", BLURRED) for one in refinements]
     kept = [one for one in passed if not isinstance(one, str)]
