@@ -25,18 +25,18 @@ from tests.core.scenes import cameras_above
 folder, num_splats, degree, num_senders = Path(sys.argv[1]), *map(int, sys.argv[2:5])
 rng = np.random.default_rng(0)
 def normal(*shape): return (0.1 * rng.normal(size=(num_splats, *shape))).astype(np.float32)
-made = Splats(means=normal(3), quats=1 + normal(4), log_scales=normal(3), logit_opacities=normal(), sh0=normal(1, 3),
+made = Splats(means=normal(3), quats=1 + normal(4), log_scales=normal(3) - 4, logit_opacities=normal(), sh0=normal(1, 3),
               shN=normal(SH_BASES[degree] - 1, 3))
 part = folder / "refine"
 part.mkdir(parents=True)
 save_ply(part / "scene.ply", made)
 scene = load_ply(part / "scene.ply")
-one = Refinement(rows=np.arange(num_splats), splats=scene, weights=np.ones(num_splats, np.float32))
+one = Refinement(rows=np.arange(num_splats), splats=scene, weights=np.full(num_splats, 1 / num_splats, np.float32))
 for index in range(num_senders):
     for place in (part / "inbox" / f"s{index}", folder / "inbox" / f"s{index}"):
         place.mkdir(parents=True)
     save_refinement(part / "inbox" / f"s{index}", one, scene, "float16", print)
-    save_cameras(folder / "inbox" / f"s{index}" / "cameras.safetensors", cameras_above([(0.0, 0.0), (0.1, 0.0)]))
+    save_cameras(folder / "inbox" / f"s{index}" / "cameras.safetensors", cameras_above([(0.0, 0.0), (0.1, 0.0)], size_wh=(4000, 3000)))
 """
 AVERAGE = """
 import sys
@@ -49,7 +49,7 @@ from radiant_app.workers.tasks import AverageTask, FinishTask
 folder, kind, num_senders = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 senders = tuple(f"s{index}" for index in range(num_senders))
 common = {"senders": senders, "num_dealt": (2,) * num_senders}
-shown = {"backend": "native", "long_side_px": 384}
+shown = {"backend": "native", "long_side_px": 4000}
 reporter = EventReporter(stage="x", emit=lambda event: None)
 reset_peak_bytes()
 if kind == "finish":
@@ -76,5 +76,5 @@ def test_averaging_needs_no_more_memory_than_is_said_however_many_send(tmp_path:
     peaks = {count: peak_of(tmp_path / str(count), kind, num_splats, degree, count) for count in (2, 8)}
     allowed = average_bytes(num_splats, degree, renders=kind == "average")
     print(f"{kind}, {num_splats:,} Gaussians of degree {degree}: {peaks[2] / 1e6:.0f} and {peaks[8] / 1e6:.0f} MB of {allowed / 1e6:.0f}")
-    assert peaks[8] < peaks[2] + 0.05 * allowed and max(peaks.values()) <= allowed
+    assert peaks[8] < peaks[2] + 0.08 * allowed and max(peaks.values()) <= allowed
     assert max(peaks.values()) > 0.5 * allowed, "no more than needed is asked for"
