@@ -84,7 +84,7 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
 
 
 def _render_s(dealer: Dealer, node: Tree, scene: Mapping[str, float]) -> float:
-    """Seconds in which a device would render the scene forth and back at each of its photographs."""
+    """Seconds in which a device would render the scene and back at each of its photographs."""
     own = refines_for(node.id)
     summary = _summary(dealer.run / own)
     step_s = summary.get("train_s", 0.0) / max(1, summary.get("num_steps", 0))

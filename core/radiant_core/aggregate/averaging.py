@@ -109,8 +109,8 @@ def _mean(refinements: Iterable[Refinement], scene: Splats) -> tuple[Splats, Flo
 
 
 def refinement_problem(refinement: Refinement, scene: Splats, num_dealt: float = float("inf")) -> str | None:
-    """Why a refinement does not fit to `scene`, one sentence, or None; one whose Gaussians fill more
-    photographs than were dealt would outweigh all others."""
+    """Why a refinement does not fit to `scene`, one sentence, or None; one whose Gaussians fill
+    more photographs than were dealt would outweigh all others."""
     rows, splats = refinement.rows, refinement.splats
     if not len(rows):
         return None

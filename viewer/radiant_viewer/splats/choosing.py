@@ -18,11 +18,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from radiant_core.decisions import Decision
-from radiant_core.render.rasterize import resolve_backend
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.pictures.splat_picture import fit_camera
-from radiant_viewer.splats.rgbd import ModelRenderer
 
 SIZE_WH = (640, 400)
 MAX_DEPTH_ERROR = 0.01
@@ -44,6 +42,10 @@ def choose_renderer(
     splats: Splats, path: Path, card: Callable[[], bool] = has_graphics_card, measure: Callable[[Path, Path], Measured] | None = None
 ) -> Decision:
     """Draw one picture of a model of at least one Gaussian, which lies in the PLY `path`."""
+    # The window shows the words of this module, and does not wait for torch.
+    from radiant_core.render.rasterize import resolve_backend
+    from radiant_viewer.splats.rgbd import ModelRenderer
+
     low, high = np.quantile(splats.means.astype(np.float64), [0.05, 0.95], axis=0)
     camera = fit_camera(np.stack([low, high]), SIZE_WH)
     picture: Rgbd = np.zeros((SIZE_WH[1], SIZE_WH[0], 4), np.float32)

@@ -81,8 +81,8 @@ template <int P> RADIANT_INLINE Ints<P> operator&(const Ints<P>& a, const Ints<P
 template <int P> RADIANT_INLINE Ints<P> operator+(const Ints<P>& a, const Ints<P>& b) { Ints<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] + b.p[i]; return r; }
 
 // a b + c and c − a b, rounded once where the CPU has such an instruction. Written out, not left to
-// the compiler, in what decides about pixels: so AVX-512, AVX2 and arm64 agree to the last bit. SSE2
-// has none and rounds twice.
+// the compiler, in what decides about pixels: so AVX-512, AVX2 and arm64 agree to the last bit.
+// SSE2 has none and rounds twice.
 template <int P> RADIANT_INLINE Floats<P> fma(const Floats<P>& a, const Floats<P>& b, const Floats<P>& c) {
   Floats<P> r;
 #if defined(__AVX512F__)

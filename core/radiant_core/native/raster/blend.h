@@ -32,8 +32,8 @@ struct Pixels {
   F transmittance, red, green, blue, depth, weight;
 };
 
-// log₂ α before the cap at pixels (x, y) from the tile's centre, the same to the last bit on the way
-// back; and (u, v).
+// log₂ α before the cap at pixels (x, y) from the tile's centre, the same to the last bit on the
+// way back; and (u, v).
 template <int P>
 RADIANT_INLINE Floats<P> log2_alpha(const Row& row, const Floats<P>& x, const Floats<P>& y, Floats<P>& u, Floats<P>& v) {
   u = fma(row.l11, x, fma(row.l12, y, row.u));
