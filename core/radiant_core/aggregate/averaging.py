@@ -150,14 +150,14 @@ def admit_refinement(refinement: Refinement, scene: Splats, shown: FloatArray | 
     """
     rows, after = refinement.rows, refinement.splats
     kept = np.concatenate([_within_limits(scene, after, rows, start) for start in range(0, len(rows), BLOCK_ROWS)] or [np.zeros(0, bool)])
-    weights = refinement.weights if shown is None else shown[rows]
+    weights = refinement.weights if shown is None else shown[rows].astype(np.float32)
     kept &= weights > 0
     chosen = np.flatnonzero(kept)
     admitted = after.select(chosen)
     # A quaternion's length is no part of its rotation, but it is a weight in a mean.
     own, their = (np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True) for quats in (scene.quats[rows[chosen]], admitted.quats))
     quats = (admitted.quats * (own / their)).astype(np.float32)
-    return Refinement(rows=rows[chosen], splats=replace(admitted, quats=quats), weights=weights[chosen].astype(np.float32))
+    return Refinement(rows=rows[chosen], splats=replace(admitted, quats=quats), weights=weights[chosen])
 
 
 def _within_limits(scene: Splats, after: Splats, rows: NDArray[np.int64], start: int) -> NDArray[np.bool_]:

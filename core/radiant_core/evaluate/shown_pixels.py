@@ -21,7 +21,7 @@ from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_C0, Splats
 
 SHARES_SIDE_PX = 640
-"""Of a Gaussian's share in a picture, which hardly depends on the picture's size."""
+"""Longest side of the pictures in which shares are counted: it bounds what an edge renders."""
 
 
 def count_shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:
