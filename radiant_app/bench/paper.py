@@ -141,7 +141,7 @@ def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
         if row["band_db"] is not None:
             metrics.append(Metric(key=f"{key}.band_db", value=row["band_db"], unit="dB", direction="higher"))
     for row in named.get("table", []):
-        key = f"paper.{scene}.table2.{row['method'].replace(', ', '_').replace(' ', '_')}"
+        key = f"paper.{scene}.table2.s{row['seed']}.{row['method'].replace(', ', '_').replace(' ', '_')}"
         metrics.append(Metric(key=f"{key}.psnr_db", value=row["psnr_db"], unit="dB", direction="higher"))
         for name, unit in (("cpu_s", "s"), ("sent_bytes", "B")):
             metrics.append(Metric(key=f"{key}.{name}", value=row[name], unit=unit, direction="info"))

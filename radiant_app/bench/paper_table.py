@@ -12,8 +12,10 @@ and below, outside the paper, F3DGS. Methods marked "-style" are ours by the pub
     emulated    when the scene is done (`emulated_latency.py`), where devices and links take part
     by rule     scalability and privacy, as the paper's Table II says of each
 
-A row that exists is not made again, and `table2.md` is written anew after each: what is not made
-yet stands there as not made.
+With several seeds a row has the means over them, and beside it how far it is from Radiant on
+System 1, with the 95 % bounds of a bootstrap over seeds and photographs. A row that exists is not
+made again, and `table2.md` is written anew after each: what is not made yet stands there as not
+made.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ from radiant_app.bench.paper_parts import Part
 from radiant_app.bench.published import published_table
 from radiant_app.bench.rivals import FieldSettings, rival_arms
 from radiant_app.report.progress import track_items
+from radiant_core.evaluate.bootstrap import paired_bootstrap
 from radiant_core.evaluate.image_error import NO_FLIP_REASON, NO_LPIPS_REASON, flip
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.run_store import read_json, write_atomic, write_json
@@ -42,6 +45,8 @@ from radiant_core.io.run_store import read_json, write_atomic, write_json
 Played = Literal["no", "server", "tree"]
 """How devices and links take part in a method's latency."""
 FILE = "table2.md"
+COMPARED = "Radiant, system 1"
+"""The row that every other is compared with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +70,10 @@ class Method:
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """What stands in a row, means over held-out photographs."""
+    """What stands in a row of one seed, means over held-out photographs."""
 
     method: str
+    seed: int
     architecture: str
     cell: str
     arm: str
@@ -83,6 +89,12 @@ class Figures:
     """Emulated: when the scene is done; None for one machine."""
     scalability: bool
     privacy: bool
+    psnr_of_each_db: tuple[float, ...]
+    """Of every held-out photograph."""
+
+
+Made = dict[str, list[Figures]]
+"""Method → its figures, a seed each, as far as they are made."""
 
 
 def table_methods(field_steps: int) -> list[Method]:
@@ -112,35 +124,35 @@ def table_methods(field_steps: int) -> list[Method]:
 
 
 def table_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The table of the first seed: others would be rows of their own."""
+    """The table, all rows of one seed after another."""
     del quick
-    seed, methods = seeds[0], table_methods(arms.field_steps)
+    methods = table_methods(arms.field_steps)
 
     @cache
-    def cell_of(system: str | None) -> Cell:
+    def cell_of(system: str | None, seed: int) -> Cell:
         if system is None:
             return arms.cell(arms.layout, seed)
         return system_cell(arms, _costs(arms, system, seed), system, seed)
 
-    made: dict[str, Figures] = {}
+    made: Made = {}
     _write(arms, methods, made)
-    for method in track_items(methods, "bench paper, table 2"):
-        cell = cell_of(method.system)
-        made[method.name] = row_figures(arms, cell, method)
+    for seed, method in track_items([(seed, method) for seed in seeds for method in methods], "bench paper, table 2"):
+        made.setdefault(method.name, []).append(row_figures(arms, cell_of(method.system, seed), method, seed))
         _write(arms, methods, made)
     return Part(
         title="Table II from this scene",
         text="\n".join(table_lines(arms, methods, made)),
-        figures={"table": [asdict(figures) for figures in made.values()]},
+        figures={"table": [asdict(figures) for of_seeds in made.values() for figures in of_seeds]},
     )
 
 
-def row_figures(arms: Arms, cell: Cell, method: Method) -> Figures:
+def row_figures(arms: Arms, cell: Cell, method: Method, seed: int) -> Figures:
     """A method's row: made, scored, and kept beside the model."""
     row, recipe = arms.row(cell, method.arm), method.arm.recipe(cell)
     lpips, flipped = _perceptual(arms, cell, method.arm)
     return Figures(
         method=method.name,
+        seed=seed,
         architecture=method.architecture,
         cell=row.cell,
         arm=row.arm,
@@ -155,6 +167,7 @@ def row_figures(arms: Arms, cell: Cell, method: Method) -> Figures:
         scene_s=_scene_s(method.played, recipe, row),
         scalability=method.scalability,
         privacy=method.privacy,
+        psnr_of_each_db=row.psnr_db,
     )
 
 
@@ -196,50 +209,63 @@ def _scene_s(played: Played, recipe: Recipe, row: ArmRow) -> float | None:
     return (emulate_server if played == "server" else emulate_tree)(recipe.system, row.nodes).scene_s
 
 
-def table_lines(arms: Arms, methods: Sequence[Method], made: Mapping[str, Figures]) -> list[str]:
+def table_lines(arms: Arms, methods: Sequence[Method], made: Mapping[str, Sequence[Figures]]) -> list[str]:
     """The table, what its columns are, and what the paper prints for other scenes."""
     lines = [
-        "| architecture | method | PSNR dB | SSIM | LPIPS | FLIP | CPU s, measured | MB sent | Gaussians, or parameters |"
-        " scene done s, emulated | scalability | privacy |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+        f"| architecture | method | PSNR dB | − {COMPARED}: dB, 95 % bounds | SSIM | LPIPS | FLIP | CPU s, measured | MB sent |"
+        " Gaussians, or parameters | scene done s, emulated | scalability | privacy |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for method in methods:
-        figures = made.get(method.name)
-        cells = ["not made yet", *["–"] * 7] if figures is None else _cells(figures)
+        cells = _cells(made[method.name], made.get(COMPARED, [])) if method.name in made else ["not made yet", *["–"] * 8]
         marks = ["yes" if mark else "no" for mark in (method.scalability, method.privacy)]
         lines.append(f"| {method.architecture} | {method.name} | {' | '.join([*cells, *marks])} |")
     lines += ["", *_notes(arms, made), "", *published_table()]
     return lines
 
 
-def _cells(figures: Figures) -> list[str]:
-    known = [figures.lpips, figures.flip]
+def _cells(figures: Sequence[Figures], compared: Sequence[Figures]) -> list[str]:
+    lpips, flipped, scene_s = (_mean([getattr(one, name) for one in figures]) for name in ("lpips", "flip", "scene_s"))
     return [
-        f"{figures.psnr_db:.2f}",
-        f"{figures.ssim:.3f}",
-        *("–" if value is None else f"{value:.3f}" for value in known),
-        f"{figures.cpu_s:.0f}",
-        f"{figures.sent_bytes / 1e6:.1f}",
-        size_text(figures.num_gaussians, figures.num_parameters),
-        "–" if figures.scene_s is None else f"{figures.scene_s:.1f}",
+        f"{np.mean([one.psnr_db for one in figures]):.2f}",
+        "–" if figures == compared else _difference(figures, compared),
+        f"{np.mean([one.ssim for one in figures]):.3f}",
+        *("–" if value is None else f"{value:.3f}" for value in (lpips, flipped)),
+        f"{np.mean([one.cpu_s for one in figures]):.0f}",
+        f"{np.mean([one.sent_bytes for one in figures]) / 1e6:.1f}",
+        size_text(*(round(np.mean([getattr(one, name) for one in figures])) for name in ("num_gaussians", "num_parameters"))),
+        "–" if scene_s is None else f"{scene_s:.1f}",
     ]
 
 
-def _notes(arms: Arms, made: Mapping[str, Figures]) -> list[str]:
+def _difference(figures: Sequence[Figures], compared: Sequence[Figures]) -> str:
+    """In the seeds that both have; they hold out the same photographs."""
+    seeds = min(len(figures), len(compared))
+    if not seeds:
+        return "–"
+    own, other = (np.array([one.psnr_of_each_db for one in rows[:seeds]]) for rows in (figures, compared))
+    found = paired_bootstrap(own, other)
+    return f"{found.mean:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
+
+
+def _notes(arms: Arms, made: Mapping[str, Sequence[Figures]]) -> list[str]:
+    seeds = sorted({one.seed for figures in made.values() for one in figures})
     notes = [
         "Measured on this machine and scene: quality, CPU seconds, bytes, sizes. Emulated: when the scene is done on the system's machines",
         "and links; methods on one machine have none, their CPU seconds are the time of one core. Scalability and privacy are what the",
         "paper's Table II says. `-style`: the published rule on one small field or on Gaussians; each module says what differs.",
         f"Radiance fields took {arms.field_steps:,} steps of 2,048 rays in all.",
     ]
+    if seeds:
+        notes.append(f"Means over seeds ({', '.join(map(str, seeds))}); bounds by a bootstrap over seeds and held-out photographs.")
     if arms.lpips is None:
         notes.append(NO_LPIPS_REASON)
-    if any(figures.flip is None for figures in made.values()):
+    if any(one.flip is None for figures in made.values() for one in figures):
         notes.append(NO_FLIP_REASON)
     return [*notes, "The paper's own figures, of other scenes, sizes and machines, are below and compare with nothing above:"]
 
 
-def _write(arms: Arms, methods: Sequence[Method], made: Mapping[str, Figures]) -> None:
+def _write(arms: Arms, methods: Sequence[Method], made: Mapping[str, Sequence[Figures]]) -> None:
     arms.out.mkdir(parents=True, exist_ok=True)
     text = "\n".join([f"# Table II from {arms.scene.name}", "", *table_lines(arms, methods, made), ""])
     write_atomic(Path(arms.out) / FILE, text.encode())

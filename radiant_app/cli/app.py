@@ -27,6 +27,7 @@ from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals, stop_repea
 from radiant_app.quantities import size_wh_of
 from radiant_app.report.tables import finish, print_figures
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory
+from radiant_core import __version__
 from radiant_core.choices import View, Viewer
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 
@@ -43,6 +44,19 @@ _WEB_HELP = (
     "Serve a read-only page for a browser until Ctrl-C, on 127.0.0.1 by default. The address that is printed holds a random secret; "
     "without it the page stays empty."
 )
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"radiant {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")] = False,
+) -> None:
+    pass
 
 
 app.command()(run)

@@ -28,7 +28,7 @@ from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.hierarchy.refining_plan import LEAST_DEVICES, RefiningPlan, plan_refining
+from radiant_core.hierarchy.refining_plan import LEAST_DEVICES, RefiningPlan, choose_rounds, plan_refining
 from radiant_core.io.messages import CAMERAS_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.io.run_store import content_key, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
@@ -43,13 +43,13 @@ def expected_refines(recipe: Recipe, tree: Tree) -> list[str]:
     settings ask for it and devices differ. Which do is known when their models are in the scene."""
     if not recipe.aggregate.refine_epochs or sum(node.tier == "device" for node in tree) < LEAST_DEVICES:
         return []
-    return [refined_at(node.id, number) for number in range(1, recipe.aggregate.refine_rounds + 1) for node in tree]
+    return [refined_at(node.id, number) for number in range(1, choose_rounds(recipe) + 1) for node in tree]
 
 
 def plan_rounds(dealer: Dealer, moves: Mapping[str, Sequence[Sim3]]) -> tuple[Refining, ...]:
     """All rounds of refining a run's scene; none where no device is to refine it."""
     rounds: list[Refining] = []
-    for number in range(1, dealer.recipe.aggregate.refine_rounds + 1):
+    for number in range(1, choose_rounds(dealer.recipe) + 1):
         before = rounds[-1] if rounds else None
         planned = None if before is None else before.plan
         rounds.append(Refining(dealer=dealer, moves=moves, number=number, before=before, planned=planned))

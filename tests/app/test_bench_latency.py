@@ -19,6 +19,7 @@ from radiant_app.bench.methods import METHODS, join_at_server
 from radiant_app.bench.paper_latency import Costs, imbalance, latency_part
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.errors import BadInput
+from radiant_core.hierarchy.refining_plan import choose_rounds
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, Edge, System
 
@@ -163,7 +164,7 @@ def test_the_work_of_a_server_is_told_client_by_client(arms_of: Callable[[], Arm
     assert [node.cpu_s for node in made.nodes[:2]] == [trained[name].summary["cpu_s"] for name in ("e0d0", "e1d0")]
     joined = METHODS["ours"].make(cell, cell.recipe)
     nodes = ["devices/e0d0", "devices/e1d0", "edges/e0", "edges/e1"]
-    owners, numbers = ("devices/e0d0", "edges/e0", "devices/e1d0", "edges/e1"), range(1, cell.recipe.aggregate.refine_rounds + 1)
+    owners, numbers = ("devices/e0d0", "edges/e0", "devices/e1d0", "edges/e1"), range(1, choose_rounds(cell.recipe) + 1)
     refining, averaged = [refined_at(owner, n) for n in numbers for owner in owners], [refined_at("cloud", n) for n in numbers]
     compared = [node.stage for node in joined.nodes if node.stage.endswith("/score")]
     assert compared and {*compared} <= {"devices/e0d0/score", "devices/e1d0/score"}

@@ -76,7 +76,7 @@ def test_the_main_table_is_made_row_by_row_and_no_row_twice(
     assert emulated == {"Fed3DGS", "Even, system 1"} and rows["Even, system 1"]["privacy"] and not rows["Fed3DGS"]["privacy"]
     page = (bench.out / "table2.md").read_text()
     assert "not made yet" not in page and "give --lpips-weights" in page and "| the paper, Mill 19 |" in page
-    assert found["paper.scene.table2.Mega-NeRF-style.psnr_db"] == rows["Mega-NeRF-style"]["psnr_db"]
+    assert found["paper.scene.table2.s0.Mega-NeRF-style.psnr_db"] == rows["Mega-NeRF-style"]["psnr_db"]
     stamps = {path: path.stat().st_mtime_ns for folder in ("models", "joined") for path in (bench.out / folder).iterdir()}
     bench_paper(replace(bench, lpips=load_lpips(write_alex_weights(tmp_path / "alex.safetensors"), "alex")))
     scored = {row["method"]: row for row in read_json(bench.out / "paper.json")["parts"]["table2"]["figures"]["table"]}
@@ -90,8 +90,25 @@ def test_a_row_that_is_not_made_stands_there_as_not_made(hamlet_scene: Path, tmp
     arms = load_arms(hamlet_scene, tmp_path, Layout(num_edges=2, num_devices=1), bench_settings(48, 8))
     lines = paper_table.table_lines(arms, paper_table.table_methods(1), {})
     assert sum("not made yet" in line for line in lines) == 13
-    assert "| hierarchical | Radiant, system 2 | not made yet | – | – | – | – | – | – | – | yes | yes |" in lines
+    assert "| hierarchical | Radiant, system 2 | not made yet | – | – | – | – | – | – | – | – | yes | yes |" in lines
     assert "| FedNeRF | 20.12, –, – | 17.51, –, – |" in lines
+
+
+def test_rows_of_several_seeds_are_means_compared_by_seed(hamlet_scene: Path, paper_models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = paper_table.table_methods(2)
+    some = ("3DGS", "Even, system 1")
+    monkeypatch.setattr(paper_table, "table_methods", lambda steps: [method for method in every if method.name in some])
+    monkeypatch.setattr(paper_table, "COMPARED", "Even, system 1")
+    bench_paper(PaperBench(scene=hamlet_scene, out=paper_models, parts=("table2",), num_seeds=2, long_side_px=48, num_steps=8, quick=True))
+    table = read_json(paper_models / "paper.json")["parts"]["table2"]["figures"]["table"]
+    psnr_db = {(row["method"], row["seed"]): row["psnr_db"] for row in table}
+    assert set(psnr_db) == {(name, seed) for name in some for seed in (0, 1)} and len(set(psnr_db.values())) == 4
+    page = (paper_models / "table2.md").read_text().splitlines()
+    first, second = (next(line.split(" | ") for line in page if f" | {name} | " in line) for name in some)
+    assert second[2:4] == [f"{np.mean([psnr_db['Even, system 1', seed] for seed in (0, 1)]):.2f}", "–"]
+    ahead = np.mean([psnr_db["3DGS", seed] - psnr_db["Even, system 1", seed] for seed in (0, 1)])
+    mean, low, _, high = first[3].replace("(", "").replace(")", "").split()
+    assert float(mean) == pytest.approx(ahead, abs=0.0051) and float(low) < ahead < float(high)
 
 
 def test_kept_figures_are_those_of_the_kept_model(hamlet_scene: Path, paper_models: Path) -> None:

@@ -19,7 +19,7 @@ from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_app.workers.refining import NOTHING_REFINED
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
-from radiant_core.hierarchy.refining_plan import refining_steps
+from radiant_core.hierarchy.refining_plan import ENOUGH_SHOWS, choose_rounds, plan_refining, refining_steps
 from radiant_core.io.run_store import seal, write_json
 from tests.app.test_faults import planned
 
@@ -145,9 +145,29 @@ def done_in(refining: Refining, owner: str, refused: dict[str, str]) -> None:
     refining.keys[node] = "key"
 
 
+def test_a_second_round_is_for_trainings_that_showed_their_photographs_less_often(refining: Refining) -> None:
+    recipe = refining.dealer.recipe
+    photographs = sum(len(recipe.cameras_of(Path(node.id).parent.name)) for node in nodes_of(refining, "device"))
+    # 4 devices, so that each shows each photograph 4 × steps / photographs times.
+    few, often = (
+        replace(recipe, train=replace(recipe.train, num_steps=photographs * shows // 4)) for shows in (ENOUGH_SHOWS - 1, ENOUGH_SHOWS + 1)
+    )
+    assert (choose_rounds(few), choose_rounds(often)) == (3, 1)
+    assert choose_rounds(replace(often, num_photographs=2 * photographs)) == 3, "where a recipe knows a part of a run's plans"
+    asked = replace(often, aggregate=replace(often.aggregate, refine_rounds=2))
+    for each, number, forced in ((often, 1, False), (asked, 2, True)):
+        decision = plan_refining(each, refining.plan.devices, 1000).decisions[-1]
+        assert (decision.topic, decision.forced) == ("rounds of refining", forced) and f" {number} round" in decision.choice
+        assert decision.figure == pytest.approx(each.train.num_steps * 4 / photographs)
+    none = replace(often, aggregate=replace(often.aggregate, refine_epochs=0))
+    assert plan_refining(none, refining.plan.devices, 1000).decisions == ()
+
+
 def test_every_round_refines_the_scene_of_the_last_one_that_made_one(refining: Refining) -> None:
+    recipe = refining.dealer.recipe
+    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine_rounds=3))
     rounds, heard = plan_rounds(refining.dealer, refining.moves), list[Event]()
-    assert len(rounds) == refining.dealer.recipe.aggregate.refine_rounds == 3
+    assert len(rounds) == 3
     started: list[Path] = []
     late = Path(nodes_of(refining, "device")[0].id).parent.name
 

@@ -28,9 +28,10 @@ class AggregateConfig:
     refine_epochs: int = 8
     """How often a device shows each of its photographs to the joined scene in a round, at most (see
     `hierarchy.refining_plan.MAX_STEPS`); 0: not at all."""
-    refine_rounds: int = 3
+    refine_rounds: int | None = None
     """How often devices refine the scene, each time the mean of what all of them made of it before;
-    the scene travels down and what changed in it up in each."""
+    the scene travels down and what changed in it up in each. None: by how often a training showed
+    each photograph (`hierarchy.refining_plan.choose_rounds`)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
@@ -61,7 +62,7 @@ class AggregateConfig:
             raise BadInput(f"faint_opacity is {self.faint_opacity}, expected at least 0 and less than 1.")
         if self.refine_epochs < 0:
             raise BadInput(f"refine_epochs is {self.refine_epochs}, expected 0 (the scene is not refined) or more.")
-        if not 1 <= self.refine_rounds <= MAX_ROUNDS:
+        if self.refine_rounds is not None and not 1 <= self.refine_rounds <= MAX_ROUNDS:
             raise BadInput(f"refine_rounds is {self.refine_rounds}, expected 1 to {MAX_ROUNDS}: set refine_epochs to 0 to refine nothing.")
         if min(self.num_epochs, self.edge_epochs) < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
             raise BadInput("num_epochs, edge_epochs and max_num_steps of the aggregation must be at least 1.")

@@ -25,7 +25,7 @@ from radiant_core.hierarchy.edge import join_edge
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, EdgeModel, SceneModel, device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refine import refine_device
-from radiant_core.hierarchy.refining_plan import plan_refining
+from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
 from radiant_core.numerics import FloatArray
@@ -107,7 +107,7 @@ def _refine(
         return joined
     refiner = _Refiner(recipe=recipe, devices=refining, scene=scene, views=views, reporter_of=reporter_of)
     sent: dict[str, Refinement] = {}
-    for number in range(1, recipe.aggregate.refine_rounds + 1):
+    for number in range(1, choose_rounds(recipe) + 1):
         splats, sent_now = refiner.refine(splats, number)
         sent |= sent_now
     return replace(joined, scene=replace(joined.scene, splats=splats), refinements=sent)

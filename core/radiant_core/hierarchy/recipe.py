@@ -57,12 +57,21 @@ class Recipe:
         return self.plan_of(device).cameras_of(device)
 
     @property
+    def photograph_shows(self) -> float:
+        """How often the training of a device shows each of its photographs, in the mean."""
+        num_devices = self.num_devices or devices_with_photographs(self.edge_plans)
+        return self.train.num_steps * num_devices / max(1, self._total_photographs)
+
+    @property
+    def _total_photographs(self) -> int:
+        return self.num_photographs or sum(len(plan.camera_indices) for plan in self.edge_plans)
+
+    @property
     def step_law(self) -> StepLaw | None:
         """The steps of devices by their photographs; None: all take those of `train`."""
-        num_photographs = self.num_photographs or sum(len(plan.camera_indices) for plan in self.edge_plans)
-        if self.step_policy == "fixed" or not num_photographs:
+        if self.step_policy == "fixed" or not self._total_photographs:
             return None
-        return step_law_of(self.train, num_photographs, self.num_devices or devices_with_photographs(self.edge_plans))
+        return step_law_of(self.train, self._total_photographs, self.num_devices or devices_with_photographs(self.edge_plans))
 
     def training_of(self, device: str) -> TrainConfig:
         """The training of a device, as long as its photographs ask for."""
