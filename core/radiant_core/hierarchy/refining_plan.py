@@ -67,7 +67,12 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
 def choose_rounds(recipe: Recipe) -> int:
     """In how many rounds devices refine a scene: three go on with what trainings have not finished;
     after trainings that showed each photograph often the first has nearly all that there is."""
-    return recipe.aggregate.refine_rounds or (NUM_ROUNDS if recipe.photograph_shows < ENOUGH_SHOWS else 1)
+    return recipe.aggregate.refine_rounds or rounds_after(recipe.photograph_shows)
+
+
+def rounds_after(photograph_shows: float) -> int:
+    """The same for trainings that showed each photograph so often, where no number is given."""
+    return NUM_ROUNDS if photograph_shows < ENOUGH_SHOWS else 1
 
 
 def refining_steps(epochs: int, num_views: int) -> int:
