@@ -116,3 +116,6 @@ def _require_rigid(names: tuple[str, ...], cam_from_world: FloatArray) -> None:
     if bad.any():
         name = names[int(np.argmax(bad))]
         raise BadInput(f"the pose of camera {name!r} is not rigid (a rotation and a translation): check cam_from_world.")
+
+
+NO_CAMERAS = concatenate_cameras([])

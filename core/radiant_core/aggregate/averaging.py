@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.arrival import check_splats
-from radiant_core.cameras import concatenate_cameras
+from radiant_core.cameras import NO_CAMERAS
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.splats import SH_BASES, Splats
@@ -33,7 +33,6 @@ MAX_CHANGES = {"log_scales": 0.3, "logit_opacities": 0.75, "sh0": 0.2, "shN": 0.
 values of its other parameters. Devices keep to it, so that whatever exceeds it is not theirs."""
 MARGIN = 0.97
 """Share of it that devices keep to: an upload in 16 bits rounds."""
-NO_CAMERAS = concatenate_cameras([])
 ROUNDING = 4.0
 """Weights of edges are rounded down to powers of it."""
 ROUNDED_SUM = 1.001

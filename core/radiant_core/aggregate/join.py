@@ -112,7 +112,7 @@ def join_models(
 
 
 def _retrain_as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
-    views = teacher_views(teachers, train.long_side_px, options.scratch)
+    views = teacher_views(teachers, train.long_side_px, options.backend, options.scratch)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
     merged = concatenate_splats([teacher.splats for teacher in teachers])
@@ -161,7 +161,7 @@ def _join(
     asked = [
         replace(one, cameras=one.cameras.select(np.flatnonzero(rows))) for one, rows in zip(teachers, shown, strict=True) if rows.any()
     ]
-    views = teacher_views(asked, train.long_side_px, options.scratch)
+    views = teacher_views(asked, train.long_side_px, options.backend, options.scratch)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
     cut = replace(cut, agreement_db=min(_psnr_db(cut.splats, _sample(views, NUM_COMPARED), options.backend)))
@@ -210,9 +210,9 @@ def fade(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) ->
     return concatenate_splats(parts)
 
 
-def teacher_views(teachers: Sequence[Teacher], long_side_px: int, folder: Path | None = None) -> TrainingViews:
+def teacher_views(teachers: Sequence[Teacher], long_side_px: int, backend: Backend = "auto", folder: Path | None = None) -> TrainingViews:
     """Every teacher's views at its cameras, reduced to `long_side_px`."""
-    parts = [synthetic_views(teacher.splats, teacher.cameras.scaled(long_side_px), folder=folder) for teacher in teachers]
+    parts = [synthetic_views(teacher.splats, teacher.cameras.scaled(long_side_px), backend, folder) for teacher in teachers]
     return concatenate_views(parts)
 
 

@@ -49,7 +49,7 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     """
     if task.extends is not None:
         return _extend(task, models, task.extends, reporter, machine)
-    arrivals = admit(models, task.num_dealt, reporter)
+    arrivals = admit(models, task.num_dealt, reporter, task.backend)
     found = {"corrections": arrivals.corrections, "refused": arrivals.refused, "uncertainty": arrivals.uncertainty}
     if not arrivals.models:
         return SceneModel(splats=None, **found)

@@ -19,11 +19,11 @@ from radiant_core.aggregate.join import Joined, cut_at_borders, join_models
 from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
-from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.cameras import NO_CAMERAS, Cameras, concatenate_cameras
 from radiant_core.hierarchy.decisions import JOIN_AGAIN, join_decisions, report_join_memory
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.joining import admit, join_key, received_files
-from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel, EdgeTask
+from radiant_core.hierarchy.messages import DeviceModel, EdgeModel, EdgeTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.io.run_store import key_of_files
 from radiant_core.plan.regions.claims import claims_of_polygons
@@ -44,7 +44,7 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     Returns:
         The model, or one without Gaussians where every device was refused.
     """
-    arrivals = admit(models, task.num_dealt, reporter)
+    arrivals = admit(models, task.num_dealt, reporter, task.backend)
     if not arrivals.models:
         return EdgeModel(splats=None, corrections=arrivals.corrections, refused=arrivals.refused)
     teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]

@@ -25,6 +25,7 @@ from radiant_core.hierarchy.messages import CloudTask, DeviceModel, EdgeModel, E
 from radiant_core.hierarchy.reporter import Reporter
 from radiant_core.io.messages import task_key
 from radiant_core.io.run_store import content_key
+from radiant_core.render.contract import Backend
 from radiant_core.splats import Splats
 
 _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
@@ -47,13 +48,14 @@ class Arrivals:
     refused: dict[str, str]
 
 
-def admit(arrived: Mapping[str, Arrival], num_dealt: Sequence[int], reporter: Reporter) -> Arrivals:
+def admit(arrived: Mapping[str, Arrival], num_dealt: Sequence[int], reporter: Reporter, backend: Backend = "auto") -> Arrivals:
     """The models that can be joined, in one frame; refused ones are reported with the reason.
 
     Args:
         arrived: by sender, in the order of the task.
         num_dealt: photographs dealt to each; more cameras than that are refused.
         reporter: hears who is left out and why.
+        backend: renders models that are compared.
     """
     rejected: dict[str, str] = {}
     usable: dict[str, tuple[Splats, Cameras, FrameUncertainty | None]] = {}
@@ -64,7 +66,7 @@ def admit(arrived: Mapping[str, Arrival], num_dealt: Sequence[int], reporter: Re
             reporter.warn(f"the model of {name} is left out: {found}")
         else:
             usable[name] = found
-    arrivals = _leave_out_contradicted(_bring_into_one_frame(usable, reporter), reporter)
+    arrivals = _leave_out_contradicted(_bring_into_one_frame(usable, reporter), reporter, backend)
     corrections = {**arrivals.corrections, **dict.fromkeys(rejected)}
     return replace(arrivals, corrections=corrections, refused={**arrivals.refused, **rejected})
 
@@ -159,9 +161,9 @@ def _move_models(
     )
 
 
-def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter) -> Arrivals:
+def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter, backend: Backend) -> Arrivals:
     """The arrivals without models that most of their neighbours contradict."""
-    found = find_contradictions(arrivals.models, arrivals.cameras)
+    found = find_contradictions(arrivals.models, arrivals.cameras, backend)
     if not np.isfinite(found.agreement_db).any():
         return arrivals
     refused = {arrivals.senders[index]: reason for index, reason in found.refused.items()}

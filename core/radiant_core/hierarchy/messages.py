@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.cameras import NO_CAMERAS, Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.io.transport.upload import UploadFormat
@@ -40,7 +40,6 @@ UNKEYED: Mapping[str, Any] = {"keyed": False}
 LOCAL: Mapping[str, Any] = {"local": True}
 CHECKPOINT_EVERY_S = 10.0
 """Seconds between two checkpoints of a training, unless a run says otherwise."""
-NO_CAMERAS = concatenate_cameras([])
 
 
 def in_file(name: str) -> Mapping[str, Any]:

@@ -26,10 +26,10 @@ from pydantic import ValidationError, create_model
 
 from radiant_core.aggregate.arrival import MAX_SPLATS
 from radiant_core.aggregate.averaging import Refinement, refinement_problem
-from radiant_core.cameras import Cameras
+from radiant_core.cameras import NO_CAMERAS, Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
-from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel
+from radiant_core.hierarchy.messages import DeviceModel, EdgeModel
 from radiant_core.io.array_file import load_arrays, save_arrays
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import MAX_JSON_BYTES, content_key, file_sha256, parse_json, read_bounded, read_json, write_json
