@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import functools
 import os
-import subprocess
 from dataclasses import fields
-from types import SimpleNamespace
 from typing import Any
 
 # OpenMP reads both when torch is imported.
@@ -34,7 +32,8 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from tests import forked
 
-pytest.MonkeyPatch().setattr(local, "subprocess", SimpleNamespace(**{**vars(subprocess), "Popen": forked.popen}))
+pytest.MonkeyPatch().setattr(local, "LEAST_FORKED", 1)
+pytest.MonkeyPatch().setattr(local, "fork_module", forked.fork_node)
 
 # No deadline: the first example pays for imports. The same examples each time, so that a failure is
 # a failure for everybody.

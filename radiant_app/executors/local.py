@@ -1,11 +1,13 @@
 """The local executor: a process per node, `num_workers` at a time, with equal numbers of threads.
 
 Each process gets max(1, cores // workers) threads: 4 × 2 threads on 4 cores did 52 units of work
-where 4 × 1 did 79.
+where 4 × 1 did 79. Where there are several nodes, processes are forks of one that has imported
+their libraries (`fork_server.py`).
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import queue
 import signal
@@ -20,12 +22,28 @@ from pathlib import Path
 
 from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
 from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
+from radiant_app.executors.fork_server import CAN_FORK, ForkedProcess, fork_module
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, StageFailed
 from radiant_core.io.run_store import disk_is_full, is_sealed
 
 STOP_GRACE_S = 3.0
+LEAST_FORKED = 2
+"""Nodes of a tree from where on their processes are forks."""
+IMPORTED = (
+    "radiant_app.workers.nodes",
+    "radiant_app.workers.inbox",
+    "radiant_app.workers.refining",
+    "radiant_core.hierarchy.cloud",
+    "radiant_core.hierarchy.edge",
+    "radiant_core.hierarchy.refine",
+    "radiant_core.train.photographs",
+)
+"""What nearly all nodes of a tree import."""
+
+
+Process = subprocess.Popen[str] | ForkedProcess
 
 
 def worker_command(task: NodeTask) -> list[str]:
@@ -45,7 +63,8 @@ class LocalExecutor:
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
         threads = max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, _width(tree))))
-        runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads)
+        forked = CAN_FORK and sum(1 for _ in tree) >= LEAST_FORKED
+        runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads, forked=forked)
         fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
         return fold.run(tree)
 
@@ -59,7 +78,7 @@ def run_task(task: NodeTask, listen: Listener, clock: Callable[[], float] = time
 @dataclass
 class _Running:
     task: NodeTask
-    process: subprocess.Popen[str]
+    process: Process
     reader: threading.Thread
     failure: Failed | None = None
 
@@ -71,6 +90,8 @@ class Processes:
     num_workers: int
     command: Callable[[NodeTask], list[str]]
     num_threads: int
+    forked: bool = False
+    """Whether Python modules are forked."""
     lines: queue.Queue[tuple[str, str | None]] = field(default_factory=queue.Queue)
     running: dict[str, _Running] = field(default_factory=dict)
 
@@ -79,7 +100,7 @@ class Processes:
 
     def start(self, node: Tree, task: NodeTask) -> bool:
         with defer_interrupts():
-            process = _spawn(self.command(task), task.folder, self.num_threads)
+            process = _spawn(self.command(task), task.folder, self.num_threads, self.forked)
             reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
             self.running[node.id] = _Running(task=task, process=process, reader=reader)
             reader.start()
@@ -117,7 +138,7 @@ class Processes:
                     running.process.wait()
                 running.reader.join()
 
-    def _read(self, node_id: str, process: subprocess.Popen[str]) -> None:
+    def _read(self, node_id: str, process: Process) -> None:
         assert process.stdout is not None and process.stdin is not None
         with process.stdin, process.stdout as lines:
             for line in lines:
@@ -148,11 +169,14 @@ def _width(tree: Tree) -> int:
     return max(1, sum(1 for node in tree if not node.children))
 
 
-def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Popen[str]:
+def _spawn(command: list[str], folder: Path, num_threads: int, forked: bool) -> Process:
     # Without the last, OpenMP's threads spin after their part and take a core of the rasterizer's.
     environment = {**os.environ, "OMP_NUM_THREADS": str(num_threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
     # A session of its own: Ctrl-C reaches only this process, which stops the workers in order.
     with log_path(folder).open("w") as log:
+        if forked and command[:2] == [sys.executable, "-m"]:
+            with contextlib.suppress(OSError):
+                return fork_module(command[2:], log, environment, IMPORTED)
         return subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=log, stdin=subprocess.PIPE, text=True, env=environment, start_new_session=True
         )
@@ -181,6 +205,6 @@ def log_path(folder: Path) -> Path:
     return folder / "log.txt"
 
 
-def _signal_group(process: subprocess.Popen[str], number: signal.Signals) -> None:
+def _signal_group(process: Process, number: signal.Signals) -> None:
     if process.poll() is None:
         os.killpg(process.pid, number)

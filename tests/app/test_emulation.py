@@ -48,7 +48,7 @@ FINISH = "import os; os.rename('sealed', 'done.json')"
 @pytest.fixture(autouse=True)
 def real_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     # What is played here is the CPU time of whole processes, their start among it.
-    monkeypatch.setattr(local, "subprocess", subprocess)
+    monkeypatch.setattr(local, "CAN_FORK", False)
 
 
 def system(folder: Path, speeds: tuple[float, float], mbit_per_s: tuple[float, float] = (FAST_LINK, FAST_LINK)) -> System:
