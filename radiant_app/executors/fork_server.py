@@ -89,7 +89,7 @@ class ForkServer:
         self._asking, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", __spec__.name, str(theirs.fileno()), str(idle_s), *names]
         variables = {**environment, "PYTHONUNBUFFERED": "1"}
-        # Its own errors: a module that cannot be imported ends it, and the caller starts processes anew.
+        # Where a name cannot be imported it ends, and whoever asked starts processes anew.
         self._process = subprocess.Popen(
             command, pass_fds=[theirs.fileno()], env=variables, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
