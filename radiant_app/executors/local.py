@@ -118,7 +118,7 @@ class Processes:
             return node_id, None if isinstance(event, Failed | Heartbeat) else event
         running = self.running.pop(node_id)
         running.reader.join()
-        return node_id, outcome_of(running.task, running.failure, running.process.returncode)
+        return node_id, outcome_of(running.task, running.failure, running.process.wait())
 
     def stop(self, node_id: str) -> None:
         _signal_group(self.running[node_id].process, signal.SIGTERM)
