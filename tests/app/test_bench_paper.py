@@ -94,6 +94,42 @@ def test_a_row_that_is_not_made_stands_there_as_not_made(hamlet_scene: Path, tmp
     assert "| FedNeRF | 20.12, –, – | 17.51, –, – |" in lines
 
 
+def test_seeds_of_fields_are_made_last(hamlet_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arms = load_arms(hamlet_scene, tmp_path, Layout(num_edges=2, num_devices=1), bench_settings(48, 8))
+    made: list[tuple[int, str]] = []
+
+    def row_figures(arms: object, cell: object, method: paper_table.Method, seed: int) -> paper_table.Figures:
+        made.append((seed, method.name))
+        if len(made) > 13 + 2 * 8:
+            raise InterruptedError
+        facts = {name: getattr(method, name) for name in ("architecture", "scalability", "privacy")}
+        figures = {
+            "psnr_db": 20.0,
+            "ssim": 0.5,
+            "lpips": None,
+            "flip": 0.2,
+            "cpu_s": 1.0,
+            "sent_bytes": 1,
+            "num_gaussians": 1,
+            "num_parameters": 0,
+        }
+        return paper_table.Figures(
+            method=method.name, seed=seed, cell="c", arm="a", scene_s=None, psnr_of_each_db=(20.0, 20.0 + seed), **facts, **figures
+        )
+
+    monkeypatch.setattr(paper_table, "row_figures", row_figures)
+    monkeypatch.setattr(paper_table, "system_cell", lambda *arguments: arms.first)
+    monkeypatch.setattr(paper_table, "_costs", lambda *arguments: None)
+    monkeypatch.setattr(type(arms), "cell", lambda *arguments: arms.first)
+    with pytest.raises(InterruptedError):
+        paper_table.table_part(arms, range(3), quick=False)
+    fields = {"GP-NeRF-style", "Switch-NeRF-style", "Drone-NeRF-style", "Mega-NeRF-style", "FedNeRF-style"}
+    assert {seed for seed, _ in made[:13]} == {0} and not fields & {name for _, name in made[13:-1]}
+    assert [seed for seed, _ in made[13:]] == [1] * 8 + [2] * 8 + [1] and made[-1][1] in fields
+    page = (tmp_path / "table2.md").read_text()
+    assert "Not of all seeds yet: GP-NeRF-style (1), Switch-NeRF-style (1)," in page and "Means over seeds (0, 1, 2)" in page
+
+
 def test_rows_of_several_seeds_are_means_compared_by_seed(hamlet_scene: Path, paper_models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     every = paper_table.table_methods(2)
     some = ("3DGS", "Even, system 1")
