@@ -8,6 +8,7 @@ one meaning per letter within an instance.
 
 from __future__ import annotations
 
+import atexit
 import functools
 import os
 from dataclasses import fields
@@ -33,7 +34,9 @@ from radiant_core.splats import Splats
 from tests import forked
 
 pytest.MonkeyPatch().setattr(local, "LEAST_FORKED", 1)
-pytest.MonkeyPatch().setattr(local, "fork_module", forked.fork_node)
+pytest.MonkeyPatch().setattr(local, "open_server", forked.open_server_of_tests)
+forked.keep_until_the_end()
+atexit.register(forked.end_all)
 
 # No deadline: the first example pays for imports. The same examples each time, so that a failure is
 # a failure for everybody.

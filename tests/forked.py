@@ -16,27 +16,37 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from radiant_app.executors.fork_server import CAN_FORK, ForkedProcess, fork_module, fork_with_streams
+from radiant_app.executors.fork_server import ForkServer, keep_servers, open_server
 
 IMPORTED = ("zlib", "torch", "pycolmap", "cv2", "pydantic", "scipy.optimize", "scipy.spatial", "shapely", "typer", "rich.progress")
 """Libraries alone: what the project's modules import, and when, is as in a process that starts anew."""
-IDLE_S = 3600.0
+_keeping = keep_servers()
 
 
-def fork_node(command: Sequence[str], log: IO[str], environment: Mapping[str, str], names: Sequence[str]) -> ForkedProcess:
+def keep_until_the_end() -> None:
+    """Servers stay, of runs too, until `end_all`."""
+    _keeping.__enter__()
+
+
+def end_all() -> None:
+    """End what `keep_until_the_end` keeps."""
+    _keeping.__exit__(None, None, None)
+
+
+def open_server_of_tests(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
     """What the local executor calls: one server for all tests of a process."""
     del names
-    return fork_module(command, log, environment, IMPORTED, IDLE_S)
+    return open_server(IMPORTED, environment)
 
 
 def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mapping[str, str]) -> Any:
     """`python -m ARGUMENTS` with all that it prints in a log; what Popen and ForkedProcess have alike."""
     command = [*map(str, arguments)]
-    if not CAN_FORK:
+    if (server := open_server(IMPORTED, environment)) is None:
         starting = [sys.executable, "-m", *command]
         return subprocess.Popen(starting, cwd=cwd, env=environment, stdout=log, stderr=log, start_new_session=True)
     with Path(os.devnull).open() as nothing:
-        return fork_with_streams(command, (nothing.fileno(), log.fileno(), log.fileno()), environment, IMPORTED, IDLE_S, cwd)
+        return server.start(command, (nothing.fileno(), log.fileno(), log.fileno()), environment, cwd)
 
 
 def run_module(
@@ -44,12 +54,11 @@ def run_module(
 ) -> subprocess.CompletedProcess[str]:
     """What `python -m ARGUMENTS` prints, and its exit code."""
     command = [*map(str, arguments)]
-    if not CAN_FORK:
+    if (server := open_server(IMPORTED, environment)) is None:
         starting = [sys.executable, "-m", *command]
         return subprocess.run(starting, capture_output=True, text=True, cwd=cwd, env=environment, timeout=timeout_s, check=False)
     with Path(os.devnull).open() as nothing, tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
-        streams = (nothing.fileno(), output.fileno(), errors.fileno())
-        process = fork_with_streams(command, streams, environment, IMPORTED, IDLE_S, cwd)
+        process = server.start(command, (nothing.fileno(), output.fileno(), errors.fileno()), environment, cwd)
         try:
             code = process.wait(timeout_s)
         except subprocess.TimeoutExpired:

@@ -243,7 +243,7 @@ def _cells(figures: Sequence[Figures], compared: Sequence[Figures]) -> list[str]
 def _difference(figures: Sequence[Figures], compared: Sequence[Figures]) -> str:
     """In the seeds that both have; they hold out the same photographs."""
     seeds = min(len(figures), len(compared))
-    if not seeds:
+    if not seeds or len(figures[0].psnr_of_each_db) < 2:
         return "–"
     own, other = (np.array([one.psnr_of_each_db for one in rows[:seeds]]) for rows in (figures, compared))
     found = paired_bootstrap(own, other)
@@ -259,7 +259,8 @@ def _notes(arms: Arms, made: Mapping[str, Sequence[Figures]]) -> list[str]:
         f"Radiance fields took {arms.field_steps:,} steps of 2,048 rays in all.",
     ]
     if seeds:
-        notes.append(f"Means over seeds ({', '.join(map(str, seeds))}); bounds by a bootstrap over seeds and held-out photographs.")
+        drawn = "held-out photographs" if len(seeds) == 1 else "seeds and held-out photographs"
+        notes.append(f"Means over seeds ({', '.join(map(str, seeds))}); bounds by a bootstrap over {drawn}.")
         if fewer := [name for name, figures in made.items() if len(figures) < len(seeds)]:
             notes.append(f"Not of all seeds yet: {', '.join(f'{name} ({len(made[name])})' for name in fewer)}.")
     if arms.lpips is None:

@@ -5,13 +5,12 @@ the work: `sample_scenes/make_runs.py` (12 photographs, 30 nodes) took 59 s of C
 132, and made the same bytes. A server imports them once; each `python -m MODULE ARGUMENTS` that is
 asked of it is a fork with a session, streams, an environment and a working folder of its own, which
 receives signals and is waited for like any process. There is a server for each set of the variables
-that libraries read when they are loaded. It ends with the process that started it, or when it is
-not asked for some time.
+that libraries read when they are loaded; it ends with the run. Where none can be had, or one is
+killed, processes start anew, and those that it has forked go on.
 """
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import json
 import os
@@ -21,15 +20,17 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
 READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONPATH")
 """Variables that a library or the interpreter reads once."""
-IDLE_S = 60.0
-MAX_REQUEST_BYTES = 1 << 18
+MAX_REQUEST_BYTES = 1 << 17
+START_S = 60.0
+"""So long imports may take before nodes start anew."""
+READY = b"ready"
 CAN_FORK = sys.platform == "linux"
 """Libraries of macOS break in a fork; Windows has none."""
 
@@ -37,23 +38,28 @@ CAN_FORK = sys.platform == "linux"
 class ForkedProcess:
     """What a server forked, as far as `subprocess.Popen` is needed here."""
 
-    def __init__(self, ended: int) -> None:
-        self._ended = ended
+    def __init__(self, told: int) -> None:
+        self._told = told
         self._waiting = threading.Lock()
         self.returncode: int | None = None
         self.stdin: IO[str] | None = None
         self.stdout: IO[str] | None = None
-        if not (told := self._line()):
-            os.close(ended)
-            raise ConnectionError("the server of processes has ended")
-        self.pid = int(told)
+        self.pid = int(self._line() or 0)
+        if not self.pid:
+            os.close(told)
+            raise ConnectionError("the server of processes forked none")
+        self._alive: int | None = None
+        # It may have ended already.
+        with contextlib.suppress(ProcessLookupError):
+            self._alive = os.pidfd_open(self.pid)
 
     def poll(self) -> int | None:
         """The exit code, below 0 for a signal, or None while the process runs."""
         return self._waited(0)
 
     def wait(self, timeout: float | None = None) -> int:
-        """The exit code; TimeoutExpired after `timeout` seconds."""
+        """The exit code; TimeoutExpired after `timeout` seconds. 0 where its server is gone, which
+        alone would know: what the process has made says how it ended."""
         code = self._waited(timeout)
         if code is None:
             raise subprocess.TimeoutExpired("a forked process", timeout or 0)
@@ -63,22 +69,18 @@ class ForkedProcess:
         # An executor waits in a thread of its own and, when it stops, in the main one.
         if self._waiting.acquire(timeout=-1 if timeout_s is None else timeout_s):
             try:
-                if self.returncode is None and select.select([self._ended], [], [], timeout_s)[0]:
-                    self.returncode = int(self._line() or self._orphaned())
-                    os.close(self._ended)
+                if self.returncode is None and (self._alive is None or _is_readable(self._alive, timeout_s)):
+                    # Its server tells before it lets the process go, or is gone itself.
+                    self.returncode = int(self._line() or 0)
+                    for fd in {self._told, self._alive} - {None}:
+                        os.close(fd)
             finally:
                 self._waiting.release()
         return self.returncode
 
-    def _orphaned(self) -> int:
-        """End a process whose server is gone, so that nobody will tell how it ended."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.pid, signal.SIGKILL)
-        return -signal.SIGKILL
-
     def _line(self) -> bytes:
         line = b""
-        while not line.endswith(b"\n") and (byte := os.read(self._ended, 1)):
+        while not line.endswith(b"\n") and (byte := os.read(self._told, 1)):
             line += byte
         return line
 
@@ -86,82 +88,110 @@ class ForkedProcess:
 class ForkServer:
     """A server that has imported `names`, in an environment and with its variables."""
 
-    def __init__(self, names: Sequence[str], environment: Mapping[str, str], idle_s: float = IDLE_S) -> None:
+    def __init__(self, names: Sequence[str], environment: Mapping[str, str]) -> None:
         self._asking, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        command = [sys.executable, "-m", __spec__.name, str(theirs.fileno()), str(idle_s), *names]
-        variables = {**environment, "PYTHONUNBUFFERED": "1"}
-        # Where a name cannot be imported it ends, and whoever asked starts processes anew.
-        self._process = subprocess.Popen(
-            command, pass_fds=[theirs.fileno()], env=variables, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-        )
-        theirs.close()
-        atexit.register(self.close)
+        command = [sys.executable, "-m", __spec__.name, str(theirs.fileno()), *names]
+        variables, nothing = {**environment, "PYTHONUNBUFFERED": "1"}, subprocess.DEVNULL
+        with theirs:
+            self._process = subprocess.Popen(
+                command, pass_fds=[theirs.fileno()], env=variables, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True
+            )
+
+    def is_ready(self, timeout_s: float = START_S) -> bool:
+        """Whether it has imported all within so long; asked once."""
+        return _is_readable(self._asking.fileno(), timeout_s) and self._asking.recv(len(READY)) == READY
 
     def start(self, command: Sequence[str], fds: Sequence[int], environment: Mapping[str, str], cwd: Path | None = None) -> ForkedProcess:
-        """Fork `python -m COMMAND` with three streams; ConnectionError if the server has ended."""
-        ended, tell = os.pipe()
+        """Fork `python -m COMMAND` with three streams; OSError where that fails."""
+        told, tell = os.pipe()
         request = {"command": [*command], "environment": {**environment}, "cwd": str(cwd or Path.cwd())}
         try:
             socket.send_fds(self._asking, [json.dumps(request).encode()], [*fds, tell])
-        except ConnectionError:
-            os.close(ended)
+        except OSError:
+            os.close(told)
             raise
         finally:
             os.close(tell)
-        return ForkedProcess(ended)
+        return ForkedProcess(told)
+
+    def start_piped(self, command: Sequence[str], log: IO[str], environment: Mapping[str, str]) -> ForkedProcess:
+        """The same with pipes as standard input and output, and `log` for errors."""
+        stdin, to_stdin = os.pipe()
+        from_stdout, stdout = os.pipe()
+        try:
+            process = self.start(command, (stdin, stdout, log.fileno()), environment)
+        except BaseException:
+            os.close(to_stdin)
+            os.close(from_stdout)
+            raise
+        finally:
+            os.close(stdin)
+            os.close(stdout)
+        process.stdin, process.stdout = os.fdopen(to_stdin, "w"), os.fdopen(from_stdout)
+        return process
 
     def close(self) -> None:
         """End the server and wait for it: its CPU time, and that of its forks, is the caller's."""
-        atexit.unregister(self.close)
         self._asking.close()
         self._process.wait()
 
 
-_servers: dict[tuple[object, ...], ForkServer] = {}
-_starting = threading.Lock()
+class _Kept:
+    """The servers of this process, and how many runs keep them."""
+
+    num_runs: int = 0
+    servers: dict[tuple[object, ...], ForkServer | None]
+    lock = threading.Lock()
+
+    def __init__(self) -> None:
+        self.servers = {}
 
 
-def fork_module(
-    command: Sequence[str], log: IO[str], environment: Mapping[str, str], names: Sequence[str], idle_s: float = IDLE_S
-) -> ForkedProcess:
-    """`python -m COMMAND` with pipes as standard input and output and `log` for errors, forked by a
-    server that has imported `names`; OSError where none can be had."""
-    stdin, to_stdin = os.pipe()
-    from_stdout, stdout = os.pipe()
+_kept = _Kept()
+
+
+@contextlib.contextmanager
+def keep_servers() -> Iterator[None]:
+    """Servers are there to be opened within the block, and ended where no other such block runs."""
+    with _kept.lock:
+        _kept.num_runs += 1
     try:
-        process = fork_with_streams(command, (stdin, stdout, log.fileno()), environment, names, idle_s)
-    except BaseException:
-        os.close(to_stdin)
-        os.close(from_stdout)
-        raise
+        yield
     finally:
-        os.close(stdin)
-        os.close(stdout)
-    process.stdin, process.stdout = os.fdopen(to_stdin, "w"), os.fdopen(from_stdout)
-    return process
+        with _kept.lock:
+            _kept.num_runs -= 1
+            ended = [] if _kept.num_runs else [server for server in _kept.servers.values() if server is not None]
+            if not _kept.num_runs:
+                _kept.servers.clear()
+        for server in ended:
+            server.close()
 
 
-def fork_with_streams(
-    command: Sequence[str],
-    fds: Sequence[int],
-    environment: Mapping[str, str],
-    names: Sequence[str],
-    idle_s: float = IDLE_S,
-    cwd: Path | None = None,
-) -> ForkedProcess:
-    """The same with given streams."""
+def open_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
+    """The server that has imported `names` and fits to the environment; None where no run keeps
+    servers, none can be forked from here, or its imports failed."""
+    if not CAN_FORK or not _kept.num_runs:
+        return None
     key = (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED))
-    with _starting:
-        if (server := _servers.get(key)) is not None:
+    with _kept.lock:
+        if key not in _kept.servers:
+            server = ForkServer(names, environment)
             try:
-                return server.start(command, fds, environment, cwd)
-            except ConnectionError:
-                _servers.pop(key).close()
-        server = _servers[key] = ForkServer(names, environment, idle_s)
-        return server.start(command, fds, environment, cwd)
+                _kept.servers[key] = server if server.is_ready() else None
+            finally:
+                if _kept.servers.get(key) is None:
+                    server._process.kill()
+                    server.close()
+        return _kept.servers[key]
 
 
-def serve(requests: socket.socket, idle_s: float) -> None:
+def _is_readable(fd: int, timeout_s: float | None) -> bool:
+    poll = select.poll()
+    poll.register(fd, select.POLLIN)
+    return bool(poll.poll(None if timeout_s is None else 1000 * timeout_s))
+
+
+def serve(requests: socket.socket) -> None:
     """Fork a process for each request and tell how it ended, until the other end closes."""
     woken, wake = os.pipe()
     for end in (woken, wake):
@@ -169,10 +199,9 @@ def serve(requests: socket.socket, idle_s: float) -> None:
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
     signal.set_wakeup_fd(wake)
     telling: dict[int, int] = {}
+    requests.send(READY)
     while True:
-        ready = select.select([requests, woken], [], [], None if telling else idle_s)[0]
-        if not ready:
-            return
+        ready = select.select([requests, woken], [], [])[0]
         if woken in ready:
             os.read(woken, 4096)
             _tell_ended(telling)
@@ -180,29 +209,33 @@ def serve(requests: socket.socket, idle_s: float) -> None:
             continue
         request, fds, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, 4)
         if not request:
-            return
-        if not (process := os.fork()):
+            # Nothing of its own is left to be done, and tearing its libraries down takes seconds.
+            os._exit(0)
+        process = -1
+        with contextlib.suppress(OSError):
+            process = os.fork()
+        if not process:
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             requests.close()
             for fd in (woken, wake, *telling.values()):
                 os.close(fd)
-            _run(json.loads(request), fds)
-            return
-        telling[process] = fds[3]
-        for fd in fds[:3]:
+            return _run(json.loads(request), fds)
+        if process > 0:
+            telling[process] = fds.pop()
+        for fd in fds:
             os.close(fd)
 
 
 def _tell_ended(telling: dict[int, int]) -> None:
-    while telling:
-        process, status = os.waitpid(-1, os.WNOHANG)
-        if not process:
-            return
-        tell = telling.pop(process)
+    while telling and (ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
+        # Nobody signals a process that is told to have ended: only then its number may go to another.
+        tell = telling.pop(ended.si_pid)
+        code = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
         with contextlib.suppress(BrokenPipeError):
-            os.write(tell, f"{os.waitstatus_to_exitcode(status)}\n".encode())
+            os.write(tell, f"{code}\n".encode())
         os.close(tell)
+        os.waitpid(ended.si_pid, 0)
 
 
 def _run(request: dict[str, Any], fds: list[int]) -> None:
@@ -219,19 +252,22 @@ def _run(request: dict[str, Any], fds: list[int]) -> None:
     module, *arguments = request["command"]
     sys.path.insert(0, request["cwd"])
     sys.argv = [module, *arguments]
+    # What `ps` and `top` call it.
+    with contextlib.suppress(OSError):
+        Path("/proc/self/comm").write_text(" ".join([*arguments[:1], "radiant"]))
 
     import runpy
 
     runpy.run_module(module, run_name="__main__", alter_sys=True)
 
 
-def main(requests: str, idle_s: str, *names: str) -> None:
+def main(requests: str, *names: str) -> None:
     """Import and serve."""
     # The folder that the server was started in; a fork has that of its request.
     del sys.path[0]
     for name in names:
         import_module(name)
-    serve(socket.socket(fileno=int(requests)), float(idle_s))
+    serve(socket.socket(fileno=int(requests)))
 
 
 if __name__ == "__main__":

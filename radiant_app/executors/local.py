@@ -22,7 +22,7 @@ from pathlib import Path
 
 from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
 from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
-from radiant_app.executors.fork_server import CAN_FORK, ForkedProcess, fork_module
+from radiant_app.executors.fork_server import ForkedProcess, ForkServer, open_server
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, StageFailed
@@ -63,8 +63,9 @@ class LocalExecutor:
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
         threads = max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, _width(tree))))
-        forked = CAN_FORK and sum(1 for _ in tree) >= LEAST_FORKED
-        runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads, forked=forked)
+        runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads)
+        if self.command is worker_command and sum(1 for _ in tree) >= LEAST_FORKED:
+            runner.server = open_server(IMPORTED, worker_environment(threads))
         fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
         return fold.run(tree)
 
@@ -90,8 +91,8 @@ class Processes:
     num_workers: int
     command: Callable[[NodeTask], list[str]]
     num_threads: int
-    forked: bool = False
-    """Whether Python modules are forked."""
+    server: ForkServer | None = None
+    """Forks processes; None: they start anew."""
     lines: queue.Queue[tuple[str, str | None]] = field(default_factory=queue.Queue)
     running: dict[str, _Running] = field(default_factory=dict)
 
@@ -100,7 +101,7 @@ class Processes:
 
     def start(self, node: Tree, task: NodeTask) -> bool:
         with defer_interrupts():
-            process = _spawn(self.command(task), task.folder, self.num_threads, self.forked)
+            process = self._spawn(self.command(task), task.folder)
             reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
             self.running[node.id] = _Running(task=task, process=process, reader=reader)
             reader.start()
@@ -138,6 +139,17 @@ class Processes:
                     running.process.wait()
                 running.reader.join()
 
+    def _spawn(self, command: list[str], folder: Path) -> Process:
+        environment = worker_environment(self.num_threads)
+        with log_path(folder).open("w") as log:
+            if self.server is not None:
+                # It may have been killed.
+                with contextlib.suppress(OSError):
+                    return self.server.start_piped(command[2:], log, environment)
+            # A session of its own: Ctrl-C reaches only this process, which stops the workers in order.
+            pipe, start = subprocess.PIPE, subprocess.Popen
+            return start(command, stdout=pipe, stderr=log, stdin=pipe, text=True, env=environment, start_new_session=True)
+
     def _read(self, node_id: str, process: Process) -> None:
         assert process.stdout is not None and process.stdin is not None
         with process.stdin, process.stdout as lines:
@@ -169,17 +181,10 @@ def _width(tree: Tree) -> int:
     return max(1, sum(1 for node in tree if not node.children))
 
 
-def _spawn(command: list[str], folder: Path, num_threads: int, forked: bool) -> Process:
+def worker_environment(num_threads: int) -> dict[str, str]:
+    """The variables of a worker."""
     # Without the last, OpenMP's threads spin after their part and take a core of the rasterizer's.
-    environment = {**os.environ, "OMP_NUM_THREADS": str(num_threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
-    # A session of its own: Ctrl-C reaches only this process, which stops the workers in order.
-    with log_path(folder).open("w") as log:
-        if forked and command[:2] == [sys.executable, "-m"]:
-            with contextlib.suppress(OSError):
-                return fork_module(command[2:], log, environment, IMPORTED)
-        return subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=log, stdin=subprocess.PIPE, text=True, env=environment, start_new_session=True
-        )
+    return {**os.environ, "OMP_NUM_THREADS": str(num_threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
 
 
 @contextmanager
@@ -207,4 +212,6 @@ def log_path(folder: Path) -> Path:
 
 def _signal_group(process: Process, number: signal.Signals) -> None:
     if process.poll() is None:
-        os.killpg(process.pid, number)
+        # It may end meanwhile.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, number)

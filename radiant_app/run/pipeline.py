@@ -18,6 +18,7 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Listener, Outlined, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import RetryPolicy
+from radiant_app.executors.fork_server import keep_servers
 from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
 from radiant_app.files.run_folder import Manifest, open_run
@@ -115,7 +116,7 @@ def run(
 
     system = _check_system(config)
     lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
-    with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard, _network(config) as cloud:
+    with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard, _network(config) as cloud, keep_servers():
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)

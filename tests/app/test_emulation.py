@@ -46,9 +46,13 @@ FINISH = "import os; os.rename('sealed', 'done.json')"
 
 
 @pytest.fixture(autouse=True)
-def real_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    # What is played here is the CPU time of whole processes, their start among it.
-    monkeypatch.setattr(local, "CAN_FORK", False)
+def no_forks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is emulated is the CPU time of whole processes, their start among it."""
+
+    def open_server(*arguments: object) -> None:
+        raise AssertionError("an emulated node is forked")
+
+    monkeypatch.setattr(local, "open_server", open_server)
 
 
 def system(folder: Path, speeds: tuple[float, float], mbit_per_s: tuple[float, float] = (FAST_LINK, FAST_LINK)) -> System:

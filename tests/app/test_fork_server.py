@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import resource
 import signal
 import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
 from radiant_app.executors import fork_server, local
-from radiant_app.executors.fork_server import CAN_FORK, ForkedProcess, ForkServer, fork_module
+from radiant_app.executors.fork_server import CAN_FORK, ForkedProcess, ForkServer, keep_servers, open_server
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_core.aggregate.tree import Tree
@@ -29,23 +28,26 @@ Start = Callable[..., ForkedProcess]
 @pytest.fixture
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
     """Start the lines of a module; servers end with the test."""
-    monkeypatch.setattr(fork_server, "_servers", servers := {})
+    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
     started: list[ForkedProcess] = []
-    with (tmp_path / "log.txt").open("w+") as log:
 
-        def start(lines: str, *arguments: str, names: tuple[str, ...] = NAMES, idle_s: float = 60.0, **variables: str) -> ForkedProcess:
-            (tmp_path / "played.py").write_text(lines)
-            environment = {**os.environ, "PYTHONPATH": str(tmp_path), **variables}
-            started.append(fork_module(["played", *arguments], log, environment, names, idle_s))
-            return started[-1]
+    def start(lines: str, *arguments: str, names: tuple[str, ...] = NAMES, **variables: str) -> ForkedProcess:
+        # An earlier one may be reading its lines still.
+        module = f"played_{hashlib.sha256(lines.encode()).hexdigest()[:8]}"
+        if not (tmp_path / f"{module}.py").exists():
+            (tmp_path / f"{module}.py").write_text(lines)
+        environment = {**os.environ, "PYTHONPATH": str(tmp_path), **variables}
+        server = open_server(names, environment)
+        assert server is not None
+        started.append(server.start_piped([module, *arguments], log, environment))
+        return started[-1]
 
+    with (tmp_path / "log.txt").open("w+") as log, keep_servers():
         yield start
     for process in started:
         assert process.stdin is not None and process.stdout is not None
         process.stdin.close()
         process.stdout.close()
-    for server in servers.values():
-        server.close()
 
 
 def children_cpu_s() -> float:
@@ -54,7 +56,8 @@ def children_cpu_s() -> float:
 
 
 def only_server() -> ForkServer:
-    (server,) = fork_server._servers.values()
+    (server,) = fork_server._kept.servers.values()
+    assert server is not None
     return server
 
 
@@ -87,50 +90,83 @@ def test_an_error_and_a_signal_end_it_as_they_end_any_process(start: Start, tmp_
     assert process.wait(timeout=20) == -signal.SIGTERM
 
 
-def test_what_forks_compute_counts_for_the_process_that_asked(start: Start) -> None:
-    before_s = children_cpu_s()
-    assert start("import time\nend = time.process_time() + 0.5\nwhile time.process_time() < end: pass").wait() == 0
-    only_server().close()
-    fork_server._servers.clear()
-    assert children_cpu_s() - before_s > 0.45
+def test_what_forks_compute_counts_for_the_process_that_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    (tmp_path / "played.py").write_text("import time\nend = time.process_time() + 0.5\nwhile time.process_time() < end: pass")
+    before_s, environment = children_cpu_s(), {**os.environ, "PYTHONPATH": str(tmp_path)}
+    with Path(os.devnull).open("r+") as nothing, keep_servers():
+        server = open_server(NAMES, environment)
+        assert server is not None and server is open_server(NAMES, environment)
+        assert server.start(["played"], [nothing.fileno()] * 3, environment).wait() == 0
+    assert children_cpu_s() - before_s > 0.45 and server._process.returncode == 0, "it ends with the last run"
+    assert open_server(NAMES, environment) is None, "nobody would end it"
 
 
-def test_who_loses_the_server_loses_the_process_and_the_next_has_a_new_one(start: Start) -> None:
-    process = start("import time; time.sleep(60)")
+def test_a_process_whose_server_is_killed_goes_on_and_the_next_starts_anew(start: Start, tmp_path: Path) -> None:
+    process = start("import sys\nfrom pathlib import Path\nPath(sys.argv[1]).write_text(sys.stdin.read())", str(tmp_path / "made"))
     only_server()._process.kill()
-    assert process.wait(timeout=20) == -signal.SIGKILL
-    waited_until = time.monotonic() + 20
-    while Path(f"/proc/{process.pid}").exists() and "State:\tZ" not in Path(f"/proc/{process.pid}/status").read_text():
-        assert time.monotonic() < waited_until, "it goes on without its server"
-        time.sleep(0.05)
-    assert start("import sys; sys.exit(4)").wait() == 4
+    assert process.poll() is None and process.stdin is not None
+    process.stdin.write("finished")
+    process.stdin.close()
+    assert process.wait(timeout=20) == 0, "its seal decides"
+    assert (tmp_path / "made").read_text() == "finished"
+    with pytest.raises(OSError, match=r".+"):
+        start("pass")
 
 
-def test_a_server_that_nobody_asks_ends_but_not_before_its_processes(start: Start) -> None:
-    process = start("import sys, time; time.sleep(1); sys.exit(5)", idle_s=0.2)
-    server = only_server()
-    assert process.wait() == 5
-    assert server._process.wait(timeout=20) == 0
-    assert start("import sys; sys.exit(6)", idle_s=0.2).wait() == 6 and only_server() is not server
+def test_processes_that_end_at_once_are_all_told(start: Start) -> None:
+    ended = [start("import os, sys; os._exit(int(sys.argv[1]))", str(code)) for code in range(40)]
+    assert [process.wait(timeout=60) for process in ended] == list(range(40))
+
+
+FAILING = """
+import os
+real, calls = os.fork, []
+
+def fork():
+    calls.append(1)
+    if len(calls) == 2:
+        raise BlockingIOError(11, "no more processes")
+    return real()
+
+os.fork = fork
+"""
+
+
+def test_a_fork_that_fails_is_one_process_alone(start: Start, tmp_path: Path) -> None:
+    (tmp_path / "failing_forks.py").write_text(FAILING)
+    running = start("import sys; sys.stdin.read(); sys.exit(5)", names=("failing_forks",))
+    with pytest.raises(ConnectionError, match="forked none"):
+        start("pass", names=("failing_forks",))
+    assert running.poll() is None and running.stdin is not None
+    running.stdin.close()
+    assert running.wait(timeout=20) == 5
+    assert start("import sys; sys.exit(6)", names=("failing_forks",)).wait() == 6
 
 
 def test_variables_that_libraries_read_once_have_a_server_of_their_own(start: Start) -> None:
     for threads in ("1", "2"):
         process = start("import os; print(os.environ['OMP_NUM_THREADS'])", OMP_NUM_THREADS=threads)
         assert process.stdout is not None and process.stdout.read() == f"{threads}\n"
-    assert len(fork_server._servers) == 2
+    assert len(fork_server._kept.servers) == 2
 
 
-def test_where_no_server_can_be_had_a_node_starts_anew(start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConnectionError):
-        start("pass", names=("no_such_module_anywhere",))
-    monkeypatch.setattr(local, "fork_module", lambda command, log, environment, names: start("pass", names=("no_such_module_anywhere",)))
+@pytest.mark.parametrize("killed", [False, True])
+def test_where_no_server_can_be_had_a_node_starts_anew(killed: bool, start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def open_none(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
+        server = open_server(NAMES if killed else ("no_such_module_anywhere",), environment)
+        assert (server is None) != killed
+        if server is not None:
+            server._process.kill()
+            server._process.wait()
+        return server
+
+    monkeypatch.setattr(local, "open_server", open_none)
     (tmp_path / "played_node.py").write_text(f"import os; os.chdir({str(tmp_path)!r}); os.rename('sealed', {SEAL_NAME!r})")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     (tmp_path / "made").write_text("x")
     seal(tmp_path, "key", ["made"])
     (tmp_path / SEAL_NAME).rename(tmp_path / "sealed")
     task = NodeTask(kind="cloud", stage="cloud", folder=tmp_path, key="key", module="played_node")
-    executor = LocalExecutor(num_workers=1, command=lambda task: [sys.executable, "-m", task.module])
-    times = executor.fold(Tree(id="cloud", tier="cloud"), lambda node: task, lambda event: None)
+    times = LocalExecutor(num_workers=1).fold(Tree(id="cloud", tier="cloud"), lambda node: task, lambda event: None)
     assert times["cloud"].ended_s > times["cloud"].started_s

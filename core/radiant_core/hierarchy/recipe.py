@@ -59,8 +59,10 @@ class Recipe:
     @property
     def photograph_shows(self) -> float:
         """How often the training of a device shows each of its photographs, in the mean."""
+        if not self._total_photographs:
+            return float("inf")
         num_devices = self.num_devices or devices_with_photographs(self.edge_plans)
-        return self.train.num_steps * num_devices / max(1, self._total_photographs)
+        return step_law_of(self.train, self._total_photographs, num_devices).per_photograph
 
     @property
     def _total_photographs(self) -> int:
