@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 from shapely import Polygon, boundary, contains, distance, points, prepare
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.join import fade, touched_cameras
+from radiant_core.aggregate.join import TOUCHED_SHARE, contested_shares, fade
 from radiant_core.aggregate.ownership import Ownership
 from radiant_core.aggregate.retrain import retrain
 from radiant_core.aggregate.synthetic_views import Teacher
@@ -154,7 +154,7 @@ def _blend_views(scene: Splats, addition: Teacher, region: NewRegion, train: Tra
     where none of them sees it."""
     means = np.concatenate([scene.means, addition.splats.means])
     contested = np.abs(region.inside_m(means)) <= region.margin_m
-    rows = np.flatnonzero(touched_cameras(addition.cameras, means, contested))
+    rows = np.flatnonzero(contested_shares(addition.cameras, means, contested) > TOUCHED_SHARE)
     if not len(rows):
         return None
     cameras = addition.cameras.select(rows).scaled(train.long_side_px)

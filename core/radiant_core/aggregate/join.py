@@ -27,6 +27,7 @@ from radiant_core.aggregate.tiles import retrain_by_tiles
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db, psnr_db_of_mse
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.claims import Claims
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
@@ -154,7 +155,8 @@ def _join(
     owned = _find_owners(teachers, claims)
     cut = replace(_cut(teachers, owned), balance=balance)
     merged, owns, contested = _start(teachers, owned, aggregate)
-    shown = [touched_cameras(teacher.cameras, merged.means, contested) for teacher in teachers]
+    shares = [contested_shares(teacher.cameras, merged.means, contested) for teacher in teachers]
+    shown = [own > TOUCHED_SHARE for own in shares]
     cut = replace(cut, num_shown=int(sum(rows.sum() for rows in shown)), contested_share=float(contested.mean()) if len(contested) else 0.0)
     if not cut.num_shown:
         return cut
@@ -164,7 +166,8 @@ def _join(
     views = teacher_views(asked, train.long_side_px, options.backend, options.scratch)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
-    cut = replace(cut, agreement_db=min(_psnr_db(cut.splats, _sample(views, NUM_COMPARED), options.backend)))
+    compared = views.select(most_contested(np.concatenate([own[rows] for own, rows in zip(shares, shown, strict=True)])))
+    cut = replace(cut, agreement_db=min(_psnr_db(cut.splats, compared, options.backend)))
     if aggregate.agreement_db is not None and (cut.agreement_db or 0.0) >= aggregate.agreement_db:
         return cut
     # What the cut is made of is there: a copy would wait for the end of the training.
@@ -173,7 +176,7 @@ def _join(
     made = retrain_by_tiles(merged, views, train, aggregate, options, num_tiles)
     whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
     joined = replace(figures, trained=replace(made.trained, splats=whole))
-    compared, cut_again = _sample(views, NUM_COMPARED), _cut(teachers, owned).splats
+    cut_again = _cut(teachers, owned).splats
     joined_db, cut_db = (_pooled_db(_psnr_db(model, compared, options.backend)) for model in (whole, cut_again))
     check = Check(num_views=len(compared), joined_db=joined_db, cut_db=cut_db)
     if check.keeps_joined:
@@ -216,25 +219,28 @@ def teacher_views(teachers: Sequence[Teacher], long_side_px: int, backend: Backe
     return concatenate_views(parts)
 
 
-def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which cameras (C,) see enough contested Gaussians, judged by an even sample of all."""
-    touched = np.zeros(len(cameras), bool)
+def contested_shares(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> FloatArray:
+    """Of the Gaussians that each camera (C,) sees, the share that is contested, by an even sample
+    of all; it sees enough of them above `TOUCHED_SHARE`."""
+    shares = np.zeros(len(cameras))
     some = np.unique(np.linspace(0, len(means) - 1, NUM_ASKED).astype(np.int64))
     means, contested = means[some], contested[some]
     for index in range(len(cameras)):
         before = cameras.select([index]).any_sees(means)
-        touched[index] = contested[before].sum() > TOUCHED_SHARE * before.sum()
-    return touched
+        shares[index] = contested[before].sum() / max(1, before.sum())
+    return shares
+
+
+def most_contested(shares: FloatArray) -> NDArray[np.int64]:
+    """Rows of views in which a joined and a cut model are compared: `NUM_COMPARED` of the half with
+    more that is contested, evenly chosen. In the others both are their teacher's own picture."""
+    ranked = np.argsort(-shares, kind="stable")[: max(NUM_COMPARED, len(shares) // 2)]
+    return np.sort(ranked[np.unique(np.linspace(0, len(ranked) - 1, NUM_COMPARED).astype(np.int64))])
 
 
 def _pooled_db(psnrs_db: Sequence[float]) -> float:
     """PSNR of the mean squared error of views with these."""
     return psnr_db_of_mse(float(np.mean(10.0 ** (-np.array(psnrs_db) / 10))))
-
-
-def _sample(views: TrainingViews, num_chosen: int) -> TrainingViews:
-    """So many of the views, evenly spread."""
-    return views.select(np.unique(np.linspace(0, len(views) - 1, num_chosen).astype(np.int64)))
 
 
 def _psnr_db(model: Splats, views: TrainingViews, backend: Backend) -> list[float]:

@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.aggregate import join
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
-from radiant_core.aggregate.join import NUM_COMPARED, Check, Joined, cut_at_borders, join_models
+from radiant_core.aggregate.join import NUM_COMPARED, Check, Joined, cut_at_borders, join_models, most_contested
 from radiant_core.aggregate.retrain import Retrained
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.hierarchy.decisions import join_decisions
@@ -82,6 +82,16 @@ def test_every_view_is_shown_and_some_are_compared(num_views: int) -> None:
     assert result.trained.num_steps == num_views
     assert result.check is not None and result.check.num_views == min(NUM_COMPARED, num_views)
     assert len([one for one in join_decisions("cloud", AggregateConfig(), 2, result) if one.topic == "joined or cut"]) == 1
+
+
+def test_views_that_show_little_of_what_two_models_know_decide_nothing() -> None:
+    """In those a cut is its teacher's own picture to the bit, and any retrained model is worse."""
+    shares = np.random.default_rng(0).permutation(40) / 40
+    chosen = most_contested(shares)
+    assert len(chosen) == NUM_COMPARED and (np.diff(chosen) > 0).all() and shares[chosen].min() >= 0.5
+    assert shares[chosen].max() > 0.9 and np.ptp(shares[chosen]) > 0.4, "and not the most alone"
+    np.testing.assert_array_equal(most_contested(shares[:5]), np.arange(5))
+    np.testing.assert_array_equal(most_contested(np.ones(9)), np.arange(8))
 
 
 def test_the_figures_are_of_all_pixels_so_that_a_view_that_a_cut_leaves_alone_weighs_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
