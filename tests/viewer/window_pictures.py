@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
-from PySide6.QtCore import QPoint, Qt
+from PySide6.QtCore import QPoint, QSettings, Qt
 from PySide6.QtTest import QTest
 
 from radiant_core.errors import BadInput
@@ -165,6 +165,8 @@ def main(run: Path, folder: Path, names: list[str]) -> None:
             if names and picture.__name__ not in names:
                 continue
             (copy / "plan_edits.json").unlink(missing_ok=True)
+            # A window remembers its size: that of the one before, without its frame.
+            QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, str(out / f"settings_{picture.__name__}"))
             png = out / f"window_{picture.__name__}.png"
 
             def act(window: InspectorWindow, picture: Callable[[User, Path], None] = picture, png: Path = png) -> None:
