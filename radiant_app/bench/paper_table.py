@@ -124,7 +124,7 @@ def table_methods(field_steps: int) -> list[Method]:
 
 
 def table_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The table: all rows of the first seed, then Gaussians of the others, whose fields come last."""
+    """The table: all rows of the first seed, then Gaussians of the others, their fields last."""
     del quick
     methods = table_methods(arms.field_steps)
 

@@ -146,7 +146,7 @@ class Processes:
                 # It may have been killed.
                 with contextlib.suppress(OSError):
                     return self.server.start_piped(command[2:], log, environment)
-            # A session of its own: Ctrl-C reaches only this process, which stops the workers in order.
+            # A session of its own: Ctrl-C reaches only this process, which stops workers in order.
             pipe, start = subprocess.PIPE, subprocess.Popen
             return start(command, stdout=pipe, stderr=log, stdin=pipe, text=True, env=environment, start_new_session=True)
 
