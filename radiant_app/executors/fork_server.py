@@ -229,7 +229,7 @@ def serve(requests: socket.socket) -> None:
 
 def _tell_ended(telling: dict[int, int]) -> None:
     while telling and (ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
-        # Only then may its number go to another, and who was told that it ended does not signal it.
+        # Told before it is reaped: until then its number is no other's that somebody might signal.
         tell = telling.pop(ended.si_pid)
         code = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
         with contextlib.suppress(BrokenPipeError):
