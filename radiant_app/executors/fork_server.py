@@ -31,6 +31,8 @@ MAX_REQUEST_BYTES = 1 << 17
 START_S = 60.0
 """So long imports may take before nodes start anew."""
 READY = b"ready"
+SWITCH = "RADIANT_FORK"
+"""Variable that is "0" where every process is to start anew, as tracing tools need it."""
 CAN_FORK = sys.platform == "linux"
 """Libraries of macOS break in a fork; Windows has none."""
 
@@ -169,8 +171,8 @@ def keep_servers() -> Iterator[None]:
 
 def open_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
     """The server that has imported `names` and fits to the environment; None where no run keeps
-    servers, none can be forked from here, or its imports failed."""
-    if not CAN_FORK or not _kept.num_runs:
+    servers, none can be forked from here, `SWITCH` forbids it, or its imports failed."""
+    if not CAN_FORK or not _kept.num_runs or environment.get(SWITCH) == "0":
         return None
     key = (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED))
     with _kept.lock:

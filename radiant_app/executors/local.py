@@ -142,7 +142,7 @@ class Processes:
     def _spawn(self, command: list[str], folder: Path) -> Process:
         environment = worker_environment(self.num_threads)
         with log_path(folder).open("w") as log:
-            if self.server is not None:
+            if self.server is not None and command[:2] == [sys.executable, "-m"]:
                 # It may have been killed.
                 with contextlib.suppress(OSError):
                     return self.server.start_piped(command[2:], log, environment)

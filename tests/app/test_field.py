@@ -23,6 +23,7 @@ from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.commands.replan import ReplanRequest, replan_files
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
+from radiant_app.executors.fork_server import SWITCH
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import access_by_tier
 from radiant_app.report.progress import ProgressDisplay
@@ -224,7 +225,7 @@ def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path,
     command = [sys.executable, "-m", "radiant_app", "run", source, "--out", tmp_path / "run", "--frames", frames]
     poses = ["--poses", hamlet / "known"] if frames == "known" else []
     options = [*poses, "--system", system, "--steps", 20, "--long-side-px", 64, "--max-splats", 800]
-    environment = {**os.environ, "LD_PRELOAD": str(preload), "OPENED_FILES": str(log)}
+    environment = {**os.environ, "LD_PRELOAD": str(preload), "OPENED_FILES": str(log), SWITCH: "0"}
     done = subprocess.run(
         [str(part) for part in (*command, *options)], env=environment, capture_output=True, text=True, timeout=600, check=False
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from radiant_app.executors import fork_server, local
-from radiant_app.executors.fork_server import CAN_FORK, ForkedProcess, ForkServer, keep_servers, open_server
+from radiant_app.executors.fork_server import CAN_FORK, SWITCH, ForkedProcess, ForkServer, keep_servers, open_server
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_core.aggregate.tree import Tree
@@ -100,6 +100,8 @@ def test_what_forks_compute_counts_for_the_process_that_asked(tmp_path: Path, mo
         assert server.start(["played"], [nothing.fileno()] * 3, environment).wait() == 0
     assert children_cpu_s() - before_s > 0.45 and server._process.returncode == 0, "it ends with the last run"
     assert open_server(NAMES, environment) is None, "nobody would end it"
+    with keep_servers():
+        assert open_server(NAMES, {**environment, SWITCH: "0"}) is None
 
 
 def test_a_process_whose_server_is_killed_goes_on_and_the_next_starts_anew(start: Start, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.aggregate.averaging import average_bytes
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.hierarchy.refining_plan import plan_refining
+from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining
 from radiant_core.plan.system import Cloud
 from tests.app.test_faults import planned
 
@@ -29,7 +29,8 @@ def with_limits(recipe: Recipe, cloud: float | None, edges: dict[str, float]) ->
 
 def test_without_limits_all_devices_in_the_scene_refine(recipe: Recipe) -> None:
     plan = plan_refining(recipe, {**PRESENT, "edge-3": []}, NUM_SPLATS)
-    assert {edge: list(devices) for edge, devices in plan.devices.items()} == PRESENT and not plan.decisions
+    assert {edge: list(devices) for edge, devices in plan.devices.items()} == PRESENT
+    assert [decision.topic for decision in plan.decisions] == ["rounds of refining"]
     idle = replace(recipe, aggregate=replace(recipe.aggregate, refine_epochs=0))
     assert not plan_refining(idle, PRESENT, NUM_SPLATS).devices and not plan_refining(idle, PRESENT, NUM_SPLATS).decisions
 
@@ -49,7 +50,8 @@ def test_memory_of_the_cloud_and_of_edges_is_kept_to(recipe: Recipe) -> None:
     assert "memory_gb of the cloud" in none.decisions[0].reason
     without = plan_refining(with_limits(recipe, None, {"edge-2": of_edge - 1}), PRESENT, NUM_SPLATS)
     assert list(without.devices) == ["edge-1"] and [decision.choice for decision in without.decisions] == [
-        "the scene is not refined by edge-2-device-1"
+        "the scene is not refined by edge-2-device-1",
+        f"devices refine the scene in {choose_rounds(recipe)} {'round' if choose_rounds(recipe) == 1 else 'rounds'}",
     ]
     alone = plan_refining(with_limits(recipe, None, {"edge-1": of_edge - 1}), PRESENT, NUM_SPLATS)
     assert not alone.devices and len(alone.decisions) == 2
