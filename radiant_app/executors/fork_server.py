@@ -33,8 +33,21 @@ START_S = 60.0
 READY = b"ready"
 SWITCH = "RADIANT_FORK"
 """Variable that is "0" where every process is to start anew, as tracing tools need it."""
-CAN_FORK = sys.platform == "linux"
-"""Libraries of macOS break in a fork; Windows has none."""
+
+
+def _can_fork() -> bool:
+    # Libraries of macOS break in a fork; Windows has none; Linux before 5.3 has no such waiting.
+    if sys.platform != "linux":
+        return False
+    try:
+        os.close(os.pidfd_open(os.getpid()))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
+CAN_FORK = _can_fork()
+"""Whether this machine can fork processes that have loaded libraries, and wait for them."""
 
 
 class ForkedProcess:
