@@ -64,8 +64,8 @@ class ForkedProcess:
             os.close(told)
             raise ConnectionError("the server of processes forked none")
         self._alive: int | None = None
-        # It may have ended already.
-        with contextlib.suppress(ProcessLookupError):
+        # It may have ended already; it runs in any case, and must not be started once more.
+        with contextlib.suppress(OSError):
             self._alive = os.pidfd_open(self.pid)
 
     def poll(self) -> int | None:
@@ -84,7 +84,7 @@ class ForkedProcess:
         # An executor waits in a thread of its own and, when it stops, in the main one.
         if self._waiting.acquire(timeout=-1 if timeout_s is None else timeout_s):
             try:
-                if self.returncode is None and (self._alive is None or _is_readable(self._alive, timeout_s)):
+                if self.returncode is None and _is_readable(self._told if self._alive is None else self._alive, timeout_s):
                     # Its server tells before it lets the process go, or is gone itself.
                     self.returncode = int(self._line() or 0)
                     for fd in {self._told, self._alive} - {None}:
@@ -135,7 +135,7 @@ class ForkServer:
         from_stdout, stdout = os.pipe()
         try:
             process = self.start(command, (stdin, stdout, log.fileno()), environment)
-        except BaseException:
+        except OSError:
             os.close(to_stdin)
             os.close(from_stdout)
             raise
