@@ -5,7 +5,7 @@ A run without options: two edges with two devices each, `num_workers` processes 
     sfm(N) + ⌈4 / W⌉ (G + F) + ⌈2 / W⌉ F_m(N/2) + merge(N) + rounds (⌈4 / W⌉ (G + 2 F k / K) + 2 G)
 
 seconds, with W workers, G and F of N/4 photographs, K steps of a training and k of a round of
-refining. Refining has no curve: a step of it took 1.7 to 2.2 times one of training, edges and cloud
+refining. Refining has no curve: a step of it took 1.0 to 2.1 times one of training, edges and cloud
 together twice what a device takes beside it (town and caliterra, 576 px). Scoring and the report
 come on top. Once per call.
 """
