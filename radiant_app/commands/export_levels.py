@@ -16,19 +16,24 @@ from radiant_core.errors import BadInput
 from radiant_core.lod.levels import LodLimits
 from radiant_viewer.runs.model_file import load_model
 
+MAX_FITTED = 100_000
+"""Levels of as many Gaussians are fitted without being asked for."""
+FIT_S_PER_SPLAT = 8e-4
+"""Processor seconds per Gaussian of the finest level: docs/sharing.md."""
+
 
 def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """A folder of streamed SOG; its figures."""
     from radiant_core.io.export.lod import META_NAME, save_lod
 
     splats, cleaned = exported_model(request, display)
-    regions = lod_regions(request.model, splats, request.regions)
+    regions, limits = lod_regions(request.model, splats, request.regions), _limits_of(request, LodLimits(), len(splats), display)
     with create_folder(request.out), stage_bar(display, "levels") as report:
         figures = save_lod(
             request.out,
             splats,
             regions,
-            LodLimits(num_levels=request.num_levels),
+            limits,
             lambda done, total: report(done, total, "Gaussians"),
         )
         place = _place_of(request).write_local(request.out / META_NAME)
@@ -43,6 +48,7 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
 
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
+    limits = _limits_of(request, TILE_LIMITS, len(splats), display)
     place = _place_of(request)
     frame = place.frame
     if frame is None or frame.kind != "metric":
@@ -52,7 +58,7 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
             request.out,
             splats,
             regions,
-            TileOptions(frame=frame, limits=replace(TILE_LIMITS, num_levels=request.num_levels), form=request.tile_form or "spz"),
+            TileOptions(frame=frame, limits=limits, form=request.tile_form or "spz"),
             lambda done, total: report(done, total, "Gaussians"),
         )
         written = place.write_local(request.out / TILESET_NAME)
@@ -69,13 +75,31 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
     page = scene_page(request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained)
     shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs), **left_out_of(model)}
     if request.out.suffix.lower() == ".html":
-        if request.num_levels is not None or request.regions:
-            raise BadInput("--levels and --regions are of a folder, and one file has no levels: leave them out.")
+        if request.num_levels is not None or request.fit_levels is not None or request.regions:
+            raise BadInput("--levels, --fit-levels and --regions are of a folder, and one file has no levels: leave them out.")
         return {**shown, "bytes": save_single_page(request.out, page)}
-    regions, limits = lod_regions(request.model, page.splats, request.regions), LodLimits(num_levels=request.num_levels)
+    regions, limits = lod_regions(request.model, page.splats, request.regions), _limits_of(request, LodLimits(), len(page.splats), display)
     with create_folder(request.out), stage_bar(display, "page") as report:
         figures = save_page(request.out, page, regions, limits, lambda done, total: report(done, total, "Gaussians"))
     return {**shown, "levels": ", ".join(f"{count:,}" for count in figures.counts), "open": "on any static host: index.html"}
+
+
+def _limits_of(request: ExportRequest, limits: LodLimits, count: int, display: ProgressDisplay) -> LodLimits:
+    """What was asked for of the levels of so many Gaussians; says so where they are not fitted."""
+    limits = replace(limits, num_levels=request.num_levels)
+    num_levels = limits.levels_of(count)
+    fit = count <= MAX_FITTED if request.fit_levels is None else request.fit_levels
+    if request.fit_levels is None and not fit and num_levels > 1:
+        said = (
+            f"the coarser levels of {count:,} Gaussians are merged, not fitted: fitting brings them 2 to 5 dB nearer and takes "
+            f"some {count * FIT_S_PER_SPLAT / 60:.0f} min of processor time; --fit-levels does it."
+        )
+        display(Warned(stage="export", message=said))
+    if not (fit and num_levels > 1):
+        return limits
+    from radiant_core.lod.fitting import fit_level
+
+    return replace(limits, fit=fit_level)
 
 
 def _place_of(request: ExportRequest) -> ExportPlace:

@@ -26,8 +26,8 @@ def require_options(request: ExportRequest, kind: ExportFormat) -> None:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(CLEANED)}.")
     if request.as_trained and kind == "geojson":
         raise BadInput("--uncleaned is of a model's Gaussians, and geojson has none: leave it out.")
-    if (request.num_levels is not None or request.regions) and kind not in LEVELLED:
-        raise BadInput(f"--levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
+    if (request.num_levels is not None or request.fit_levels is not None or request.regions) and kind not in LEVELLED:
+        raise BadInput(f"--levels, --fit-levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
     if request.tile_form is not None and kind != "tiles":
         raise BadInput(f"--tiles is of 3D Tiles, and {kind} is none: leave it out, or the other format.")
     if request.spz_version is not None and kind != "spz":

@@ -46,6 +46,8 @@ class ExportRequest:
     GeoJSON, the UTM zone in a GeoTIFF."""
     num_levels: int | None = None
     """Levels of detail; None: by the number of Gaussians."""
+    fit_levels: bool | None = None
+    """Whether coarser levels are fitted to pictures of the finest; None: if that is soon done."""
     regions: tuple[Path, ...] = ()
     """Runs whose regions chunks belong to, of a model that is no run."""
     tile_form: TileContent | None = None

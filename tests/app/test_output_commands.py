@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -16,6 +17,7 @@ import tifffile
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
+from radiant_app.commands import export_levels
 from radiant_core.errors import BadInput
 from radiant_core.geometry import fusion
 from radiant_core.geometry.fusion import _save_view
@@ -284,11 +286,12 @@ def test_what_cannot_be_is_said_in_one_sentence_and_nothing_is_left(
 
 
 def test_levels_of_detail_belong_to_the_regions_of_the_run_and_say_nothing_but_gaussians(run: Path, tmp_path: Path) -> None:
-    said = json.loads(radiant("export", run, tmp_path / "lod", "--lod", "--levels", "3", "--json"))
+    said = json.loads(radiant("export", run, tmp_path / "lod", "--lod", "--levels", "3", "--no-fit-levels", "--json"))
     assert said["format"] == "lod" and said["gaussians"] == 9000 and len(said["levels"].split(", ")) == 3
     chunks = sorted(path.name for path in (tmp_path / "lod").glob("0_*"))
     assert len(chunks) == said["chunks"] == 3, "one for each of the town's regions"
-    again = json.loads(radiant("export", run / "scene.ply", tmp_path / "again", "--lod", "--levels", "3", "--regions", run, "--json"))
+    merged = ("--lod", "--levels", "3", "--no-fit-levels")
+    again = json.loads(radiant("export", run / "scene.ply", tmp_path / "again", *merged, "--regions", run, "--json"))
     assert again["chunks"] == 3
     placed = tmp_path / "lod" / "lod-meta.georef.json"
     assert set(json.loads(placed.read_text())) & {"cameras", "names", "poses"} == set()
@@ -302,8 +305,9 @@ def test_levels_of_detail_belong_to_the_regions_of_the_run_and_say_nothing_but_g
 
 
 def test_levels_of_what_has_none_are_refused(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="--levels and --regions"):
-        radiant("export", run, tmp_path / "a.ply", "--levels", "3")
+    for options in (("--levels", "3"), ("--fit-levels",), ("--no-fit-levels",)):
+        with pytest.raises(BadInput, match="--levels, --fit-levels and --regions"):
+            radiant("export", run, tmp_path / "a.ply", *options)
     with pytest.raises(BadInput, match="--lod and --format ask for colmap and lod"):
         radiant("export", run, tmp_path / "a", "--lod", "--format", "colmap")
     for options, told in ((("--lod", "--tiles", "spz"), "--lod and --tiles"), (("--lod", "--spz-version", "2"), "--spz-version is of SPZ")):
@@ -314,6 +318,20 @@ def test_levels_of_what_has_none_are_refused(run: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="exists"):
         radiant("export", run, tmp_path / "full", "--lod")
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["x"]
+
+
+def test_levels_are_fitted_where_that_is_soon_done_and_what_it_would_take_is_said(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def said(name: str, *options: str) -> str:
+        asked = ["export", str(run), str(tmp_path / name), "--lod", "--levels", "2", *options]
+        return " ".join(CliRunner().invoke(app, asked).stderr.split())
+
+    assert "merged, not fitted" not in said("fitted") + said("merged", "--no-fit-levels")
+    monkeypatch.setattr(export_levels, "MAX_FITTED", 8999)
+    assert re.search(r"9,000 Gaussians are merged, not fitted: .* --fit-levels does it", said("large"))
+    means = [path.read_bytes() for path in sorted(tmp_path.glob("*/1_0/means_l.webp"))]
+    assert len(means) == 3 and means[1] == means[2] != means[0]
 
 
 def test_tiles_and_pages_are_written_and_photographs_only_where_asked_for(run: Path, tmp_path: Path) -> None:

@@ -4,23 +4,24 @@ per export.
     region ─ cells of at most `chunk_count` Gaussians (a chunk: one file a level)
                └ cells of at most `leaf_side_m` or `leaf_count` (a leaf: a reader chooses its level)
 
-Every leaf is thinned by itself: a chunk is a function of the Gaussians in it, so that a scene that
-changed in one place keeps the bytes of all chunks elsewhere.
+Gaussians are joined within a leaf, the cheapest of a chunk first: a chunk is a function of the
+Gaussians in it, so that a scene that changed in one place keeps the bytes of all chunks elsewhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.lod.cells import FAR, Cell, LodRegion, divide, ellipsoid_box, regions_of_splats
-from radiant_core.lod.merging import covariances, halve
+from radiant_core.lod.merging import covariances, halve_within
 from radiant_core.numerics import FloatArray
-from radiant_core.splats import Splats, concatenate_splats, morton_order
+from radiant_core.splats import Splats, morton_order
 
 MAX_LEVELS = 8
 COARSEST_COUNT = 30_000
@@ -28,6 +29,10 @@ COARSEST_COUNT = 30_000
 is there within a second."""
 DEVIATIONS = 2.0
 """Ellipsoids are boxed at so many standard deviations: 86 % of what they show in the plane."""
+
+
+Fit = Callable[[Splats, Splats, int, Callable[[float], None]], Splats]
+"""From the finest level, a coarser one, how often it was halved, and a report of the share done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +47,8 @@ class LodLimits:
     """A wider leaf is halved, if it has more Gaussians than `leaf_count`."""
     leaf_count: int = 8 * 1024
     """Fewer Gaussians than this are not parted for their extent."""
+    fit: Fit | None = None
+    """What makes a coarser level nearer, such as `fitting.fit_level`; None: it stays as merged."""
 
     def __post_init__(self) -> None:
         if self.num_levels is not None and not 1 <= self.num_levels <= MAX_LEVELS:
@@ -107,12 +114,22 @@ def lay_out(splats: Splats, regions: Sequence[LodRegion], limits: LodLimits) -> 
     return LodLayout(far=np.flatnonzero(number == FAR), regions=tuple(trees), num_levels=limits.levels_of(near), limits=limits)
 
 
-def chunks_of(splats: Splats, layout: LodLayout) -> Iterator[Chunk]:
-    """The chunks of a model, one in memory at a time."""
+def chunks_of(splats: Splats, layout: LodLayout, report: Callable[[int, int], None] = lambda done, total: None) -> Iterator[Chunk]:
+    """The chunks of a model, one in memory at a time; `report` is called with the Gaussians done
+    and all of them."""
+    done = len(layout.far)
+    report(done, len(splats))
     for region, tree in enumerate(layout.regions):
         for number, cell in enumerate(tree.leaves()):
             if len(cell.rows):
-                yield _chunk(splats.select(cell.rows), region, number, layout)
+                share_done = partial(_report_share, report, done, len(cell.rows), len(splats))
+                yield _chunk(splats.select(cell.rows), region, number, layout, share_done)
+                done += len(cell.rows)
+                report(done, len(splats))
+
+
+def _report_share(report: Callable[[int, int], None], before: int, count: int, total: int, share: float) -> None:
+    report(before + int(share * count), total)
 
 
 def far_field(splats: Splats, layout: LodLayout) -> Splats:
@@ -121,36 +138,56 @@ def far_field(splats: Splats, layout: LodLayout) -> Splats:
     return far.select(morton_order(far.means))
 
 
-def _chunk(splats: Splats, region: int, number: int, layout: LodLayout) -> Chunk:
+def _chunk(splats: Splats, region: int, number: int, layout: LodLayout, report: Callable[[float], None]) -> Chunk:
     limits, means = layout.limits, splats.means.astype(np.float64)
 
     def ends(rows: NDArray[np.int64]) -> bool:
         return len(rows) <= limits.leaf_count or float(np.ptp(means[rows], axis=0).max()) <= limits.leaf_side_m
 
     tree = divide(means, np.arange(len(splats)), ends)
-    thinned = [_thinned(splats.select(leaf.rows), layout.num_levels) for leaf in tree.leaves()]
-    counts = np.array([[len(level) for level in levels] for levels in thinned])
-    offsets = np.cumsum(counts, axis=0) - counts
-    spans = np.stack([offsets, counts], axis=2)
+    leaf = np.zeros(len(splats), np.int64)
+    for place, cell in enumerate(tree.leaves()):
+        leaf[cell.rows] = place
+    levels, counts = _thinned(splats, leaf, layout.num_levels)
+    spans = np.stack([np.cumsum(counts, axis=0) - counts, counts], axis=2)
+    levels = _fitted(levels, limits.fit, report) if limits.fit else levels
     return Chunk(
         region=region,
         number=number,
-        levels=tuple(concatenate_splats([levels[k] for levels in thinned]) for k in range(layout.num_levels)),
-        leaves=tuple(Leaf(box=_box(levels), spans=own) for levels, own in zip(thinned, spans, strict=True)),
-        tree=_numbered(tree, iter(range(len(thinned)))),
+        levels=levels,
+        leaves=tuple(Leaf(box=_box(levels, own), spans=own) for own in spans),
+        tree=_numbered(tree, iter(range(len(counts)))),
     )
 
 
-def _thinned(splats: Splats, num_levels: int) -> list[Splats]:
-    levels = [splats.select(morton_order(splats.means))]
+def _fitted(levels: tuple[Splats, ...], fit: Fit, report: Callable[[float], None]) -> tuple[Splats, ...]:
+    ends = np.cumsum([len(level) for level in levels[1:]])
+
+    def fit_one(halvings: int) -> Splats:
+        level = levels[halvings]
+        return fit(levels[0], level, halvings, lambda share: report(float((ends[halvings - 1] - (1 - share) * len(level)) / ends[-1])))
+
+    return (levels[0], *map(fit_one, range(1, len(levels))))
+
+
+def _thinned(splats: Splats, leaf: NDArray[np.int64], num_levels: int) -> tuple[tuple[Splats, ...], NDArray[np.int64]]:
+    """The levels, each leaf by leaf along a Z curve, and how many of each leaf (L,K) they have."""
+    levels, num_leaves = [_by_leaf(splats, leaf)], int(leaf.max()) + 1
     for _ in range(num_levels - 1):
-        thinner = halve(levels[-1])
-        levels.append(thinner.select(morton_order(thinner.means)))
-    return levels
+        levels.append(_by_leaf(*halve_within(*levels[-1])))
+    return tuple(level for level, _ in levels), np.stack([np.bincount(own, minlength=num_leaves) for _, own in levels], axis=1)
 
 
-def _box(levels: Sequence[Splats]) -> FloatArray:
-    boxes = np.stack([ellipsoid_box(level.means.astype(np.float64), covariances(level), DEVIATIONS) for level in levels])
+def _by_leaf(splats: Splats, leaf: NDArray[np.int64]) -> tuple[Splats, NDArray[np.int64]]:
+    order = np.argsort(leaf, kind="stable")
+    ends = np.cumsum(np.bincount(leaf))
+    order = np.concatenate([rows[morton_order(splats.means[rows])] for rows in np.split(order, ends[:-1])])
+    return splats.select(order), leaf[order]
+
+
+def _box(levels: Sequence[Splats], spans: NDArray[np.int64]) -> FloatArray:
+    own = [level.select(np.arange(start, start + count)) for level, (start, count) in zip(levels, spans, strict=True)]
+    boxes = np.stack([ellipsoid_box(level.means.astype(np.float64), covariances(level), DEVIATIONS) for level in own])
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 

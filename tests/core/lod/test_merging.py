@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,12 +15,13 @@ from radiant_core.lod.merging import (
     ellipsoid_areas,
     group_neighbours,
     halve,
+    halve_within,
     masses_of,
     merge_groups,
 )
 from radiant_core.render.rendered_view import render_views
 from radiant_core.render.trajectories import Lens, cameras_looking_at
-from radiant_core.splats import Splats
+from radiant_core.splats import Splats, concatenate_splats
 from tests.core.scenes import ground_splats
 
 
@@ -149,6 +152,21 @@ def test_groups_with_gaps_are_refused() -> None:
         merge_groups(made_up(3), np.array([0, 2, 2]))
     with pytest.raises(BadInput, match="without gaps"):
         merge_groups(made_up(3), np.array([-1, 0, 0]))
+
+
+def test_only_gaussians_of_a_cell_are_joined_and_the_cheapest_of_all_cells() -> None:
+    # Cell 1: large ones of unlike colours far apart, whose joining would be seen; cell 0: small
+    # ones, alike. Halving takes from cell 0.
+    small, large = ground_splats(300, half_side_m=3.0), ground_splats(100, half_side_m=3.0)
+    colors = np.random.default_rng(3).normal(0, 2, large.sh0.shape).astype(np.float32)
+    large = replace(large, means=large.means * 20, log_scales=large.log_scales + np.float32(3), sh0=colors)
+    cells = np.repeat([0, 1], [300, 100])
+    half, own = halve_within(concatenate_splats([small, large]), cells)
+    assert len(half) == len(own) == 200
+    assert (own == 1).sum() > 80, "the large ones are kept"
+    assert np.abs(half.means[own == 0]).max() <= np.abs(small.means).max() + 1e-3, "none is drawn towards the other cell"
+    with pytest.raises(BadInput, match="cells"):
+        halve_within(small, cells)
 
 
 def test_areas_agree_with_the_integral() -> None:

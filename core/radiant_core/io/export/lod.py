@@ -71,12 +71,11 @@ def save_lod(
     if len(regions) > MAX_REGIONS:
         raise BadInput(f"cannot write {folder}: {len(regions)} regions, expected at most {MAX_REGIONS}: give a plan with fewer.")
     layout = lay_out(splats, regions, limits)
-    done, files, trees, errors = len(layout.far), [], [], []
+    files, trees, errors = [], [], []
     counts = np.zeros(layout.num_levels, np.int64)
     if len(layout.far):
         save_sog_folder(folder / FAR_NAME, far_field(splats, layout))
-    report(done, len(splats))
-    for chunk in chunks_of(splats, layout):
+    for chunk in chunks_of(splats, layout, report):
         for level, model in enumerate(chunk.levels):
             name = f"{level}_{MAX_REGIONS * chunk.number + chunk.region}"
             found = save_sog_folder(folder / name, model)
@@ -84,8 +83,6 @@ def save_lod(
             files.append(f"{name}/meta.json")
         counts += [len(model) for model in chunk.levels]
         trees.append(_nodes(chunk.tree, chunk, len(files) - layout.num_levels))
-        done += len(chunk.levels[0])
-        report(done, len(splats))
     meta: dict[str, Any] = {
         "version": 1,
         "asset": {"generator": f"radiant {__version__}"},

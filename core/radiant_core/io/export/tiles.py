@@ -63,16 +63,14 @@ def save_tiles(
     if not len(splats) or len(regions) > MAX_REGIONS:
         raise BadInput(f"cannot write {folder}: {len(splats)} Gaussians in {len(regions)} regions, expected at least 1 in at most 1000.")
     layout = lay_out(splats, regions, options.limits)
-    counts, done, tiles = np.zeros(layout.num_levels, np.int64), len(layout.far), []
+    counts, tiles = np.zeros(layout.num_levels, np.int64), []
     if len(layout.far):
         far = far_field(splats, layout)
         tiles.append(_placed(_tile(folder / f"{FAR_NAME}.glb", far, _box(far), 0.0, form), _box(far)))
-    for chunk in chunks_of(splats, layout):
+    for chunk in chunks_of(splats, layout, report):
         box = np.stack([np.min([leaf.box[0] for leaf in chunk.leaves], axis=0), np.max([leaf.box[1] for leaf in chunk.leaves], axis=0)])
         tiles.append(_placed(_chain(folder, chunk, box, form), box))
         counts += [len(level) for level in chunk.levels]
-        done += len(chunk.levels[0])
-        report(done, len(splats))
     low = np.min([_corner(tile, -1) for tile in tiles], axis=0)
     high = np.max([_corner(tile, 1) for tile in tiles], axis=0)
     error_m = 2 * max((tile["geometricError"] for tile in tiles), default=0.0) + float(np.linalg.norm(high - low)) / 16
