@@ -151,7 +151,8 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
         save_support(folder / SUPPORT_NAME, _support(scene, own, task, reporter))
     pictures = [name for image in scored for name in image.save(folder)]
     rows = [image.row for image in scored]
-    compared = {name: _compare(name, inbox, named, (own, images, small), task) for name in task.versions}
+    lights = dict.fromkeys(task.versions[:1], light)
+    compared = {name: _compare(name, inbox, named, (own, images, small), task, lights.get(name)) for name in task.versions}
     borders = [asdict(error) for error in errors]
     write_json(folder / SCORES_NAME, {"images": rows, "borders": borders, "leakage": leakage, "versions": compared})
     if not task.owned:
@@ -162,13 +163,18 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
 
 
 def _compare(
-    name: Version, inbox: Path, cameras: Cameras, photographs: tuple[Path, Path, TrainingViews | None], task: ScoreTask
+    name: Version,
+    inbox: Path,
+    cameras: Cameras,
+    photographs: tuple[Path, Path, TrainingViews | None],
+    task: ScoreTask,
+    light: LightOfScore | None,
 ) -> list[float]:
     """PSNR of a version of the scene in the photographs of held-out `cameras`, in the light that is
-    predicted of them beside that version."""
+    predicted of them beside that version; `light` if that is known already."""
     own, images, small = photographs
     scene = load_ply(inbox / (SCENE_NAME if name == task.versions[0] else version_file(name)))
-    light = _light_of_score(scene, cameras, small, own, task)
+    light = light or _light_of_score(scene, cameras, small, own, task)
     figures = []
     for start in range(0, len(cameras), NUM_LOADED):
         rows = np.arange(start, min(start + NUM_LOADED, len(cameras)))

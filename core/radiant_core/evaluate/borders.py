@@ -68,7 +68,7 @@ class EdgeBorders:
         block = max(1, BLOCK_NUMBERS // (2 * len(sites)))
         for start in range(0, len(points_xy), block):
             rows = slice(start, start + block)
-            powers = ((points_xy[rows, None] - sites) ** 2).sum(axis=2) - self.plan.weights
+            powers = _powers(points_xy[rows], self.plan)
             own = powers.argmin(axis=1)
             gaps = np.full(powers.shape, np.inf)
             np.divide(powers - powers.min(axis=1, keepdims=True), 2 * spacing[own], out=gaps, where=spacing[own] > 0)
@@ -122,8 +122,16 @@ def edge_owners(points_xy: FloatArray, plan: CloudPlan) -> NDArray[np.int64]:
     block = max(1, BLOCK_NUMBERS // (2 * len(plan.sites)))
     for start in range(0, len(points_xy), block):
         rows = slice(start, start + block)
-        owners[rows] = (((points_xy[rows, None] - plan.sites) ** 2).sum(axis=2) - plan.weights).argmin(axis=1)
+        owners[rows] = _powers(points_xy[rows], plan).argmin(axis=1)
     return owners
+
+
+def _powers(points_xy: FloatArray, plan: CloudPlan) -> FloatArray:
+    """Powers (P,R) of positions (P,2) by the R sites, less what all R have in common: products of
+    matrices take a fifth of the time of differences."""
+    middle = plan.sites.mean(axis=0)
+    sites = plan.sites - middle
+    return (points_xy - middle) @ (-2 * sites.T) + ((sites**2).sum(axis=1) - plan.weights)
 
 
 def _cuts(plan: EdgePlan) -> list[tuple[tuple[int, int], FloatArray, float]]:
