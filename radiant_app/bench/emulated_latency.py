@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 
-from radiant_core.aggregate.tree import refined_at, scored_at
+from radiant_core.aggregate.tree import refined_at, refines_for, scored_at
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.plan.system import Device, Edge, System
@@ -110,6 +110,18 @@ def _compared_s(system: System, work_of: Mapping[str, NodeWork]) -> float:
     """How long devices take to compare versions of the scene; 0 where there is one."""
     works = ((device, work_of.get(scored_at(f"devices/{device.id}"))) for device in system.devices)
     return max((_spent_s(device, work) for device, work in works if work is not None), default=0.0)
+
+
+def joining_s(works: Sequence[NodeWork]) -> float:
+    """Processor seconds from the devices' models to the done scene, if every node had a core of its
+    own and links took no time: of each tier and round its slowest node, one after another."""
+    slowest: dict[tuple[str, str], float] = {}
+    for work in works:
+        node = refines_for(work.stage).removesuffix(scored_at(""))
+        step = (node.split("/", 1)[0], work.stage.removeprefix(node))
+        if step != ("devices", ""):
+            slowest[step] = max(slowest.get(step, 0.0), work.cpu_s)
+    return sum(slowest.values())
 
 
 def emulate_server(system: System, works: Sequence[NodeWork]) -> EmulatedLatency:

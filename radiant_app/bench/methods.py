@@ -34,7 +34,7 @@ from scipy.spatial import KDTree
 
 from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
-from radiant_app.bench.emulated_latency import NodeClock, NodeWork
+from radiant_app.bench.emulated_latency import NodeClock, NodeWork, joining_s
 from radiant_app.bench.off_path import off_path_metrics
 from radiant_app.bench.rivals import FIELD_STEPS, RIVALS, FieldSettings, rival_arms
 from radiant_app.report.progress import track_items
@@ -320,10 +320,11 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:
-    """A line per scene and method: mean PSNR, Gaussians, CPU seconds, pixels and seams' excess."""
+    """A line per scene and method: mean PSNR, seams' excess, Gaussians, CPU seconds of all nodes,
+    those until the scene is done if all work at once (`joining_s`), and pixels."""
     lines = [
-        "| scene | method | PSNR dB | seam excess dB | Gaussians, or parameters | CPU s | training Mpx |",
-        "|---|---|---|---|---|---|---|",
+        "| scene | method | PSNR dB | seam excess dB | Gaussians, or parameters | CPU s | all nodes at once s | training Mpx |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
     for (scene, method), group in _group_rows(rows).items():
@@ -331,9 +332,10 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
         seam = f"{np.mean(excess):+.2f}" if excess else "insufficient"
         names = ("mean_psnr_db", "num_gaussians", "num_parameters", "cpu_s", "training_px")
         means = {name: float(np.mean([getattr(row, name) for row in group])) for name in names}
+        at_once = f"{np.mean([joining_s(row.nodes) for row in group]):.0f}" if all(row.nodes for row in group) else "–"
         lines.append(
             f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {seam} | {size_text(means['num_gaussians'], means['num_parameters'])} |"
-            f" {means['cpu_s']:.0f} | {means['training_px'] / 1e6:.0f} |"
+            f" {means['cpu_s']:.0f} | {at_once} | {means['training_px'] / 1e6:.0f} |"
         )
         lines += rounds_lines(method, group)
     return "\n".join(lines)
@@ -351,7 +353,7 @@ def rounds_lines(method: str, rows: Sequence[ArmRow]) -> list[str]:
         sent_mb = float(np.mean([one.sent_bytes for one in same])) / 1e6
         known = [one.psnr_db for one in same if one.psnr_db is not None]
         psnr = f"{np.mean(known):.2f}" if known else "not scored"
-        lines.append(f"| | {method}, round {number} | {psnr} | | {sent_mb:.1f} MB sent | | |")
+        lines.append(f"| | {method}, round {number} | {psnr} | | {sent_mb:.1f} MB sent | | | |")
     return lines
 
 
@@ -387,6 +389,9 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
         for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("num_parameters", "1"), ("training_px", "px")):
             value = float(np.mean([getattr(row, name) for row in group]))
             metrics.append(Metric(key=f"{key}.{name}", value=value, unit=unit, direction="info"))
+        if all(row.nodes for row in group):
+            value = float(np.mean([joining_s(row.nodes) for row in group]))
+            metrics.append(Metric(key=f"{key}.joining_s", value=value, unit="s, all nodes at once", direction="info"))
         if off_path := [row.off_path for row in group if row.off_path is not None]:
             metrics += off_path_metrics(key, off_path)
         if "paper" in groups and method != "paper":

@@ -14,7 +14,7 @@ import pytest
 from radiant_app.bench import cells
 from radiant_app.bench.arms import Arms, load_arms
 from radiant_app.bench.cells import Layout, bench_settings
-from radiant_app.bench.emulated_latency import EmulatedLatency, NodeClock, NodeWork, emulate_server, emulate_tree
+from radiant_app.bench.emulated_latency import EmulatedLatency, NodeClock, NodeWork, emulate_server, emulate_tree, joining_s
 from radiant_app.bench.methods import METHODS, join_at_server
 from radiant_app.bench.paper_latency import Costs, imbalance, latency_part
 from radiant_core.aggregate.tree import refined_at
@@ -68,6 +68,9 @@ def test_refining_adds_its_slowest_edge_and_the_clouds_end() -> None:
     # b: 0.5 / 0.5 + 1000 / 1000 = 2; a: 1; c has nothing to compare in.
     compared = (NodeWork(stage="devices/a/score", cpu_s=1.0), NodeWork(stage="devices/b/score", cpu_s=0.5, sent_bytes=1000))
     assert emulate_tree(system(), [*WORKS, *refining, *compared]) == replace(played, scene_s=35.0)
+    # Each on a core of its own, without links: 4 + 7 to join, 1 + 0.4 + 2 to refine, 1 to compare.
+    assert joining_s([*WORKS, *refining, *compared]) == pytest.approx(4 + 7 + 1 + 0.4 + 2 + 1)
+    assert joining_s(WORKS) == 11 and joining_s(WORKS[:3]) == 0
     # A second round: c: 2 + 0.5 / 1, the cloud: 1.
     second = (NodeWork(stage="devices/c/refine2", cpu_s=2.0, sent_bytes=500), NodeWork(stage="cloud/refine2", cpu_s=1.0))
     assert emulate_tree(system(), [*WORKS, *refining, *second]) == replace(played, scene_s=36.5)
