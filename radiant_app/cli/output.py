@@ -86,7 +86,7 @@ def export(
         int | None, typer.Option("--spz-version", min=2, max=4, help="spz: 2 (else) or 3, which all readers know; 4: Zstandard.")
     ] = None,
     levels: Annotated[int | None, typer.Option(min=1, max=8, help="Levels of detail, else as many as the model needs.")] = None,
-    fit_levels: Annotated[bool | None, typer.Option(help="Fit coarser levels to pictures; else up to 100,000 Gaussians.")] = None,
+    fit_levels: Annotated[bool | None, typer.Option(help="Fit coarser levels to pictures; else where two minutes do.")] = None,
     regions: Annotated[
         list[Path] | None, typer.Option(help="--lod of a PLY: run whose regions its chunks belong to; repeatable, a joined one last.")
     ] = None,

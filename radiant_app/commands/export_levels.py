@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 from radiant_app.commands.export_place import ExportPlace
@@ -13,13 +15,14 @@ from radiant_app.events import Warned
 from radiant_app.files.run_folder import create_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
+from radiant_core.lod.cells import LodRegion
 from radiant_core.lod.levels import LodLimits
+from radiant_core.splats import Splats
 from radiant_viewer.runs.model_file import load_model
 
-MAX_FITTED = 100_000
-"""Levels of as many Gaussians are fitted without being asked for."""
-FIT_S_PER_SPLAT = 8e-4
-"""Processor seconds per Gaussian of the finest level: docs/sharing.md."""
+MAX_FITTING_S = 120.0
+"""Levels are fitted without being asked for where that takes less processor time: some 100,000
+Gaussians."""
 
 
 def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -27,7 +30,8 @@ def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, An
     from radiant_core.io.export.lod import META_NAME, save_lod
 
     splats, cleaned = exported_model(request, display)
-    regions, limits = lod_regions(request.model, splats, request.regions), _limits_of(request, LodLimits(), len(splats), display)
+    regions = lod_regions(request.model, splats, request.regions)
+    limits = _limits_of(request, LodLimits(), splats, regions, display)
     with create_folder(request.out), stage_bar(display, "levels") as report:
         figures = save_lod(
             request.out,
@@ -38,7 +42,12 @@ def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, An
         )
         place = _place_of(request).write_local(request.out / META_NAME)
     errors = {name: float(f"{value:.3g}") for name, value in asdict(figures.errors).items()}
-    levels = {"levels": ", ".join(f"{count:,}" for count in figures.counts), "far_field": figures.num_far, "chunks": figures.num_chunks}
+    levels = {
+        "levels": ", ".join(f"{count:,}" for count in figures.counts),
+        **_told(limits),
+        "far_field": figures.num_far,
+        "chunks": figures.num_chunks,
+    }
     return {"gaussians": len(splats), **levels, **errors, **cleaned, **place}
 
 
@@ -48,7 +57,7 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
 
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
-    limits = _limits_of(request, TILE_LIMITS, len(splats), display)
+    limits = _limits_of(request, TILE_LIMITS, splats, regions, display)
     place = _place_of(request)
     frame = place.frame
     if frame is None or frame.kind != "metric":
@@ -62,7 +71,7 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
             lambda done, total: report(done, total, "Gaussians"),
         )
         written = place.write_local(request.out / TILESET_NAME)
-    return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **cleaned, **written}
+    return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **_told(limits), **cleaned, **written}
 
 
 def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -78,28 +87,45 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
         if request.num_levels is not None or request.fit_levels is not None or request.regions:
             raise BadInput("--levels, --fit-levels and --regions are of a folder, and one file has no levels: leave them out.")
         return {**shown, "bytes": save_single_page(request.out, page)}
-    regions, limits = lod_regions(request.model, page.splats, request.regions), _limits_of(request, LodLimits(), len(page.splats), display)
+    regions = lod_regions(request.model, page.splats, request.regions)
+    limits = _limits_of(request, LodLimits(), page.splats, regions, display)
     with create_folder(request.out), stage_bar(display, "page") as report:
         figures = save_page(request.out, page, regions, limits, lambda done, total: report(done, total, "Gaussians"))
-    return {**shown, "levels": ", ".join(f"{count:,}" for count in figures.counts), "open": "on any static host: index.html"}
+    return {
+        **shown,
+        "levels": ", ".join(f"{count:,}" for count in figures.counts),
+        **_told(limits),
+        "open": "on any static host: index.html",
+    }
 
 
-def _limits_of(request: ExportRequest, limits: LodLimits, count: int, display: ProgressDisplay) -> LodLimits:
-    """What was asked for of the levels of so many Gaussians; says so where they are not fitted."""
+def _limits_of(
+    request: ExportRequest, limits: LodLimits, splats: Splats, regions: Sequence[LodRegion], display: ProgressDisplay
+) -> LodLimits:
+    """What was asked for of the levels of a model; says so where they are not fitted."""
+    from radiant_core.lod.fitting import fit_level, fitting_s
+
     limits = replace(limits, num_levels=request.num_levels)
-    num_levels = limits.levels_of(count)
-    fit = count <= MAX_FITTED if request.fit_levels is None else request.fit_levels
-    if request.fit_levels is None and not fit and num_levels > 1:
+    num_levels, num_chunks = limits.levels_of(len(splats)), max(len(regions), -(-len(splats) // limits.chunk_count))
+    if num_levels == 1 and request.fit_levels:
+        raise BadInput(f"--fit-levels is of coarser levels, and {len(splats):,} Gaussians get one level: leave it out, or add --levels 2.")
+    takes_s = fitting_s(len(splats), num_levels, num_chunks)
+    fit = takes_s <= MAX_FITTING_S if request.fit_levels is None else request.fit_levels
+    if request.fit_levels is None and not fit:
         said = (
-            f"the coarser levels of {count:,} Gaussians are merged, not fitted: fitting brings them 2 to 5 dB nearer and takes "
-            f"some {count * FIT_S_PER_SPLAT / 60:.0f} min of processor time; --fit-levels does it."
+            f"the coarser levels of {len(splats):,} Gaussians are merged, not fitted: fitting brings them some 1 to 5 dB nearer to the"
+            f" finest and takes about {takes_s / 60:.0f} min of processor time; --fit-levels does it, --no-fit-levels says no more."
         )
         display(Warned(stage="export", message=said))
     if not (fit and num_levels > 1):
         return limits
-    from radiant_core.lod.fitting import fit_level
+    # Only a run says which way is up.
+    return replace(limits, fit=partial(fit_level, from_above=request.model.is_dir() or bool(request.regions)))
 
-    return replace(limits, fit=fit_level)
+
+def _told(limits: LodLimits) -> dict[str, str]:
+    """How the coarser levels were made, for the command line."""
+    return {"coarser_levels": "fitted where that is nearer" if limits.fit else "merged"}
 
 
 def _place_of(request: ExportRequest) -> ExportPlace:

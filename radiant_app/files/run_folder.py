@@ -25,7 +25,7 @@ from radiant_app.config.fields import config_fields, tables_of
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
-from radiant_core.errors import BadInput, CannotWrite, StoreDamaged
+from radiant_core.errors import BadInput, CannotWrite, StageFailed, StoreDamaged
 from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, read_json, write_json
 
 MANIFEST_VERSION = 2
@@ -189,10 +189,15 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
 def create_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
     """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot
     be made. After a BadInput within, everything that was made here goes again; where it is
-    `resumable`, not after a full disk."""
+    `resumable`, not after a full disk, else after a failure and Ctrl-C too."""
     made = _create_folders(out, resumable=resumable)
     with _remove_after_bad_input(out, made, resumable=resumable):
-        yield
+        try:
+            yield
+        except (StageFailed, KeyboardInterrupt):
+            if not resumable:
+                _empty(out, made)
+            raise
 
 
 def _create_folders(out: Path, *, resumable: bool = True) -> list[Path]:
@@ -229,13 +234,18 @@ def _remove_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (
         # A damaged store or a full disk is no bad input: the other results are worth keeping.
         worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _has_content(out)
         if not worth_it and not any(found for pattern in keep for found in out.glob(pattern)):
-            for inner in list(out.iterdir()):
-                shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
-            for folder in made:
-                # Another run may have started here in the meantime.
-                with suppress(OSError):
-                    folder.rmdir()
+            _empty(out, made)
         raise
+
+
+def _empty(out: Path, made: list[Path]) -> None:
+    """Take away what is in a folder, and the folders that were made for it."""
+    for inner in list(out.iterdir()):
+        shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
+    for folder in made:
+        # Another run may have started here in the meantime.
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def recorded_config(config: RunConfig) -> dict[str, Any]:

@@ -305,6 +305,8 @@ def test_levels_of_detail_belong_to_the_regions_of_the_run_and_say_nothing_but_g
 
 
 def test_levels_of_what_has_none_are_refused(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="9,000 Gaussians get one level"):
+        radiant("export", run, tmp_path / "one", "--lod", "--fit-levels")
     for options in (("--levels", "3"), ("--fit-levels",), ("--no-fit-levels",)):
         with pytest.raises(BadInput, match="--levels, --fit-levels and --regions"):
             radiant("export", run, tmp_path / "a.ply", *options)
@@ -328,10 +330,19 @@ def test_levels_are_fitted_where_that_is_soon_done_and_what_it_would_take_is_sai
         return " ".join(CliRunner().invoke(app, asked).stderr.split())
 
     assert "merged, not fitted" not in said("fitted") + said("merged", "--no-fit-levels")
-    monkeypatch.setattr(export_levels, "MAX_FITTED", 8999)
+    monkeypatch.setattr(export_levels, "MAX_FITTING_S", 1.0)
     assert re.search(r"9,000 Gaussians are merged, not fitted: .* --fit-levels does it", said("large"))
     means = [path.read_bytes() for path in sorted(tmp_path.glob("*/1_0/means_l.webp"))]
     assert len(means) == 3 and means[1] == means[2] != means[0]
+
+
+def test_ctrl_c_leaves_no_half_of_an_export(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("radiant_core.lod.fitting.fit_splats", stopped)
+    result = CliRunner().invoke(app, ["export", str(run), str(tmp_path / "half"), "--lod", "--levels", "2", "--fit-levels"])
+    assert result.exit_code != 0 and not list(tmp_path.iterdir())
 
 
 def test_tiles_and_pages_are_written_and_photographs_only_where_asked_for(run: Path, tmp_path: Path) -> None:

@@ -42,6 +42,8 @@ SIZE_POWER = 1.25
 """An error of ln scale counts by the scale to this power: large Gaussians fill more pixels. Of the
 demo's model 55 dB from its own cameras become 61 or 62 with powers from 0.5 to 2, and 39 dB from
 outside, where its rim is seen, 51."""
+USUAL_SHARE, BEYOND_USUAL = 0.999, 1.5
+"""Scales more than e^1.5 above this share of all count as much as those."""
 _KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
@@ -107,7 +109,9 @@ def _encode(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any
     steps = np.rint(65535 * (logs - low) / span).astype(np.uint16)
     stored = low + span * (steps / 65535)
     log_scales = splats.log_scales.astype(np.float64)
-    sizes = np.exp(SIZE_POWER * (log_scales - log_scales.max()))
+    # Capped: beside one huge Gaussian, seen or not, all others would count for nothing.
+    most = float(np.quantile(log_scales, USUAL_SHARE, method="lower")) + BEYOND_USUAL
+    sizes = np.exp(SIZE_POWER * (np.minimum(log_scales, most) - most))
     scale_codes, scale_book = _quantize(log_scales, sizes)
     color_codes, color_book = _quantize(splats.sh0[:, 0].astype(np.float64))
     opacities = np.rint(255 * splats.opacities).astype(np.uint8)
