@@ -32,7 +32,7 @@ def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, An
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
     limits = _limits_of(request, LodLimits(), splats, regions, display)
-    with create_folder(request.out), stage_bar(display, "levels") as report:
+    with create_folder(request.out, whole=True), stage_bar(display, "levels") as report:
         figures = save_lod(
             request.out,
             splats,
@@ -62,7 +62,7 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
     frame = place.frame
     if frame is None or frame.kind != "metric":
         display(Warned(stage="export", message="no GPS says where the model lies: the tiles have no place on the globe."))
-    with create_folder(request.out), stage_bar(display, "tiles") as report:
+    with create_folder(request.out, whole=True), stage_bar(display, "tiles") as report:
         counts = save_tiles(
             request.out,
             splats,
@@ -89,7 +89,7 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
         return {**shown, "bytes": save_single_page(request.out, page)}
     regions = lod_regions(request.model, page.splats, request.regions)
     limits = _limits_of(request, LodLimits(), page.splats, regions, display)
-    with create_folder(request.out), stage_bar(display, "page") as report:
+    with create_folder(request.out, whole=True), stage_bar(display, "page") as report:
         figures = save_page(request.out, page, regions, limits, lambda done, total: report(done, total, "Gaussians"))
     return {
         **shown,
@@ -114,7 +114,7 @@ def _limits_of(
     if request.fit_levels is None and not fit:
         said = (
             f"the coarser levels of {len(splats):,} Gaussians are merged, not fitted: fitting brings them some 1 to 5 dB nearer to the"
-            f" finest and takes about {takes_s / 60:.0f} min of processor time; --fit-levels does it, --no-fit-levels says no more."
+            f" finest and takes about {takes_s / 60:.0f} min of processor time; --fit-levels does it, --no-fit-levels keeps this quiet."
         )
         display(Warned(stage="export", message=said))
     if not (fit and num_levels > 1):

@@ -186,16 +186,17 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
 
 
 @contextmanager
-def create_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
+def create_folder(out: Path, *, resumable: bool = False, whole: bool = False) -> Iterator[None]:
     """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot
     be made. After a BadInput within, everything that was made here goes again; where it is
-    `resumable`, not after a full disk, else after a failure and Ctrl-C too."""
+    `resumable`, not after a full disk; where it is of use only as a `whole`, after a failure and
+    Ctrl-C too."""
     made = _create_folders(out, resumable=resumable)
     with _remove_after_bad_input(out, made, resumable=resumable):
         try:
             yield
         except (StageFailed, KeyboardInterrupt):
-            if not resumable:
+            if whole:
                 _empty(out, made)
             raise
 
