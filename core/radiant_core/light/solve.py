@@ -158,27 +158,94 @@ def _solve_channel(
     observed: Observations, rows: NDArray[np.int64], channel: int, camera_of: NDArray[np.int64], num_cameras: int
 ) -> FloatArray:
     """Log gains, then the terms of each camera, (V + 3 K,) of one channel."""
-    count, num_rows = len(camera_of), len(rows)
+    count, of_places = len(camera_of), observed.place is not None
     view, squared, logs = observed.view[rows], observed.squared_radii[rows], observed.logs[rows, channel]
-    design = _design(view, squared, camera_of, num_cameras)
-    # Without albedos there is one empty row of places.
-    place = np.zeros(0, np.int64) if observed.place is None else np.unique(observed.place[rows], return_inverse=True)[1]
-    shape = (num_rows, int(place.max(initial=0)) + 1)
-    of_place = sparse.csr_matrix((np.ones(len(place)), (np.arange(len(place)), place)), shape=shape)
+    if observed.place is None:
+        equations: _Ratios | _Brightness = _Ratios.of(view, squared, logs, camera_of, num_cameras)
+    else:
+        place = np.unique(observed.place[rows], return_inverse=True)[1]
+        equations = _Brightness(design=_design(view, squared, camera_of, num_cameras), place=place, logs=logs)
     prior = sparse.diags(np.repeat([GAIN_SPREAD**-2.0, TERM_SPREAD**-2.0], [count, num_cameras * NUM_TERMS]))
-    weights, solution, scale = np.ones(num_rows), np.zeros(count + NUM_TERMS * num_cameras), FIRST_SCALE
+    weights, solution, scale = np.ones(len(rows)), np.zeros(count + NUM_TERMS * num_cameras), FIRST_SCALE
     for _ in range(NUM_ROUNDS):
-        weighted = design.T.multiply(weights).tocsr()
-        shown = of_place.T.multiply(weights).tocsr()
-        means = sparse.diags(1 / np.maximum(np.asarray(shown.sum(axis=1)).ravel(), 1e-300)) @ shown
-        cross = weighted @ of_place
-        normal, right = weighted @ design - cross @ (means @ design), weighted @ logs - cross @ (means @ logs)
+        normal, right = equations.normal(weights)
         solution = np.asarray(spsolve((normal + scale**2 * prior).tocsc(), right), np.float64)
-        residuals = logs - design @ solution
-        residuals -= of_place @ (means @ residuals)
+        residuals = equations.residuals(solution, weights)
         scale = max(LEAST_SCALE, 1.4826 * float(np.median(np.abs(residuals))))
         weights = 1 / (1 + (residuals / (WIDTH * scale)) ** 2)
-    return solution if observed.place is None else _center(solution, view, of_place, count)
+    return _center(solution, view, equations.of_place, count) if of_places and isinstance(equations, _Brightness) else solution
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Ratios:
+    """Least squares of T ratios to a model: every photograph meets its own gain and its camera's
+    terms alone, so that sums of powers of r² per photograph are all that the equations need."""
+
+    view: NDArray[np.int64]
+    of_view: sparse.csr_matrix
+    """(V, T), 1 where an observation is of a photograph."""
+    powers: FloatArray
+    """r^2m (T, 2 NUM_TERMS + 1) for m from 0 on."""
+    logs: FloatArray
+    camera_of: NDArray[np.int64]
+    num_cameras: int
+
+    @classmethod
+    def of(cls, view: NDArray[np.int64], squared: FloatArray, logs: FloatArray, camera_of: NDArray[np.int64], num_cameras: int) -> _Ratios:
+        powers = np.ones((len(view), 2 * NUM_TERMS + 1))
+        np.multiply.accumulate(np.broadcast_to(squared[:, None], (len(view), 2 * NUM_TERMS)), axis=1, out=powers[:, 1:])
+        of_view = sparse.csr_matrix((np.ones(len(view)), (view, np.arange(len(view)))), shape=(len(camera_of), len(view)))
+        return cls(view=view, of_view=of_view, powers=powers, logs=logs, camera_of=camera_of, num_cameras=num_cameras)
+
+    def normal(self, weights: FloatArray) -> tuple[sparse.csr_matrix, FloatArray]:
+        count, size = len(self.camera_of), len(self.camera_of) + NUM_TERMS * self.num_cameras
+        sums = (self.of_view @ (self.powers * weights[:, None])).T
+        rights = (self.of_view @ (self.powers[:, : NUM_TERMS + 1] * (weights * self.logs)[:, None])).T
+        views, terms = np.arange(count), [count + NUM_TERMS * self.camera_of + term for term in range(NUM_TERMS)]
+        entries = [(views, views, sums[0])]
+        for term, columns in enumerate(terms):
+            entries += [(views, columns, sums[term + 1]), (columns, views, sums[term + 1])]
+            entries += [(columns, others, sums[term + other + 2]) for other, others in enumerate(terms)]
+        at, to, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+        right = np.concatenate([rights[0], np.zeros(size - count)])
+        for columns, value in zip(terms, rights[1:], strict=True):
+            np.add.at(right, columns, value)
+        return sparse.csr_matrix((values, (at, to)), shape=(size, size)), right
+
+    def residuals(self, solution: FloatArray, weights: FloatArray) -> FloatArray:
+        del weights
+        first = len(self.camera_of) + NUM_TERMS * self.camera_of[self.view]
+        terms = solution[first[:, None] + np.arange(NUM_TERMS)]
+        return self.logs - solution[self.view] - np.einsum("ok,ok->o", terms, self.powers[:, 1 : NUM_TERMS + 1])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Brightness:
+    """Least squares of T log brightnesses of places, whose albedos are eliminated."""
+
+    design: sparse.csr_matrix
+    place: NDArray[np.int64]
+    logs: FloatArray
+
+    @property
+    def of_place(self) -> sparse.csr_matrix:
+        """(T, P), 1 where an observation is of a place."""
+        count = len(self.place)
+        return sparse.csr_matrix((np.ones(count), (np.arange(count), self.place)), shape=(count, int(self.place.max()) + 1))
+
+    def normal(self, weights: FloatArray) -> tuple[sparse.csr_matrix, FloatArray]:
+        weighted = self.design.T.multiply(weights).tocsr()
+        cross, shown = weighted @ self.of_place, np.bincount(self.place, weights)
+        means = sparse.diags(1 / np.maximum(shown, 1e-300)) @ cross.T
+        return weighted @ self.design - cross @ means, weighted @ self.logs - cross @ self._means(self.logs, weights)
+
+    def residuals(self, solution: FloatArray, weights: FloatArray) -> FloatArray:
+        residuals = self.logs - self.design @ solution
+        return residuals - self._means(residuals, weights)[self.place]
+
+    def _means(self, values: FloatArray, weights: FloatArray) -> FloatArray:
+        """The weighted means of values (T,) at each place, (P,)."""
+        return np.bincount(self.place, weights * values) / np.maximum(np.bincount(self.place, weights), 1e-300)
 
 
 def _design(view: NDArray[np.int64], squared: FloatArray, camera_of: NDArray[np.int64], num_cameras: int) -> sparse.csr_matrix:

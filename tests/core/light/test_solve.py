@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_core.cameras import concatenate_cameras
+from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
+from radiant_core.light import solve
 from radiant_core.light.lights import NUM_TERMS, Lights, cameras_alike, in_canonical_light
 from radiant_core.light.solve import MIN_SHARED, Observations, lights_from_model, lights_from_tracks, solve_lights
 from radiant_core.render.rendered_view import render_views
@@ -116,13 +117,46 @@ def test_without_observations_nothing_is_known() -> None:
     assert np.array_equal(lights.factors(3, CAMERAS), np.ones((48, 64, 3), np.float32))
 
 
-def test_two_cameras_have_vignettings_of_their_own() -> None:
+def two_cameras() -> Cameras:
     wide = replace(CAMERAS, Ks=CAMERAS.Ks * np.array([[0.5], [0.5], [1.0]]) + np.array([[0, 0, 16.0], [0, 0, 12.0], [0, 0, 0]]))
     wide = replace(wide, names=tuple(f"wide_{name}" for name in wide.names))
-    both = concatenate_cameras([CAMERAS, wide])
+    return concatenate_cameras([CAMERAS, wide])
+
+
+def test_two_cameras_have_vignettings_of_their_own() -> None:
+    both = two_cameras()
     camera_of, count = cameras_alike(both)
     assert count == 2 and len(set(camera_of[:NUM_VIEWS])) == 1 and camera_of[0] != camera_of[-1]
     np.testing.assert_array_equal(cameras_alike(both.scaled(31))[0], camera_of)
+
+
+@pytest.mark.parametrize("of_places", [False, True])
+def test_sparse_equations_are_those_of_dense_least_squares(of_places: bool) -> None:
+    both, rng = two_cameras(), np.random.default_rng(8)
+    camera_of, num_cameras = cameras_alike(both)
+    num_places, num_seen = 300, 2_000
+    view, place = rng.integers(0, len(both), num_seen), np.arange(num_seen) % num_places
+    squared, logs = rng.uniform(0, 1, num_seen), rng.normal(0, 0.1, (num_seen, 3)) + rng.normal(0, 0.2, len(both))[view, None]
+    observed = Observations(view=view, squared_radii=squared, logs=logs, place=place if of_places else None)
+    lights = solve_lights(observed, both)
+    # Albedos as unknowns like the others, in one dense matrix.
+    design = np.zeros((num_seen, len(both) + NUM_TERMS * num_cameras + of_places * num_places))
+    design[np.arange(num_seen), view] = 1
+    for term in range(NUM_TERMS):
+        design[np.arange(num_seen), len(both) + NUM_TERMS * camera_of[view] + term] = squared ** (term + 1)
+    if of_places:
+        design[np.arange(num_seen), len(both) + NUM_TERMS * num_cameras + place] = 1
+    priors = np.repeat([solve.GAIN_SPREAD, solve.TERM_SPREAD, np.inf], [len(both), NUM_TERMS * num_cameras, of_places * num_places]) ** -2.0
+    weights, scale, solution = np.ones(num_seen), solve.FIRST_SCALE, np.zeros(design.shape[1])
+    for _ in range(solve.NUM_ROUNDS):
+        normal = design.T @ (weights[:, None] * design) + np.diag(scale**2 * priors)
+        solution = np.linalg.solve(normal, design.T @ (weights * logs[:, 1]))
+        residuals = logs[:, 1] - design @ solution
+        scale = 1.4826 * np.median(np.abs(residuals))
+        weights = 1 / (1 + (residuals / (solve.WIDTH * scale)) ** 2)
+    gains = solution[: len(both)] - of_places * solution[: len(both)].mean()
+    np.testing.assert_allclose(lights.log_gains[:, 1], gains, atol=1e-9)
+    np.testing.assert_allclose(lights.vignettings[:, :, 1].ravel(), solution[len(both) :][: NUM_TERMS * num_cameras], atol=1e-9)
 
 
 def uneven_scene() -> tuple[SfmScene, TrainingViews, np.ndarray, tuple[np.ndarray, ...]]:
