@@ -1,14 +1,12 @@
-"""Photographs that stay on their devices: who opens them, what reaches the tiers above, and what happens when a device cannot deliver."""
+"""Photographs that stay on their devices: who opens them, and what reaches the tiers above."""
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,45 +14,29 @@ from typing import cast
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.extend import ExtendRequest, extend
-from radiant_app.commands.replan import ReplanRequest, replan_files
-from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
-from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
+from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions
+from radiant_app.events import Decided, Event, StageDone, StageProgress, StageSkipped, Warned
 from radiant_app.executors.fork_server import SWITCH
-from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import access_by_tier
-from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.captured import Captured, _locate_by_poses, _middle, _warn_of_unplaced
+from radiant_app.run.captured import _locate_by_poses
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.progress import Progress
 from radiant_app.workers.field_nodes import _place, _place_once, run_field, run_positions
-from radiant_app.workers.nodes import run_node
-from radiant_app.workers.redaction import HIDDEN, NOTES_NAME, Redactor, make_redactor
-from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.tasks import FieldTask, PlacingTask, PositionsTask, SfmSettings
-from radiant_core.decisions import Decision
-from radiant_core.errors import BadInput, StageFailed
-from radiant_core.evaluate.split import held_out_mask
+from radiant_app.workers.redaction import NOTES_NAME
+from radiant_app.workers.tasks import FieldTask, PositionsTask
 from radiant_core.hierarchy.joining import are_one_group
 from radiant_core.io.messages import load_task, save_task
 from radiant_core.io.photos.listing import photograph_positions
-from radiant_core.io.ply import load_ply
-from radiant_core.io.records import load_cameras, load_plan, load_scene
-from radiant_core.io.run_store import read_json
-from radiant_core.plan.revision.replan import FleetChange
+from radiant_core.io.records import load_cameras
 from radiant_core.sfm.given_poses import read_given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.train.config import train_preset
 from radiant_viewer.runs.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, Parts, add_broken, canaries_of, files_with, watermark
-
-TINY = TrainOptions(long_side_px=96, num_steps=60, max_num_splats=1500)
-ONE_EDGE = '[[edge]]\nid = "north"\n[[edge.device]]\nid = "north-1"\n[[edge.device]]\nid = "south-1"\n'
-TWO_EDGES = "".join(f'[[edge]]\nid = "{edge}"\n[[edge.device]]\nid = "{edge}-1"\n' for edge in ("north", "south"))
+from tests.app.field_kit import ONE_EDGE, TINY, TWO_EDGES, placing_in, reporter, split_by_device
 
 
 @pytest.fixture(scope="module")
@@ -76,10 +58,6 @@ def finished(hamlet: Path, system: Path, tmp_path_factory: pytest.TempPathFactor
     photos, known = folder / "photos", SfmOptions(poses=hamlet / "known")
     config = RunConfig(source=photos, frames="known", sfm=known, system=system, out=folder / "run", train=TINY)
     return config, run(config)
-
-
-def reporter(stage: str, listen: Callable[[Event], None] = lambda event: None) -> EventReporter:
-    return EventReporter(stage=stage, emit=listen)
 
 
 def test_every_device_scores_its_own_and_only_numbers_go_up(finished: tuple[RunConfig, RunResult]) -> None:
@@ -300,14 +278,6 @@ def assert_models_and_little_else_were_sent(run_folder: Path) -> None:
             assert {"delivery.json", "delivery.sig"} <= set(sent) and sum(sent.values()) <= 1000, sent
 
 
-def split_by_device(images: Path, target: Path) -> Path:
-    for index, path in enumerate(sorted(images.iterdir())):
-        folder = target / ("north-1" if index % 2 else "south-1")
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, folder / path.name)
-    return target
-
-
 def assert_no_image_bytes(folder: Path, source: Path) -> None:
     """Nothing an edge, the cloud or the owner wrote is an image of a scene or holds a stretch of a photograph's bytes."""
     stretches = [photo.read_bytes()[start : start + 32] for photo in source.rglob("drone*.jpg") for start in (2000, 5000)]
@@ -319,198 +289,6 @@ def assert_no_image_bytes(folder: Path, source: Path) -> None:
         data = path.read_bytes()
         assert path.suffix not in (".jpg", ".png") and not data.startswith((b"\xff\xd8\xff", b"\x89PNG")), path
         assert not any(stretch in data for stretch in stretches), path
-
-
-@pytest.mark.draws
-def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path, system: Path, tmp_path: Path) -> None:
-    """Alone goes on, after a device failed at its work, to a scene, a report and a new plan."""
-    source = split_by_device(hamlet / "images", tmp_path / "captured")
-    import cv2
-
-    for index, path in enumerate((source / "south-1").iterdir()):
-        # The sky at different times: equal files would be copies of one photograph.
-        cv2.imwrite(str(path), np.full((240, 320, 3), (235, 180, 120 + index), np.uint8))
-    events: list[Event] = []
-    # The poses lie beside the devices' folders.
-    shutil.copytree(hamlet / "known", source / "sparse" / "0")
-    config = RunConfig(source=source, frames="known", system=system, out=tmp_path / "run", train=TINY)
-    result = run(config, events.append)
-    names = [f"{path.parent.name}/{path.name}" for path in sorted(source.glob("*/*.jpg"))]
-    lost = sum(name.startswith("south-1/") for name, held in zip(names, held_out_mask(names), strict=True) if held)
-    assert lost == result.metrics["num_unscored"] > 0
-    assert f"Scored on {len(result.metrics['images'])} of {len(result.metrics['images']) + lost} held-out" in result.report.read_text()
-    assert list(result.metrics["missing"]) == ["south-1"] and "triangulated" in result.metrics["missing"]["south-1"]
-    assert any(isinstance(event, Warned) and event.stage == "devices/south-1" for event in events)
-    assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100
-    assert (result.metrics["refined"], result.metrics["not_refined"]) == (False, {}), "one device alone is left, which knows all"
-    decisions = read_json(config.out / "manifest.json")["decisions"]
-    assert [one["choice"] for one in decisions if one["stage"] == "cloud/refine"] == ["the scene stays as it was joined"]
-    progress = read_progress(config.out)
-    ended = {stage.stage for stage in progress.stages if stage.state == "done"}
-    assert set(progress.expected) <= ended and "cloud/refine" not in progress.expected, "the count of stages ends"
-    new = replan_files(ReplanRequest(source=config.out, out=tmp_path / "new.json"), ProgressDisplay(Console(file=io.StringIO())))
-    dealt = next(plan for plan in load_plan(config.out / "plan.json")[1] if "south-1" in plan.device_ids)
-    assert f"photographs that never arrived, of south-1 ({len(dealt.cameras_of('south-1'))}): have them taken again" in new["warnings"]
-
-
-def placing_in(source: Path) -> PlacingTask:
-    """By GPS, of photographs in a device's own folder."""
-    sfm = SfmSettings(matching="auto", seed=0, two_view_points=True)
-    origin = (50.0, 8.0, 100.0)
-    return PlacingTask(frames="gps", source=str(source), names=(), held_out=(), fetch=False, origin=origin, sfm=sfm, poses=None)
-
-
-def test_a_device_that_fails_names_no_photograph(hamlet: Path, tmp_path: Path) -> None:
-    source, folder = tmp_path / "captured", tmp_path / "devices" / "north-1"
-    source.mkdir()
-    folder.mkdir(parents=True)
-    name = "secret [of] mine.jpg"
-    (source / name).write_bytes((hamlet / "images" / "drone_0000.jpg").read_bytes()[:5000])
-    placing = replace(placing_in(source), names=(name,))
-    save_task(folder, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
-    events: list[Event] = []
-    run_node("field", folder, "devices/north-1", events.append)
-    assert any("truncated" in event.message for event in events if isinstance(event, Warned))
-    assert name in (folder / NOTES_NAME).read_text()
-    told = [*map(encode, events), (folder / "frame.json").read_text(), (folder / "notes.json").read_text()]
-    assert "truncated" in told[-2] and not any("secret" in text for text in told)
-
-
-def test_whatever_a_device_says_is_without_its_names(tmp_path: Path) -> None:
-    for name in ("a.jpg", "a.jpg.png", "night\n.jpg", "zoo.jpg"):
-        (tmp_path / name).touch()
-    names = Redactor(notes=tmp_path / NOTES_NAME, source=tmp_path, given=("gone.jpg",))
-    decision = Decision(stage="devices/a.jpg", topic="a.jpg", choice="left out: a.jpg, zoo.jpg", figure=1.0, unit="px", reason="(gone.jpg)")
-    hidden = names.redact_event(Decided(decision=decision))
-    assert isinstance(hidden, Decided) and hidden.decision.stage == "devices/a.jpg"
-    assert {hidden.decision.topic, hidden.decision.choice.removeprefix("left out: "), hidden.decision.reason[1:-1]} == {HIDDEN}
-    failed = names.redact_event(
-        Failed(stage="s", message=f"cannot read {tmp_path / 'a.jpg.png'} or {'night' + chr(10) + '.jpg'!r}", exit_code=2)
-    )
-    assert failed == Failed(stage="s", message=f"cannot read {tmp_path}/{HIDDEN} or '{HIDDEN}'", exit_code=2)
-    kept = StageProgress(stage="s", done=1, total=2, note="data.jpg of 3, a.jpgx")
-    assert names.redact_event(kept) == kept, "other words stay"
-    assert "left out: a.jpg, zoo.jpg" in (tmp_path / NOTES_NAME).read_text()
-
-
-def test_a_folder_of_all_devices_has_no_secret_names(tmp_path: Path) -> None:
-    for fetch, said in ((True, "a.jpg"), (False, HIDDEN)):
-        placing = replace(placing_in(tmp_path), names=("a.jpg",), fetch=fetch)
-        save_task(tmp_path, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
-        assert make_redactor("field", tmp_path).redact("a.jpg is truncated") == f"{said} is truncated"
-    save_task(tmp_path, PositionsTask(source=str(tmp_path), cell_m=None, held_out=("a.jpg",), owned=True))
-    assert make_redactor("positions", tmp_path).redact("a.jpg is truncated") == f"{HIDDEN} is truncated"
-    assert make_redactor("device", tmp_path).redact("a.jpg is truncated") == "a.jpg is truncated"
-
-
-def test_unplaced_photographs_of_a_devices_own_folder_are_counted() -> None:
-    nowhere = np.full((3, 3), np.nan)
-    nowhere[1] = 0.0
-    for owners, expected in [
-        (("north-1", "north-1", "south-1"), ["1 of 2 photographs of device north-1 have", "1 of 1 photographs of device south-1 have"]),
-        ((None, None, None), ["2 of 3 photographs have no usable position: a.jpg, c.jpg."]),
-    ]:
-        heard: list[Event] = []
-        captured = Captured(names=("a.jpg", "b.jpg", "c.jpg"), owners=owners, positions=nowhere, origin=None)
-        _warn_of_unplaced(captured, cast(Progress, SimpleNamespace(listen=heard.append)))
-        told = [event.message for event in heard if isinstance(event, Warned)]
-        assert len(told) == len(expected) and all(message.startswith(start) for message, start in zip(told, expected, strict=True))
-        assert owners[0] is None or ".jpg" not in " ".join(told)
-
-
-def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Path, tmp_path: Path) -> None:
-    """Alone runs `--frames gps` in full: planned anew, extended and resumed from devices that mapped their own photographs."""
-    system = tmp_path / "system.toml"
-    system.write_text(TWO_EDGES + '[[edge.device]]\nid = "south-2"\n')
-    source = tmp_path / "captured"
-    for index, path in enumerate(sorted((hamlet / "images").iterdir())):
-        folder = source / ("north-1" if index < 6 else "south-1")
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, folder / path.name)
-    (source / "south-2").mkdir()
-    (source / "south-1" / "lost.jpg").symlink_to("nowhere")
-    config = RunConfig(source=source, frames="gps", system=system, out=tmp_path / "run", train=TINY)
-    result = run(config)
-    assert "no photograph" in result.metrics["missing"]["south-2"] and "north-1" not in result.metrics["missing"]
-    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
-    assert any("south-2 takes no part" in warning for warning in manifest["warnings"])
-    told = next(row for row in manifest["ledger"] if row["node"] == "plan")
-    assert told["num_photographs"] == 0 and 0 < told["other_bytes"] < 10_000, "names and positions alone"
-    # What was delivered can be planned anew and extended; nobody knows more than the plan of what
-    # arrived.
-    display = ProgressDisplay(Console(file=io.StringIO()))
-    delivered = len(load_scene(config.out / "delivered" / "scene.safetensors").cameras)
-    assert 0 < delivered <= sum(len(plan.camera_indices) for plan in load_plan(config.out / "plan.json")[1]), "some may have no pose"
-    new = replan_files(
-        ReplanRequest(source=config.out, out=tmp_path / "new.json", change=FleetChange(dead=frozenset(["south-1"]))), display
-    )
-    assert new["captured"] == delivered and new["lost"] == new["moved"] == 0, "what a dead device has delivered stays"
-    extended = extend(ExtendRequest(old=config.out, new=config.out, out=tmp_path / "more.ply", num_epochs=1), display)
-    assert extended["frames"] == "both runs have one origin" and extended["views"] > 0 and extended["gaussians"] > 100
-    # Without a place it is not planned, so that nobody else has anything new to do.
-    import cv2
-
-    cv2.imwrite(str(source / "south-2" / "found.png"), np.full((240, 320, 3), 200, np.uint8))
-    events: list[Event] = []
-    again = run(config, events.append, resume=True)
-    assert [event.stage for event in events if isinstance(event, StageDone)] == ["positions/south-2"]
-    assert again.metrics["psnr_db"] == result.metrics["psnr_db"] and "whose place is known" in again.metrics["missing"]["south-2"]
-    warnings = json.loads((tmp_path / "run" / "manifest.json").read_text())["warnings"]
-    assert any("1 of 1 photographs of device south-2 have no usable position" in warning for warning in warnings)
-    assert not any("takes no part" in warning or "found.png" in warning for warning in warnings), "names stay with the device"
-
-
-def test_the_middle_of_a_site_on_the_180th_meridian_lies_there() -> None:
-    site = np.array([[-17.0, 179.999, 5.0], [-17.0, -179.999, 5.0], [-17.001, 179.998, 9.0], [-17.001, -179.998, 1.0]])
-    lat, lon, alt = _middle(site)
-    assert abs(abs(lon) - 180) < 1e-3 and lat == pytest.approx(-17.0005) and alt == 5.0
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "said"),
-    [
-        ({"source": "unknown"}, BadInput, "no device of the system"),
-        ({"source": "twice"}, BadInput, "both have a photograph 'drone_0000.jpg'"),
-        ({"poses": None}, BadInput, "no poses beside its photographs"),
-        ({"frames": "gps", "poses": None, "source": "stripped"}, BadInput, "no photograph has a GPS position"),
-        ({"source": "strange"}, BadInput, "and the folder 'other'"),
-        ({"source": "lost"}, BadInput, r"photograph 'drone_0000.jpg' of the poses is not in"),
-        ({"source": "sky"}, StageFailed, "no device delivered a model"),
-    ],
-)
-def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: Path, change: dict, error: type, said: str) -> None:
-    import cv2
-
-    make = {
-        "stripped": lambda folder: [
-            cv2.imwrite(str(folder / p.name), np.asarray(cv2.imread(str(p)))) for p in (hamlet / "images").iterdir()
-        ],
-        "unknown": lambda folder: shutil.copytree(hamlet / "images", folder / "East-9"),
-        "twice": lambda folder: [shutil.copytree(hamlet / "images", folder / name) for name in ("north-1", "south-1")],
-        "strange": lambda folder: [(folder / name).mkdir() for name in ("north-1", "other")],
-        "lost": lambda folder: [shutil.copyfile(p, folder / p.name) for p in sorted((hamlet / "images").iterdir())[1:]],
-        "sky": lambda folder: [
-            cv2.imwrite(str(folder / p.name), np.full((240, 320, 3), 200 + index, np.uint8))
-            for index, p in enumerate((hamlet / "images").iterdir())
-        ],
-    }
-    settings = {"source": hamlet / "images", "poses": hamlet / "known", "frames": "known", **change}
-    if isinstance(settings["source"], str):
-        folder = tmp_path / settings["source"]
-        folder.mkdir()
-        make[settings["source"]](folder)
-        settings["source"] = folder
-    sfm = SfmOptions(poses=settings.pop("poses"))
-    with pytest.raises(error, match=said):
-        run(RunConfig(system=system, sfm=sfm, out=tmp_path / "run", train=TINY, **settings))
-    assert (tmp_path / "run").exists() == (error is StageFailed)
-
-
-def test_options_that_contradict_are_refused(hamlet: Path, tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="--frames known"):
-        RunConfig(source=hamlet, out=tmp_path, sfm=SfmOptions(poses=hamlet))
-    with pytest.raises(BadInput, match="one owner"):
-        RunConfig(source=hamlet, out=tmp_path, single_owner=True)
 
 
 def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, RunResult]) -> None:
