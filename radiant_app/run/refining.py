@@ -20,7 +20,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.workers.delivering import DELIVERIES, identify_part, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME
-from radiant_app.workers.refining import REFINED_SCENE
+from radiant_app.workers.refining import NEXT_SCENE, REFINED_SCENE
 from radiant_app.workers.tasks import SIGNED, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
@@ -194,8 +194,10 @@ class Refining:
     @property
     def start_folder(self) -> Path:
         """Where the scene lies that this round refines."""
-        before = None if self.before is None else self.before.scene_folder
-        return before or self.dealer.run / "cloud"
+        if self.before is None:
+            return self.dealer.run / "cloud"
+        node = self.before.node("cloud")
+        return (self.dealer.run / node / NEXT_SCENE).parent if self.before.is_done(node) else self.before.start_folder
 
     def prepare(self, node: Tree) -> NodeTask | None:
         """Fill the node's folder and return its task; None if nothing arrived to be averaged."""
@@ -251,7 +253,8 @@ class Refining:
         senders = self._receive(node, folder)
         below = {Path(edge.id).parent.name: [Path(device.id).parent.name for device in edge.children] for edge in node.children}
         num_dealt = tuple(sum(map(self.dealer.photographs.num_dealt, below[edge])) for edge in senders)
-        return (FinishTask(senders=senders, num_dealt=num_dealt), [folder / "inbox"]) if senders else None
+        another = self.number < choose_rounds(self.dealer.recipe)
+        return (FinishTask(senders=senders, num_dealt=num_dealt, another_round=another), [folder / "inbox"]) if senders else None
 
     def _receive(self, node: Tree, folder: Path) -> tuple[str, ...]:
         """Copy the refinements of a node's children that have one; the names of these."""

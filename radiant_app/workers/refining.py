@@ -14,9 +14,9 @@ from pathlib import Path
 from radiant_app.workers.delivering import belongs_to_run, deliver, find_refusals
 from radiant_app.workers.inbox import REFUSED_NAME
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefineNodeTask
+from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefineNodeTask, RefinementsTask
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
-from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
+from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene, start_of_next_round
 from radiant_core.cameras import Cameras
 from radiant_core.geometry.similarity import move_cameras
 from radiant_core.hierarchy.decisions import refinement_decision
@@ -27,8 +27,8 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.splats import Splats
 
-REFINED_SCENE = "refined/scene.ply"
-"""The scene that the cloud writes, in the folder of a round."""
+REFINED_SCENE, NEXT_SCENE = "refined/scene.ply", "refined/next/scene.ply"
+"""What the cloud writes in the folder of a round: the scene, and from where the next round starts."""
 MIN_ADMITTED = 0.9
 """A refinement of which a smaller share counts is warned about: of honest ones 99.9 % do."""
 NOT_ADMITTED = "the others changed more than refining does, or are not shown by its cameras."
@@ -93,9 +93,11 @@ def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Seque
     refined = refine_scene(scene, admitted())
     reporter.decide(refinement_decision(reporter.stage, counts, scene))
     write_json(folder / REFUSED_NAME, refused)
-    (folder / REFINED_SCENE).parent.mkdir(exist_ok=True)
-    save_ply(folder / REFINED_SCENE, refined)
-    return [REFINED_SCENE, REFUSED_NAME]
+    made = {REFINED_SCENE: refined} | ({NEXT_SCENE: start_of_next_round(scene, refined)} if task.another_round else {})
+    for name, splats in made.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        save_ply(folder / name, splats)
+    return [*made, REFUSED_NAME]
 
 
 def photographs_of(own: Path) -> Path:
@@ -111,7 +113,7 @@ def correct_cameras(cameras: Cameras, corrections: Sequence[Move]) -> Cameras:
 
 
 def _receive(
-    folder: Path, task: FinishTask, scene: Splats, refused: dict[str, str], reporter: EventReporter
+    folder: Path, task: RefinementsTask, scene: Splats, refused: dict[str, str], reporter: EventReporter
 ) -> Iterator[tuple[str, Refinement]]:
     """The refinements that can be used, one at a time, in the order of their senders; the others'
     reasons are added to `refused`, those of senders that changed nothing too."""

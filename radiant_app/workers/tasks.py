@@ -209,8 +209,8 @@ class RefineNodeTask(RefineTask):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FinishTask:
-    """Put the mean of the refinements in inbox/ into the scene beside it."""
+class RefinementsTask:
+    """Take the refinements in inbox/ of the scene beside it."""
 
     senders: tuple[Id, ...]
     num_dealt: tuple[Count, ...]
@@ -222,8 +222,16 @@ class FinishTask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AverageTask(FinishTask):
-    """Send on the mean of the refinements in inbox/ of the scene beside it."""
+class FinishTask(RefinementsTask):
+    """Put their mean into the scene."""
+
+    another_round: bool
+    """Whether another round follows, so that its start is asked for too."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AverageTask(RefinementsTask):
+    """Send on their mean."""
 
     corrections: tuple[tuple[Move, ...], ...]
     """Of each sender's cameras, as of a `ScoreTask`."""

@@ -180,7 +180,7 @@ def test_every_round_refines_the_scene_of_the_last_one_that_made_one(refining: R
                 done_in(each, owner, {})
 
     tried = fold_rounds(rounds, fold, heard.append)
-    assert started == [Path("cloud"), Path("cloud/refine/refined"), Path("cloud/refine2/refined")]
+    assert started == [Path("cloud"), Path("cloud/refine/refined/next"), Path("cloud/refine2/refined/next")]
     assert refining.dealer.refined == refining.dealer.run / "cloud/refine2/refined", "what the second round made is kept"
     warned = [event.message for event in heard if isinstance(event, Warned)]
     assert warned == ["the scene stays as round 2 left it: no refinement arrived; --resume tries again."]

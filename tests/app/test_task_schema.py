@@ -130,7 +130,7 @@ MESSAGES: dict[str, Any] = {
         backend="native",
         long_side_px=64,
     ),
-    "finish": FinishTask(senders=("a",), num_dealt=(2,)),
+    "finish": FinishTask(senders=("a",), num_dealt=(2,), another_round=True),
     "run": JobTask(config={"source": "photos"}, resume=True),
 }
 

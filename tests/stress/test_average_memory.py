@@ -53,7 +53,7 @@ shown = {"backend": "native", "long_side_px": 4000}
 reporter = EventReporter(stage="x", emit=lambda event: None)
 reset_peak_bytes()
 if kind == "finish":
-    run_finish(folder / "refine", FinishTask(**common), reporter)
+    run_finish(folder / "refine", FinishTask(**common, another_round=True), reporter)
 else:
     run_average(folder / "refine", AverageTask(**common, corrections=((),) * num_senders, upload="float16", **shown), reporter)
 print(peak_bytes())

@@ -37,6 +37,10 @@ ROUNDING = 4.0
 """Weights of edges are rounded down to powers of it."""
 ROUNDED_SUM = 1.001
 """The Gaussians of a photograph fill it once at most; their shares are sums of float32."""
+SERVER_RATE = 1.5
+"""Where the next round starts, in mean changes of this one: a server's rate, as in federated
+optimisation (Reddi 2021). A mean falls short of what devices that see a place agree on, since
+those that hardly see it hold it back; measured in docs/experiments/aggregation.md."""
 BLOCK_ROWS = 65536
 """Gaussians averaged at a time, whose values are float64 meanwhile."""
 AVERAGE_PROCESS_BYTES, AVERAGE_COPIES, AVERAGE_BYTES_PER_SPLAT = 140_000_000, 9, 60
@@ -201,6 +205,15 @@ def join_refinements(refinements: Iterable[Refinement], scene: Splats) -> Refine
 def refine_scene(scene: Splats, refinements: Iterable[Refinement]) -> Splats:
     """`scene` with the mean of its refinements in place; other Gaussians keep their bits."""
     return _mean(refinements, scene)[0]
+
+
+def start_of_next_round(scene: Splats, refined: Splats) -> Splats:
+    """What the devices fit in the round after that which made `refined` of `scene` (N each)."""
+    most, arrays = float(np.finfo(np.float32).max), {}
+    for name, after in refined.arrays().items():
+        start = scene.arrays()[name].astype(np.float64)
+        arrays[name] = np.clip(start + SERVER_RATE * (after - start), -most, most).astype(np.float32)
+    return replace(refined, **arrays)
 
 
 def _per_row(values: NDArray[np.floating], ndim: int) -> NDArray[np.float64]:

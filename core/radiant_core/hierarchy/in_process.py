@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
+from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene, start_of_next_round
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.choices import Version
 from radiant_core.evaluate.shown_pixels import count_shown_photographs
@@ -107,8 +107,10 @@ def _refine(
         return joined
     refiner = _Refiner(recipe=recipe, devices=refining, scene=scene, views=views, reporter_of=reporter_of)
     sent: dict[str, Refinement] = {}
+    start = splats
     for number in range(1, choose_rounds(recipe) + 1):
-        splats, sent_now = refiner.refine(splats, number)
+        splats, sent_now = refiner.refine(start, number)
+        start = start_of_next_round(start, splats)
         sent |= sent_now
     return replace(joined, scene=replace(joined.scene, splats=splats), refinements=sent)
 

@@ -18,6 +18,7 @@ from radiant_core.aggregate.averaging import (
     limit_changes,
     refine_scene,
     refinement_problem,
+    start_of_next_round,
 )
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.shown_pixels import count_shown_photographs
@@ -43,6 +44,21 @@ def test_the_mean_is_weighted_per_gaussian_and_the_rest_keeps_its_bits() -> None
     others = np.setdiff1d(np.arange(len(SCENE)), [1, 5, 7, 9])
     for name, array in SCENE.select(others).arrays().items():
         np.testing.assert_array_equal(made.select(others).arrays()[name], array)
+
+
+def test_the_next_round_starts_beyond_the_mean() -> None:
+    made = refine_scene(SCENE, [refined([1, 5], 0.4)])
+    start = start_of_next_round(SCENE, made)
+    np.testing.assert_allclose((start.sh0 - SCENE.sh0)[[1, 5], 0, 0], 0.4 * averaging.SERVER_RATE, atol=1e-6)
+    others = np.setdiff1d(np.arange(len(SCENE)), [1, 5])
+    for name, array in SCENE.select(others).arrays().items():
+        np.testing.assert_array_equal(start.select(others).arrays()[name], array)
+
+
+def test_the_next_round_of_huge_values_is_finite() -> None:
+    huge = np.float32(3e38)
+    far, moved = (replace(SCENE, means=np.full_like(SCENE.means, sign * huge)) for sign in (-1, 1))
+    assert np.isfinite(start_of_next_round(far, moved).means).all() and (start_of_next_round(far, moved).means > 0).all()
 
 
 def test_means_of_means_are_the_mean_of_all() -> None:
