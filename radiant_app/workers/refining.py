@@ -14,7 +14,7 @@ from pathlib import Path
 from radiant_app.workers.delivering import belongs_to_run, deliver, find_refusals
 from radiant_app.workers.inbox import REFUSED_NAME
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefineNodeTask, RefinementsTask
+from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefinementsTask, RefineNodeTask
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene, start_of_next_round
 from radiant_core.cameras import Cameras
