@@ -159,10 +159,10 @@ class Measuring:
         num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
         view_s = _RETRAIN_STEP_COST * step_s
         aggregate = aggregate_preset("default")
-        epoch_s = view_s * 2 * sum(joined) * (1 + aggregate.num_epochs / aggregate.edge_epochs)
+        epoch_s = view_s * 2 * sum(joined) * (1 + aggregate.epochs_at_cloud / aggregate.epochs_at_edges)
 
         def epochs_in(seconds: float) -> int:
-            return int(np.clip(seconds / epoch_s, 1, aggregate.edge_epochs))
+            return int(np.clip(seconds / epoch_s, 1, aggregate.epochs_at_edges))
 
         num_epochs = epochs_in((1 - _TRAINING_SHARE) * free_s)
         self.left_s = [start_s + step_s * num_steps] * len(sizes)
@@ -180,7 +180,7 @@ class Measuring:
             edges.append(self._edge(count, num_steps, num_devices, num_epochs))
         for count in joined:
             self.note = f"joining 2 of {count} photographs at the cloud"
-            merges.append(self._cloud(count, num_steps, max(1, num_epochs * aggregate.num_epochs // aggregate.edge_epochs)))
+            merges.append(self._cloud(count, num_steps, max(1, num_epochs * aggregate.epochs_at_cloud // aggregate.epochs_at_edges)))
         placed = [count for count in sizes if MIN_PHOTOGRAPHS <= count <= MAX_PLACED]
         start_s = min((edge.seconds for edge in edges if edge.num_devices == 1), default=0.0)
         sfm = [(count, self._place(count, start_s)) for count in dict.fromkeys([*placed[:1], *placed[-1:]])]
@@ -235,7 +235,7 @@ class Measuring:
                 backend=self.backend,
                 upload=UPLOAD,
             )
-        seconds = self._in_all_epochs("edge", tasks, aggregate_preset("default").edge_epochs / num_epochs)
+        seconds = self._in_all_epochs("edge", tasks, aggregate_preset("default").epochs_at_edges / num_epochs)
         return EdgeSample(num_cameras=num_devices * count, num_devices=num_devices, seconds=seconds)
 
     def _cloud(self, count: int, num_steps: int, num_epochs: int) -> EdgeSample:
@@ -253,7 +253,7 @@ class Measuring:
             aggregate=aggregate,
             backend=self.backend,
         )
-        seconds = self._in_all_epochs("cloud", {folder: task}, aggregate_preset("default").num_epochs / num_epochs)
+        seconds = self._in_all_epochs("cloud", {folder: task}, aggregate_preset("default").epochs_at_cloud / num_epochs)
         return EdgeSample(num_cameras=2 * count, num_devices=2, seconds=seconds)
 
     def _place(self, count: int, start_s: float) -> float | None:

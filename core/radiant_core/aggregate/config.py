@@ -12,6 +12,8 @@ AggregatePreset = Literal["default", "paper"]
 the cloud, nothing skipped (paper Sec. III-D)."""
 
 MAX_TILES = 256
+BEFORE_REFINING, JOINED_ALONE = (2, 2), (10, 5)
+"""Epochs at the edges and at the cloud where devices refine the joined scene, and where they do not."""
 MAX_ROUNDS = 99
 
 
@@ -21,10 +23,12 @@ class AggregateConfig:
 
     preset: AggregatePreset = "default"
     """default: models fade where others own the place and are fitted; paper: all are retrained."""
-    num_epochs: int = 5
-    """How often the cloud shows each synthetic view (paper Sec. IV-B: 10)."""
-    edge_epochs: int = 10
-    """The same of an edge: its model teaches the cloud (paper Sec. IV-B: 10)."""
+    num_epochs: int | None = None
+    """How often the cloud shows each synthetic view (paper Sec. IV-B: 10). None: twice where devices
+    refine what was joined, which does the rest better (docs/experiments/aggregation.md), else as in
+    `JOINED_ALONE`."""
+    edge_epochs: int | None = None
+    """The same of an edge, whose model teaches the cloud (paper Sec. IV-B: 10)."""
     refine_epochs: int = 8
     """How often a device shows each of its photographs to the joined scene in a round, at most (see
     `hierarchy.refining_plan.MAX_STEPS`); 0: not at all."""
@@ -64,7 +68,7 @@ class AggregateConfig:
             raise BadInput(f"refine_epochs is {self.refine_epochs}, expected 0 (the scene is not refined) or more.")
         if self.refine_rounds is not None and not 1 <= self.refine_rounds <= MAX_ROUNDS:
             raise BadInput(f"refine_rounds is {self.refine_rounds}, expected 1 to {MAX_ROUNDS}: set refine_epochs to 0 to refine nothing.")
-        if min(self.num_epochs, self.edge_epochs) < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
+        if any(number is not None and number < 1 for number in (self.num_epochs, self.edge_epochs, self.max_num_steps)):
             raise BadInput("num_epochs, edge_epochs and max_num_steps of the aggregation must be at least 1.")
 
     @property
@@ -75,7 +79,21 @@ class AggregateConfig:
     @property
     def at_edge(self) -> AggregateConfig:
         """The settings with an edge's epochs in place of the cloud's."""
-        return replace(self, num_epochs=self.edge_epochs)
+        return replace(self, num_epochs=self.epochs_at_edges)
+
+    @property
+    def epochs_at_edges(self) -> int:
+        """How often an edge shows each synthetic view."""
+        return self.edge_epochs or self._epochs[0]
+
+    @property
+    def epochs_at_cloud(self) -> int:
+        """The same of the cloud."""
+        return self.num_epochs or self._epochs[1]
+
+    @property
+    def _epochs(self) -> tuple[int, int]:
+        return BEFORE_REFINING if self.refine_epochs else JOINED_ALONE
 
 
 def aggregate_preset(name: str) -> AggregateConfig:

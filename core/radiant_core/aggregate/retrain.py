@@ -70,10 +70,10 @@ def retrain(
 
 
 def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
-    """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is
+    """A device's settings for the cloud's epochs over so many synthetic views: nothing is
     added or grown, and rates fall as joining has it, not as a device's. `paper`
     retrains at the rates of 3DGS, however its devices were trained."""
-    num_steps = aggregate.num_epochs * num_views
+    num_steps = aggregate.epochs_at_cloud * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
     still = {

@@ -107,7 +107,7 @@ def test_joining_heals_what_a_blind_neighbour_covers(claims: Claims | None) -> N
     views = teacher_views(teachers([west, east], [WEST, EAST]), 48)
     before = mean_psnr_db(concatenate_splats([west, east]), views)
     result = join_models(teachers([west, east], [WEST, EAST]), TRAIN, AggregateConfig(), FitOptions(), claims)
-    assert (result.trained.num_steps, result.num_shown, result.num_views) == (4 * AggregateConfig().num_epochs, 4, 4)
+    assert (result.trained.num_steps, result.num_shown, result.num_views) == (4 * AggregateConfig().epochs_at_cloud, 4, 4)
     assert result.agreement_db is not None and before + 3 < result.agreement_db < 48
     assert mean_psnr_db(result.splats, views) > before + 3
 
@@ -119,7 +119,7 @@ def test_models_that_agree_are_cut_and_not_retrained() -> None:
     assert len(result.splats) == len(model)
     np.testing.assert_array_equal(np.unique(result.splats.means, axis=0), np.unique(model.means, axis=0))
     forced = joined([model, model], [WEST, EAST], foreign_opacity=1e-3, agreement_db=None)
-    assert forced.trained.num_steps == 4 * AggregateConfig().num_epochs
+    assert forced.trained.num_steps == 4 * AggregateConfig().epochs_at_cloud
 
 
 def test_what_no_second_model_knows_keeps_its_bits() -> None:

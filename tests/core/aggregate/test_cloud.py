@@ -145,6 +145,14 @@ class TestPaperAggregation:
         with pytest.raises(BadInput, match="default, paper"):
             aggregate_preset("papers")
 
+    def test_epochs_are_fewer_where_devices_refine_what_was_joined(self) -> None:
+        refined, alone, asked = AggregateConfig(), AggregateConfig(refine_epochs=0), AggregateConfig(edge_epochs=7, num_epochs=3)
+        paper = aggregate_preset("paper")
+        for config, expected in ((refined, (2, 2)), (alone, (10, 5)), (asked, (7, 3)), (paper, (10, 10))):
+            assert (config.epochs_at_edges, config.epochs_at_cloud) == expected
+            assert config.at_edge.epochs_at_cloud == expected[0]
+        assert replace(refined, refine_epochs=0).at_edge.epochs_at_cloud == 10
+
     def test_it_retrains_at_the_rates_of_3dgs_however_devices_were_trained(self) -> None:
         device, plain = train_preset("default"), train_preset("standard")
         made = retraining_config(device, aggregate_preset("paper"), MODEL, 7)
