@@ -19,7 +19,7 @@ from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_app.workers.refining import NOTHING_REFINED
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
-from radiant_core.hierarchy.refining_plan import ENOUGH_SHOWS, choose_rounds, plan_refining, refining_steps
+from radiant_core.hierarchy.refining_plan import ENOUGH_SHOWS, NUM_ROUNDS, choose_rounds, plan_refining, refining_steps
 from radiant_core.io.run_store import seal, write_json
 from tests.app.test_faults import planned
 
@@ -149,10 +149,11 @@ def test_a_second_round_is_for_trainings_that_showed_their_photographs_less_ofte
     recipe = refining.dealer.recipe
     photographs = sum(len(recipe.cameras_of(Path(node.id).parent.name)) for node in nodes_of(refining, "device"))
     # 4 devices, so that each shows each photograph 4 × steps / photographs times.
-    few, often = (
-        replace(recipe, train=replace(recipe.train, num_steps=photographs * shows // 4)) for shows in (ENOUGH_SHOWS - 1, ENOUGH_SHOWS + 1)
+    hardly, few, often = (
+        replace(recipe, train=replace(recipe.train, num_steps=photographs * shows // 4))
+        for shows in (min(NUM_ROUNDS) - 1, ENOUGH_SHOWS - 1, ENOUGH_SHOWS + 1)
     )
-    assert (choose_rounds(few), choose_rounds(often)) == (3, 1)
+    assert (choose_rounds(hardly), choose_rounds(few), choose_rounds(often)) == (5, 3, 1)
     assert choose_rounds(replace(often, num_photographs=2 * photographs)) == 3, "where a recipe knows a part of a run's plans"
     asked = replace(often, aggregate=replace(often.aggregate, refine_rounds=2))
     for each, number, forced in ((often, 1, False), (asked, 2, True)):

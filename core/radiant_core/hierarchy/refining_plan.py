@@ -19,9 +19,10 @@ LEAST_DEVICES = 2
 MAX_STEPS = 200
 """Devices that take many steps between two means drift apart (docs/experiments/aggregation.md): no
 more than were measured to gain, but each photograph once."""
-NUM_ROUNDS, ENOUGH_SHOWS = 3, 75
-"""Rounds of refining, and how often a training shows each photograph from where on a second and a
-third gain less than their time is worth (docs/experiments/aggregation.md)."""
+NUM_ROUNDS = {30: 5, 75: 3}
+"""Rounds of refining where a training shows each photograph less often than that; one where it shows
+it more often, so that a second one gains less than its time is worth (docs/experiments/aggregation.md)."""
+ENOUGH_SHOWS = max(NUM_ROUNDS)
 STAGE = refined_at("cloud")
 
 
@@ -65,14 +66,14 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
 
 
 def choose_rounds(recipe: Recipe) -> int:
-    """In how many rounds devices refine a scene: three go on with what trainings have not finished;
-    after trainings that showed each photograph often the first has nearly all that there is."""
+    """In how many rounds devices refine a scene: they go on with what trainings have not finished,
+    and after trainings that showed each photograph often the first has nearly all that there is."""
     return recipe.aggregate.refine_rounds or rounds_after(recipe.photograph_shows)
 
 
 def rounds_after(photograph_shows: float) -> int:
     """The same for trainings that showed each photograph so often, where no number is given."""
-    return NUM_ROUNDS if photograph_shows < ENOUGH_SHOWS else 1
+    return next((number for shows, number in sorted(NUM_ROUNDS.items()) if photograph_shows < shows), 1)
 
 
 def refining_steps(epochs: int, num_views: int) -> int:
