@@ -277,9 +277,7 @@ def _join_at_once(cell: Cell, recipe: Recipe) -> Made:
     cameras = concatenate_cameras([model.cameras for model in models]).scaled(recipe.train.long_side_px)
 
     def work() -> tuple[Splats, float]:
-        # Nobody refines it afterwards.
-        alone = replace(recipe.aggregate, refine_epochs=0)
-        joined = join_models(teachers, recipe.train, alone, FitOptions(backend=recipe.backend), claims)
+        joined = join_models(teachers, recipe.train, recipe.aggregate, FitOptions(backend=recipe.backend), claims)
         return joined.splats, float(joined.trained.num_steps * cameras.sizes_wh.prod(axis=1).mean())
 
     return _time_work(work)

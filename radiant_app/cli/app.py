@@ -97,7 +97,7 @@ def extend(
     margin_m: Annotated[
         float | None, typer.Option("--margin-m", help="Half width of the fitted strip, else 5 % of the region's side.")
     ] = None,
-    epochs: Annotated[int | None, typer.Option(min=1, help="How often each view of the strip is shown, else as in a run.")] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="How often each view of the strip is shown, else 5 times.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Join a new region to a finished scene, which keeps its bits beyond a margin."""

@@ -42,8 +42,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     require_file_to_be(out)
     require_run(run)
     require_current(run)
-    # Nobody refines what is joined here.
-    config = replace(aggregate_preset(preset), refine_epochs=0)
+    config = aggregate_preset(preset)
     config = config if epochs is None else replace(config, num_epochs=epochs, edge_epochs=epochs)
     scene, joined_s = join_run(run, config, display)
     if scene.splats is None:

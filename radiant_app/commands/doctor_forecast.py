@@ -21,7 +21,7 @@ from radiant_app.config.run_config import ExecutionOptions
 from radiant_app.files.profile_file import load_profile
 from radiant_app.run.predictions import planned_training
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.hierarchy.refining_plan import refining_steps, rounds_after
+from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.plan.profiles.profile import Profile
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.memory import most_cameras
@@ -100,7 +100,7 @@ def _stages(curves: Profile, train: TrainConfig, num_photographs: int, workers: 
     steps = refining_steps(AggregateConfig().refine_epochs, per_device) / train.num_steps
     beside_s, trained_s = (float(fit.curve(per_device)) for fit in (curves.init_s, curves.train_s))
     round_s = waves_of["devices"] * (beside_s + REFINING_STEP * trained_s * steps) + 2 * beside_s
-    yield "refining", rounds_after(step_law_of(train, num_photographs, NUM_DEVICES).per_photograph) * round_s, False
+    yield "refining", AggregateConfig().rounds_after(step_law_of(train, num_photographs, NUM_DEVICES).per_photograph) * round_s, False
 
 
 def duration_text(seconds: float) -> str:

@@ -2,8 +2,9 @@
 
 In every round the tree of the run is folded once more, in a folder inside that of every node
 (`refined_at`): each device whose model is in the scene fits that to its own photographs, edges
-average, the cloud puts the mean into the scene, which the next round starts from. A machine that
-fails here costs its part of the round, not the scene.
+average, the cloud puts the mean into the scene, and the next round starts somewhat further on
+(`averaging.start_of_next_round`). A machine that fails here costs its part of the round, not the
+scene.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.workers.delivering import DELIVERIES, identify_part, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME
-from radiant_app.workers.refining import NEXT_SCENE, REFINED_SCENE
+from radiant_app.workers.refining import KEPT_SCENE, NEXT_SCENE, REFINED_SCENE
 from radiant_app.workers.tasks import SIGNED, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
@@ -253,8 +254,13 @@ class Refining:
         senders = self._receive(node, folder)
         below = {Path(edge.id).parent.name: [Path(device.id).parent.name for device in edge.children] for edge in node.children}
         num_dealt = tuple(sum(map(self.dealer.photographs.num_dealt, below[edge])) for edge in senders)
+        inputs, kept_scene = [folder / "inbox"], folder / KEPT_SCENE
+        shutil.rmtree(kept_scene.parent, ignore_errors=True)
+        if self.before is not None and (kept := self.before.scene_folder) is not None:
+            deal_files(kept, [SCENE_NAME], kept_scene.parent)
+            inputs.append(kept_scene)
         another = self.number < choose_rounds(self.dealer.recipe)
-        return (FinishTask(senders=senders, num_dealt=num_dealt, another_round=another), [folder / "inbox"]) if senders else None
+        return (FinishTask(senders=senders, num_dealt=num_dealt, another_round=another), inputs) if senders else None
 
     def _receive(self, node: Tree, folder: Path) -> tuple[str, ...]:
         """Copy the refinements of a node's children that have one; the names of these."""

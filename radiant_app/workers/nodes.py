@@ -15,8 +15,8 @@ Each reads task.json, and beside it, below its folder:
              → refined.safetensors, rows.safetensors
     average  scene.ply, inbox/<device>/{refined,rows}.safetensors
              → as refine
-    finish   scene.ply, inbox/<edge>/{refined,rows}.safetensors
-             → refined/scene.ply
+    finish   scene.ply, kept/scene.ply, inbox/<edge>/{refined,rows}.safetensors
+             → refined/scene.ply, refined/next/scene.ply
     score    inbox/{scene.ply,plan.json,joined.ply,cut.ply}, {held_out,initial}.safetensors,
              own.json, photos/, masks/, of a device all but the inbox in the folder above
              → scores.json, renders/, photographs/, differences/

@@ -29,6 +29,8 @@ from radiant_core.splats import Splats
 
 REFINED_SCENE, NEXT_SCENE = "refined/scene.ply", "refined/next/scene.ply"
 """What the cloud writes in the folder of a round: the scene, and from where the next round starts."""
+KEPT_SCENE = "kept/scene.ply"
+"""What the round before made, in the cloud's folder of a round from the second on."""
 MIN_ADMITTED = 0.9
 """A refinement of which a smaller share counts is warned about: of honest ones 99.9 % do."""
 NOT_ADMITTED = "the others changed more than refining does, or are not shown by its cameras."
@@ -90,7 +92,9 @@ def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Seque
             counts.append(len((kept := admit_refinement(each, scene)).rows))
             yield kept
 
-    refined = refine_scene(scene, admitted())
+    kept = load_ply(folder / KEPT_SCENE) if (folder / KEPT_SCENE).is_file() else None
+    refined = refine_scene(scene, admitted(), kept)
+    del kept
     reporter.decide(refinement_decision(reporter.stage, counts, scene))
     write_json(folder / REFUSED_NAME, refused)
     made = {REFINED_SCENE: refined} | ({NEXT_SCENE: start_of_next_round(scene, refined)} if task.another_round else {})

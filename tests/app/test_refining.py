@@ -17,11 +17,18 @@ from radiant_app.run import refining_deadlines
 from radiant_app.run.refining import LATE, UNUSED, Refining, fold_rounds, left_out, left_out_decision, partly_left_out, plan_rounds
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
-from radiant_app.workers.refining import NOTHING_REFINED
+from radiant_app.workers.refining import KEPT_SCENE, NEXT_SCENE, NOTHING_REFINED, REFINED_SCENE, run_finish
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.tasks import FinishTask
+from radiant_core.aggregate.config import ENOUGH_SHOWS, NUM_ROUNDS
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
-from radiant_core.hierarchy.refining_plan import ENOUGH_SHOWS, NUM_ROUNDS, choose_rounds, plan_refining, refining_steps
+from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining, refining_steps
+from radiant_core.io.messages import REFINED_NAME, ROWS_NAME
+from radiant_core.io.ply import save_ply
 from radiant_core.io.run_store import seal, write_json
+from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from tests.app.test_faults import planned
+from tests.core.scenes import ground_splats
 
 HANG = """
 from radiant_app.events import Heartbeat, encode
@@ -203,3 +210,36 @@ def test_nodes_of_rounds_are_told_from_others_by_their_ids() -> None:
     for owner in ("devices/a", "cloud", "devices/refine", "edges/refine2"):
         assert {refines_for(refined_at(owner, number)) for number in (1, 2, 10)} == {owner} == {refines_for(owner)}
     assert refines_for("devices/a/score") == "devices/a/score"
+
+
+@pytest.mark.parametrize("another_round", [False, True])
+def test_the_cloud_writes_a_next_start_where_a_round_follows_and_keeps_what_nobody_refined(another_round: bool, tmp_path: Path) -> None:
+    scene, kept = ground_splats(50), ground_splats(50, seed=1)
+    (tmp_path / "kept").mkdir()
+    save_ply(tmp_path / "scene.ply", scene)
+    save_ply(tmp_path / KEPT_SCENE, kept)
+    reporter = EventReporter(stage="cloud/refine2", emit=lambda event: None)
+    task = FinishTask(senders=(), num_dealt=(), another_round=another_round)
+    assert (NEXT_SCENE in run_finish(tmp_path, task, reporter)) == another_round == (tmp_path / NEXT_SCENE).is_file()
+    assert (tmp_path / REFINED_SCENE).read_bytes() == (tmp_path / KEPT_SCENE).read_bytes()
+
+
+def test_the_cloud_is_dealt_what_the_round_before_made(refining: Refining) -> None:
+    recipe = refining.dealer.recipe
+    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine_rounds=2))
+    first, second = plan_rounds(refining.dealer, refining.moves)
+    folder = refining.dealer.run / first.node("cloud")
+    for name, brighter in ((REFINED_SCENE, 0.0), (NEXT_SCENE, 0.1)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        splats = ground_splats(50)
+        save_ply(folder / name, replace(splats, sh0=splats.sh0 + brighter))
+    done_in(first, "cloud", {})
+    for each in nodes_of(second, "edge"):
+        (refining.dealer.run / each.id).mkdir(parents=True, exist_ok=True)
+        done_in(second, refines_for(each.id), {})
+        for name in (REFINED_NAME, ROWS_NAME, RECORD_NAME, SIGNATURE_NAME):
+            (refining.dealer.run / each.id / name).write_bytes(b"")
+    assert second.tree is not None and second.prepare(second.tree) is not None
+    dealt = refining.dealer.run / second.node("cloud")
+    assert (dealt / "scene.ply").read_bytes() == (folder / NEXT_SCENE).read_bytes()
+    assert (dealt / KEPT_SCENE).read_bytes() == (folder / REFINED_SCENE).read_bytes()

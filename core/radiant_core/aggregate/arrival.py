@@ -20,6 +20,8 @@ MAX_HARMONIC = 50.0
 MIN_SEEN_SHARE = 0.05
 """Of the Gaussians in sight of the cameras that made them: all but the sky usually are."""
 NUM_TRIED = 20_000
+LARGEST = {"means": MAX_COORDINATE_M, "sh0": MAX_HARMONIC, "shN": MAX_HARMONIC}
+"""The largest sizes of values."""
 
 
 def check_splats(splats: Splats, cameras: Cameras) -> str | None:
@@ -27,8 +29,7 @@ def check_splats(splats: Splats, cameras: Cameras) -> str | None:
     is not asked."""
     if not 0 < len(splats) <= MAX_SPLATS:
         return f"it has {len(splats):,} Gaussians, expected 1 to {MAX_SPLATS:,}."
-    limits = {"means": MAX_COORDINATE_M, "sh0": MAX_HARMONIC, "shN": MAX_HARMONIC}
-    for name, limit in limits.items():
+    for name, limit in LARGEST.items():
         largest = float(np.abs(getattr(splats, name)).max(initial=0))
         if largest > limit:
             return f"a value of its {name} is {largest:.3g}, expected at most {limit:g}."

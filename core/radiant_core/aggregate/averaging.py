@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.arrival import check_splats
+from radiant_core.aggregate.arrival import LARGEST, MAX_LOG_SCALE, check_splats
 from radiant_core.cameras import NO_CAMERAS
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
@@ -202,17 +202,29 @@ def join_refinements(refinements: Iterable[Refinement], scene: Splats) -> Refine
     return replace(mean, weights=(ROUNDING**powers).astype(np.float32))
 
 
-def refine_scene(scene: Splats, refinements: Iterable[Refinement]) -> Splats:
-    """`scene` with the mean of its refinements in place; other Gaussians keep their bits."""
-    return _mean(refinements, scene)[0]
+def refine_scene(scene: Splats, refinements: Iterable[Refinement], kept: Splats | None = None) -> Splats:
+    """`scene` with the mean of its refinements in place; other Gaussians are those of `kept`, what
+    the round before made, from where `scene` starts further on, or keep their bits."""
+    refined, weights = _mean(refinements, scene)
+    if kept is None:
+        return refined
+    others = weights == 0
+    arrays = {name: array.copy() for name, array in refined.arrays().items()}
+    for name, array in arrays.items():
+        array[others] = kept.arrays()[name][others]
+    return replace(refined, **arrays)
 
 
 def start_of_next_round(scene: Splats, refined: Splats) -> Splats:
-    """What the devices fit in the round after that which made `refined` of `scene` (N each)."""
+    """What the devices fit in the round after that which made `refined` of `scene` (N each). It is
+    such that what is made of it can be sent: values stay within the limits of `check_splats`."""
     most, arrays = float(np.finfo(np.float32).max), {}
     for name, after in refined.arrays().items():
-        start = scene.arrays()[name].astype(np.float64)
-        arrays[name] = np.clip(start + SERVER_RATE * (after - start), -most, most).astype(np.float32)
+        start, size = scene.arrays()[name].astype(np.float64), LARGEST.get(name, most)
+        largest = MAX_LOG_SCALE if name == "log_scales" else size
+        further = np.clip(start + SERVER_RATE * (after - start), -size, largest)
+        # Whatever the scene is beyond the limits already is not for a round to change.
+        arrays[name] = np.where(np.abs(after) > size, after, further).astype(np.float32)
     return replace(refined, **arrays)
 
 

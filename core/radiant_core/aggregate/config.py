@@ -12,8 +12,13 @@ AggregatePreset = Literal["default", "paper"]
 the cloud, nothing skipped (paper Sec. III-D)."""
 
 MAX_TILES = 256
-BEFORE_REFINING, JOINED_ALONE = (2, 2), (10, 5)
-"""Epochs at the edges and at the cloud where devices refine the joined scene, and where they do not."""
+JOINING_EPOCHS, SHORT_EPOCHS = (10, 5), (2, 2)
+"""Epochs at the edges and at the cloud, and where several rounds of refining follow, which do the
+rest better (docs/experiments/aggregation.md)."""
+NUM_ROUNDS = {30: 5, 75: 3}
+"""Rounds of refining where a training shows each photograph less often than that; one where it shows
+it more often, so that a second one gains less than its time is worth (the same page)."""
+ENOUGH_SHOWS = max(NUM_ROUNDS)
 MAX_ROUNDS = 99
 
 
@@ -24,18 +29,18 @@ class AggregateConfig:
     preset: AggregatePreset = "default"
     """default: models fade where others own the place and are fitted; paper: all are retrained."""
     num_epochs: int | None = None
-    """How often the cloud shows each synthetic view (paper Sec. IV-B: 10). None: twice where devices
-    refine what was joined, which does the rest better (docs/experiments/aggregation.md), else as in
-    `JOINED_ALONE`."""
+    """How often the cloud shows each synthetic view (paper Sec. IV-B: 10). None: as in
+    `JOINING_EPOCHS`, or in `SHORT_EPOCHS` where devices are to refine what was joined in several
+    rounds; whether too little memory or too few devices keep them from it is not known yet then."""
     edge_epochs: int | None = None
     """The same of an edge, whose model teaches the cloud (paper Sec. IV-B: 10)."""
     refine_epochs: int = 8
     """How often a device shows each of its photographs to the joined scene in a round, at most (see
     `hierarchy.refining_plan.MAX_STEPS`); 0: not at all."""
     refine_rounds: int | None = None
-    """How often devices refine the scene, each time the mean of what all of them made of it before;
-    the scene travels down and what changed in it up in each. None: by how often a training showed
-    each photograph (`hierarchy.refining_plan.choose_rounds`)."""
+    """How often devices refine the scene, each time from somewhat beyond the mean of what all of them
+    made of it before; the scene travels down and what changed in it up in each. None: by how often a training showed
+    each photograph (`NUM_ROUNDS`)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
@@ -84,16 +89,25 @@ class AggregateConfig:
     @property
     def epochs_at_edges(self) -> int:
         """How often an edge shows each synthetic view."""
-        return self.edge_epochs or self._epochs[0]
+        return self.edge_epochs or JOINING_EPOCHS[0]
 
     @property
     def epochs_at_cloud(self) -> int:
         """The same of the cloud."""
-        return self.num_epochs or self._epochs[1]
+        return self.num_epochs or JOINING_EPOCHS[1]
 
-    @property
-    def _epochs(self) -> tuple[int, int]:
-        return BEFORE_REFINING if self.refine_epochs else JOINED_ALONE
+    def rounds_after(self, photograph_shows: float) -> int:
+        """In how many rounds devices refine after trainings that show each photograph so often:
+        they go on with what trainings have not finished, and after long ones the first round has
+        nearly all that there is."""
+        return self.refine_rounds or next((number for shows, number in sorted(NUM_ROUNDS.items()) if photograph_shows < shows), 1)
+
+    def joining_after(self, photograph_shows: float) -> AggregateConfig:
+        """The settings with the epochs of joining after such trainings."""
+        if not self.refine_epochs or photograph_shows >= ENOUGH_SHOWS:
+            return self
+        edges, cloud = SHORT_EPOCHS
+        return replace(self, edge_epochs=self.edge_epochs or edges, num_epochs=self.num_epochs or cloud)
 
 
 def aggregate_preset(name: str) -> AggregateConfig:

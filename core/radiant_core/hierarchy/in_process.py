@@ -107,10 +107,10 @@ def _refine(
         return joined
     refiner = _Refiner(recipe=recipe, devices=refining, scene=scene, views=views, reporter_of=reporter_of)
     sent: dict[str, Refinement] = {}
-    start = splats
+    start, kept = splats, None
     for number in range(1, choose_rounds(recipe) + 1):
-        splats, sent_now = refiner.refine(start, number)
-        start = start_of_next_round(start, splats)
+        splats, sent_now = refiner.refine(start, number, kept)
+        start, kept = start_of_next_round(start, splats), splats
         sent |= sent_now
     return replace(joined, scene=replace(joined.scene, splats=splats), refinements=sent)
 
@@ -126,8 +126,9 @@ class _Refiner:
     views: TrainingViews
     reporter_of: Callable[[str], Reporter]
 
-    def refine(self, splats: Splats, number: int) -> tuple[Splats, dict[str, Refinement]]:
-        """The scene after a round, and what nodes sent in it."""
+    def refine(self, splats: Splats, number: int, kept: Splats | None = None) -> tuple[Splats, dict[str, Refinement]]:
+        """The scene after a round that starts from `splats`, and what nodes sent in it; `kept`: what
+        the round before made."""
         sent: dict[str, Refinement] = {}
 
         def send(node: str, refinement: Refinement) -> list[Refinement]:
@@ -147,7 +148,7 @@ class _Refiner:
             by_edge += [admit_refinement(each, splats) for each in send(node, join_refinements(admitted, splats))]
         reporter = self.reporter_of(refined_at("cloud", number))
         reporter.decide(refinement_decision(reporter.stage, [len(each.rows) for each in by_edge], splats))
-        return refine_scene(splats, by_edge), sent
+        return refine_scene(splats, by_edge, kept), sent
 
     def _refine_device(self, device: str, splats: Splats, number: int) -> Refinement:
         rows, recipe = self.recipe.cameras_of(device), self.recipe

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from radiant_core.aggregate.averaging import average_bytes
+from radiant_core.aggregate.config import ENOUGH_SHOWS, NUM_ROUNDS
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.recipe import Recipe
@@ -19,10 +20,6 @@ LEAST_DEVICES = 2
 MAX_STEPS = 200
 """Devices that take many steps between two means drift apart (docs/experiments/aggregation.md): no
 more than were measured to gain, but each photograph once."""
-NUM_ROUNDS = {30: 5, 75: 3}
-"""Rounds of refining where a training shows each photograph less often than that; one where it shows
-it more often, so that a second one gains less than its time is worth (docs/experiments/aggregation.md)."""
-ENOUGH_SHOWS = max(NUM_ROUNDS)
 STAGE = refined_at("cloud")
 
 
@@ -66,14 +63,8 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
 
 
 def choose_rounds(recipe: Recipe) -> int:
-    """In how many rounds devices refine a scene: they go on with what trainings have not finished,
-    and after trainings that showed each photograph often the first has nearly all that there is."""
-    return recipe.aggregate.refine_rounds or rounds_after(recipe.photograph_shows)
-
-
-def rounds_after(photograph_shows: float) -> int:
-    """The same for trainings that showed each photograph so often, where no number is given."""
-    return next((number for shows, number in sorted(NUM_ROUNDS.items()) if photograph_shows < shows), 1)
+    """In how many rounds devices refine a scene."""
+    return recipe.aggregate.rounds_after(recipe.photograph_shows)
 
 
 def refining_steps(epochs: int, num_views: int) -> int:
@@ -89,7 +80,8 @@ def _rounds(recipe: Recipe) -> Decision:
         choice=f"devices refine the scene in {number} {'round' if number == 1 else 'rounds'}",
         figure=recipe.photograph_shows,
         unit="times a training shows each photograph",
-        reason=f"from {ENOUGH_SHOWS} on a second and a third round gained −0.1 to +0.1 dB",
+        reason=f"from {ENOUGH_SHOWS} on a second and a third round gained −0.1 to +0.1 dB, below {min(NUM_ROUNDS)} a fourth and a fifth"
+        " still gain",
         forced=recipe.aggregate.refine_rounds is not None,
     )
 

@@ -12,6 +12,7 @@ log g = 0. A photograph with fewer than `MIN_SHARED` shared places is not known.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -227,7 +228,7 @@ class _Brightness:
     place: NDArray[np.int64]
     logs: FloatArray
 
-    @property
+    @cached_property
     def of_place(self) -> sparse.csr_matrix:
         """(T, P), 1 where an observation is of a place."""
         count = len(self.place)

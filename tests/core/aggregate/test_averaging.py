@@ -55,6 +55,26 @@ def test_the_next_round_starts_beyond_the_mean() -> None:
         np.testing.assert_array_equal(start.select(others).arrays()[name], array)
 
 
+def test_what_nobody_refines_in_a_round_is_the_mean_of_the_one_before() -> None:
+    first = refine_scene(SCENE, [refined([1, 5], 0.4)])
+    start = start_of_next_round(SCENE, first)
+    part = start.select(np.array([5]))
+    second = Refinement(rows=np.array([5]), splats=replace(part, sh0=part.sh0 - 0.1), weights=np.ones(1, np.float32))
+    change = (refine_scene(start, [second], first).sh0 - SCENE.sh0)[:, 0, 0]
+    np.testing.assert_allclose(change[[1, 5, 7]], [0.4, 0.4 * averaging.SERVER_RATE - 0.1, 0.0], atol=1e-6)
+    nothing = refine_scene(start, [], first)
+    assert all((nothing.arrays()[name] == array).all() for name, array in first.arrays().items())
+
+
+@pytest.mark.parametrize(("name", "limit"), [("means", 1e6), ("sh0", 50.0), ("log_scales", 12.0)])
+def test_what_is_made_of_the_next_start_can_be_sent(name: str, limit: float) -> None:
+    edge = replace(SCENE, **{name: np.full_like(SCENE.arrays()[name], np.float32(0.999 * limit))})
+    made = replace(edge, **{name: np.full_like(SCENE.arrays()[name], np.float32(limit))})
+    start = start_of_next_round(edge, made)
+    whole = Refinement(rows=np.arange(len(start)), splats=start, weights=np.full(len(start), 1e-3, np.float32))
+    assert refinement_problem(whole, start) is None
+
+
 def test_the_next_round_of_huge_values_is_finite() -> None:
     huge = np.float32(3e38)
     far, moved = (replace(SCENE, means=np.full_like(SCENE.means, sign * huge)) for sign in (-1, 1))

@@ -87,8 +87,8 @@ def test_an_edge_shows_each_view_as_often_as_its_own_epochs_say_whatever_the_clo
     models = {name: device_models()[name] for name in "ab"}
     for config in (AGGREGATE, replace(AGGREGATE, cloud="crop_merge"), replace(AGGREGATE, num_epochs=9)):
         assert join_edge(edge_task("a", "b", aggregate=config), models, Recorder()).summary["num_steps"] == 4 * AGGREGATE.epochs_at_edges
-    twice = join_edge(edge_task("a", "b", aggregate=replace(AGGREGATE, edge_epochs=2)), models, Recorder())
-    assert twice.summary["num_steps"] == 8
+    thrice = join_edge(edge_task("a", "b", aggregate=replace(AGGREGATE, edge_epochs=3)), models, Recorder())
+    assert thrice.summary["num_steps"] == 12
 
 
 def test_where_the_pictures_lie_changes_no_bit(tmp_path: Path) -> None:
