@@ -28,7 +28,7 @@ from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.splats import Splats
 
 REFINED_SCENE, NEXT_SCENE = "refined/scene.ply", "refined/next/scene.ply"
-"""What the cloud writes in the folder of a round: the scene, and from where the next round starts."""
+"""What the cloud writes in the folder of a round: the scene, and where the next round starts."""
 KEPT_SCENE = "kept/scene.ply"
 """What the round before made, in the cloud's folder of a round from the second on."""
 MIN_ADMITTED = 0.9

@@ -16,8 +16,8 @@ JOINING_EPOCHS, SHORT_EPOCHS = (10, 5), (2, 2)
 """Epochs at the edges and at the cloud, and where several rounds of refining follow, which do the
 rest better (docs/experiments/aggregation.md)."""
 NUM_ROUNDS = {30: 5, 75: 3}
-"""Rounds of refining where a training shows each photograph less often than that; one where it shows
-it more often, so that a second one gains less than its time is worth (the same page)."""
+"""Rounds of refining where a training shows each photograph less often than that; one where it
+shows it more often: a second one then gains less than its time is worth (the same page)."""
 ENOUGH_SHOWS = max(NUM_ROUNDS)
 MAX_ROUNDS = 99
 
@@ -38,9 +38,9 @@ class AggregateConfig:
     """How often a device shows each of its photographs to the joined scene in a round, at most (see
     `hierarchy.refining_plan.MAX_STEPS`); 0: not at all."""
     refine_rounds: int | None = None
-    """How often devices refine the scene, each time from somewhat beyond the mean of what all of them
-    made of it before; the scene travels down and what changed in it up in each. None: by how often a training showed
-    each photograph (`NUM_ROUNDS`)."""
+    """How often devices refine the scene, each time from somewhat beyond the mean of what all of
+    them made of it before; the scene travels down and what changed in it up in each. None: by how
+    often a training showed each photograph (`NUM_ROUNDS`)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False

@@ -21,8 +21,8 @@ from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_C0, Splats
 
 SHARES_SIDE_PX = 256
-"""Longest side of the pictures in which shares are counted: it bounds what an edge renders, and what
-is averaged by them is as good as by pictures of 640 px (docs/experiments/aggregation.md)."""
+"""Longest side of the pictures in which shares are counted: it bounds what an edge renders; means
+by larger ones were no better (docs/experiments/aggregation.md)."""
 
 
 def count_shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:

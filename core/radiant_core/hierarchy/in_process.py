@@ -127,8 +127,8 @@ class _Refiner:
     reporter_of: Callable[[str], Reporter]
 
     def refine(self, splats: Splats, number: int, kept: Splats | None = None) -> tuple[Splats, dict[str, Refinement]]:
-        """The scene after a round that starts from `splats`, and what nodes sent in it; `kept`: what
-        the round before made."""
+        """The scene after a round that starts from `splats`, and what nodes sent in it; `kept`: the
+        scene that the round before made."""
         sent: dict[str, Refinement] = {}
 
         def send(node: str, refinement: Refinement) -> list[Refinement]:
