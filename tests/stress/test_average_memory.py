@@ -39,6 +39,7 @@ for index in range(num_senders):
     save_cameras(folder / "inbox" / f"s{index}" / "cameras.safetensors", cameras_above([(0.0, 0.0), (0.1, 0.0)], size_wh=(4000, 3000)))
 """
 AVERAGE = """
+import shutil
 import sys
 from pathlib import Path
 from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
@@ -53,6 +54,9 @@ shown = {"backend": "native", "long_side_px": 4000}
 reporter = EventReporter(stage="x", emit=lambda event: None)
 reset_peak_bytes()
 if kind == "finish":
+    (folder / "refine/kept").mkdir(exist_ok=True)
+    shutil.copyfile(folder / "refine/scene.ply", folder / "refine/kept/scene.ply")
+    reset_peak_bytes()
     run_finish(folder / "refine", FinishTask(**common, another_round=True), reporter)
 else:
     run_average(folder / "refine", AverageTask(**common, corrections=((),) * num_senders, upload="float16", **shown), reporter)
