@@ -12,9 +12,9 @@ AggregatePreset = Literal["default", "paper"]
 the cloud, nothing skipped (paper Sec. III-D)."""
 
 MAX_TILES = 256
-JOINING_EPOCHS, SHORT_EPOCHS = (10, 5), (2, 2)
-"""Epochs at the edges and at the cloud, and where several rounds of refining follow, which do the
-rest better (docs/experiments/aggregation.md)."""
+JOINING_EPOCHS, SHORT_EPOCHS, SHORT_BELOW = (10, 5), (2, 2), 50
+"""Epochs at the edges and at the cloud, and where refining follows on trainings that show each
+photograph less often than that, which does the rest as well (docs/experiments/aggregation.md)."""
 NUM_ROUNDS = {30: 5, 75: 3}
 """Rounds of refining where a training shows each photograph less often than that; one where it
 shows it more often: a second one then gains less than its time is worth (the same page)."""
@@ -30,8 +30,8 @@ class AggregateConfig:
     """default: models fade where others own the place and are fitted; paper: all are retrained."""
     num_epochs: int | None = None
     """How often the cloud shows each synthetic view (paper Sec. IV-B: 10). None: as in
-    `JOINING_EPOCHS`, or in `SHORT_EPOCHS` where devices are to refine what was joined in several
-    rounds; whether too little memory or too few devices keep them from it is not known yet then."""
+    `JOINING_EPOCHS`, or in `SHORT_EPOCHS` where devices are to refine what was joined after short
+    trainings; whether memory or too few devices keep them from it is not known yet then."""
     edge_epochs: int | None = None
     """The same of an edge, whose model teaches the cloud (paper Sec. IV-B: 10)."""
     refine_epochs: int = 8
@@ -104,7 +104,7 @@ class AggregateConfig:
 
     def joining_after(self, photograph_shows: float) -> AggregateConfig:
         """The settings with the epochs of joining after such trainings."""
-        if not self.refine_epochs or photograph_shows >= ENOUGH_SHOWS:
+        if not self.refine_epochs or photograph_shows >= SHORT_BELOW:
             return self
         edges, cloud = SHORT_EPOCHS
         return replace(self, edge_epochs=self.edge_epochs or edges, num_epochs=self.num_epochs or cloud)

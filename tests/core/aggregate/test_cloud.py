@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs
-from radiant_core.aggregate.config import ENOUGH_SHOWS, AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import SHORT_BELOW, AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.join_memory import JoinMemory, join_bytes, plan_join_memory
@@ -145,7 +145,7 @@ class TestPaperAggregation:
         with pytest.raises(BadInput, match="default, paper"):
             aggregate_preset("papers")
 
-    def test_epochs_are_fewer_where_devices_refine_in_several_rounds(self) -> None:
+    def test_epochs_are_fewer_where_devices_refine_after_short_trainings(self) -> None:
         ours, alone, asked = AggregateConfig(), AggregateConfig(refine_epochs=0), AggregateConfig(edge_epochs=7, num_epochs=3)
         for config, short, long in (
             (ours, (2, 2), (10, 5)),
@@ -154,7 +154,7 @@ class TestPaperAggregation:
             (aggregate_preset("paper"), (10, 10), (10, 10)),
         ):
             assert (config.epochs_at_edges, config.epochs_at_cloud) == long
-            for shows, expected in ((20, short), (ENOUGH_SHOWS - 1, short), (ENOUGH_SHOWS, long), (float("inf"), long)):
+            for shows, expected in ((20, short), (SHORT_BELOW - 1, short), (SHORT_BELOW, long), (float("inf"), long)):
                 joining = config.joining_after(shows)
                 assert (joining.epochs_at_edges, joining.epochs_at_cloud, joining.at_edge.epochs_at_cloud) == (*expected, expected[0])
         assert [ours.rounds_after(shows) for shows in (20, 40, 100)] == [5, 3, 1]
