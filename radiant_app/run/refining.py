@@ -129,7 +129,7 @@ class Refining:
     number: int = 1
     """Of the round, from 1."""
     before: Refining | None = None
-    """The round before, whose scene this one refines."""
+    """The round before, which says where this one starts."""
 
     @cached_property
     def plan(self) -> RefiningPlan:

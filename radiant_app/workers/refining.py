@@ -92,9 +92,9 @@ def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Seque
             counts.append(len((kept := admit_refinement(each, scene)).rows))
             yield kept
 
-    kept = load_ply(folder / KEPT_SCENE) if (folder / KEPT_SCENE).is_file() else None
-    refined = refine_scene(scene, admitted(), kept)
-    del kept
+    made_before = load_ply(folder / KEPT_SCENE) if (folder / KEPT_SCENE).is_file() else None
+    refined = refine_scene(scene, admitted(), made_before)
+    del made_before
     reporter.decide(refinement_decision(reporter.stage, counts, scene))
     write_json(folder / REFUSED_NAME, refused)
     made = {REFINED_SCENE: refined} | ({NEXT_SCENE: start_of_next_round(scene, refined)} if task.another_round else {})
