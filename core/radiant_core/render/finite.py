@@ -5,6 +5,9 @@ By native threads on the CPU: torch's would spin on and take a core from the ras
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -13,14 +16,28 @@ from torch import Tensor
 from radiant_core import _native
 
 
-def not_finite(tensor: Tensor, visible: Tensor | None = None, runs: NDArray[np.int32] | None = None) -> tuple[int, tuple[int, ...]]:
-    """How many values are NaN or infinite and the index of the first; (0, ()) where none is.
+def first_not_finite(
+    tensors: Mapping[str, Tensor], visible: Tensor | None = None, runs: NDArray[np.int32] | None = None
+) -> tuple[str, int, tuple[int, ...]] | None:
+    """The first of `tensors` that holds NaN or infinite values: its name, how many, and the index
+    of the first; None where all are finite.
 
     `visible` (N,) limits this to its rows; `runs` are the same as (R,2) from
     `_native.visible_runs`, needed on the CPU.
     """
-    tensor = tensor.detach()
-    if tensor.device.type == "cpu" and tensor.dtype == torch.float32 and tensor.ndim:
+    # What is not finite stays so in a sum: one wait for the GPU instead of one for each tensor.
+    there = {name: tensor for name, tensor in tensors.items() if tensor.device.type != "cpu"}
+    if there and math.isfinite(float(torch.stack([tensor.detach().sum() for tensor in there.values()]).sum())):
+        tensors = {name: tensor for name, tensor in tensors.items() if name not in there}
+    for name, tensor in tensors.items():
+        count, first = _not_finite(tensor.detach(), visible, runs)
+        if count:
+            return name, count, first
+    return None
+
+
+def _not_finite(tensor: Tensor, visible: Tensor | None, runs: NDArray[np.int32] | None) -> tuple[int, tuple[int, ...]]:
+    if _is_native(tensor):
         count, *first = _native.find_not_finite(tensor.contiguous(), runs, torch.get_num_threads())
         return count, tuple(first)
     bad = ~torch.isfinite(tensor)
@@ -28,3 +45,7 @@ def not_finite(tensor: Tensor, visible: Tensor | None = None, runs: NDArray[np.i
         bad &= visible.view(-1, *(1 for _ in tensor.shape[1:]))
     count = int(bad.sum())
     return count, tuple(bad.nonzero()[0].tolist()) if count else ()
+
+
+def _is_native(tensor: Tensor) -> bool:
+    return tensor.device.type == "cpu" and tensor.dtype == torch.float32 and tensor.ndim > 0

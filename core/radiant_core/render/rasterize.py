@@ -9,7 +9,7 @@ from torch import Tensor
 
 from radiant_core.errors import BadInput
 from radiant_core.render.contract import Backend, Renderer, RenderOutput, SplatTensors, ViewOptions
-from radiant_core.render.finite import not_finite
+from radiant_core.render.finite import first_not_finite
 from radiant_core.render.gsplat_backend import missing_for_gsplat, rasterize_gsplat
 from radiant_core.render.native_backend import rasterize_native
 from radiant_core.render.torch_reference import rasterize_reference
@@ -58,7 +58,7 @@ def rasterize(
         far_m=min(far_m, MAX_FAR_M),
         antialiased=splats.antialiased if antialiased is None else antialiased,
         absgrad=absgrad,
-        background=(torch.zeros(3) if background is None else background).to(splats.means.device),
+        background=torch.zeros(3, device=splats.means.device) if background is None else background.to(splats.means.device),
     )
     _check(splats, viewmats, Ks, view)
     if backend == "auto":
@@ -103,8 +103,13 @@ def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions
         "Ks": (cameras, 3, 3),
         "background": (3,),
     }
-    for name, tensor in {**splats.tensors(), "viewmats": viewmats, "Ks": Ks, "background": view.background}.items():
-        _check_tensor(name, tensor, shapes[name])
+    tensors = {**splats.tensors(), "viewmats": viewmats, "Ks": Ks, "background": view.background}
+    for name, tensor in tensors.items():
+        _check_type(name, tensor, shapes[name])
+    found = first_not_finite(tensors)
+    if found is not None:
+        name, count, first = found
+        raise BadInput(f"{name} has {count} values that are not finite, the first at index {first}: remove them first.")
     if not 0 <= view.sh_degree <= 3 or SH_BASES[view.sh_degree] > bases + 1:
         raise BadInput(f"sh_degree is {view.sh_degree} but shN has {bases} bases: use a degree these bases can hold.")
     if not (1 <= view.width <= MAX_SIDE_PX and 1 <= view.height <= MAX_SIDE_PX):
@@ -122,14 +127,11 @@ def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions
         raise BadInput("Ks has another form than [fx 0 cx; 0 fy cy; 0 0 1] with fx, fy > 0: undistort to pinhole cameras first.")
 
 
-def _check_tensor(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
+def _check_type(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
     if tuple(tensor.shape) != shape:
         raise BadInput(f"{name} has shape {tuple(tensor.shape)}, expected {shape}: check which tensor was passed.")
     if not tensor.is_floating_point():
         raise BadInput(f"{name} is {tensor.dtype}, expected float32 or float64: convert it.")
-    count, first = not_finite(tensor)
-    if count:
-        raise BadInput(f"{name} has {count} values that are not finite, the first at index {first}: remove them first.")
 
 
 def _is_rigid(pose: list[float]) -> bool:

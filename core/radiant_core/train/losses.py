@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-_SIGMA_PX, _RADIUS_PX = 1.5, 5
+_SIGMA_PX, RADIUS_PX = 1.5, 5
 
 
 def weighted_loss(image: Tensor, target: Tensor, weights: Tensor | None, ssim_weight: float) -> Tensor:
@@ -32,9 +32,14 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     return (luminance * structure)[:, 0].permute(1, 2, 0)
 
 
+def window(dtype: torch.dtype) -> Tensor:
+    """The 11 weights (11) of SSIM's window along one axis; they add up to 1."""
+    offsets = torch.arange(-RADIUS_PX, RADIUS_PX + 1, dtype=torch.float64)
+    weights = torch.exp(-0.5 * (offsets / _SIGMA_PX) ** 2)
+    return (weights / weights.sum()).to(dtype)
+
+
 def _blur(planes: Tensor) -> Tensor:
-    offsets = torch.arange(-_RADIUS_PX, _RADIUS_PX + 1).to(planes)
-    kernel = torch.exp(-0.5 * (offsets / _SIGMA_PX) ** 2)
-    kernel = kernel / kernel.sum()
-    across = conv2d(planes, kernel[None, None, None, :], padding=(0, _RADIUS_PX))
-    return conv2d(across, kernel[None, None, :, None], padding=(_RADIUS_PX, 0))
+    kernel = window(planes.dtype).to(planes.device)
+    across = conv2d(planes, kernel[None, None, None, :], padding=(0, RADIUS_PX))
+    return conv2d(across, kernel[None, None, :, None], padding=(RADIUS_PX, 0))

@@ -1,4 +1,5 @@
-"""The training loss in C++ for float32 on the CPU; `losses.py` in float64 is its plain twin.
+"""The training loss against one target, in C++ on the CPU and by `device_loss.py` elsewhere;
+`losses.py` in float64 is the plain twin of both.
 
     TargetStatistics: blur(y), blur(y²) − blur(y)²    once per target, beyond the budget per step
     target_loss:      (1 − λ) L1 + λ (1 − SSIM)       once per step; with it the gradient
@@ -22,10 +23,13 @@ from torch.autograd.function import once_differentiable
 
 from radiant_core import _native
 from radiant_core.errors import BadInput
+from radiant_core.train.device_loss import device_loss, device_statistics
 from radiant_core.train.losses import weighted_loss
 
 STATISTICS_BUDGET_BYTES = 1 << 30
 """Memory for kept statistics, 36 bytes a pixel; without them the loss takes 1.8 times as long."""
+VRAM_SHARE = 0.1
+"""Share of a GPU's free memory for them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,11 +45,14 @@ class TargetStatistics:
 
     @staticmethod
     def of(target: Tensor) -> TargetStatistics:
-        """Statistics of a target on the CPU, taken to float32. Raises BadInput for a shape other
-        than (H,W,3), for integers, and for values that are not finite or beyond 2e18."""
+        """Statistics of a target, taken to float32, on its own device. Raises BadInput for a shape
+        other than (H,W,3), for integers, and on the CPU for values not finite or beyond 2e18."""
         if not target.is_floating_point():
             raise BadInput(f"target is {target.dtype}, expected floating numbers in 0..1: divide bytes by 255.")
         target = target.detach().to(torch.float32).contiguous()
+        if target.device.type != "cpu":
+            means, variances = device_statistics(target)
+            return TargetStatistics(target=target, means=means, variances=variances)
         means, variances = torch.empty_like(target), torch.empty_like(target)
         with _as_bad_input():
             _native.target_statistics(target, means, variances, torch.get_num_threads())
@@ -60,15 +67,17 @@ class StatisticsCache:
     """Statistics by view; the first that fit into the budget stay: views come in a new order every
     epoch, so dropping the oldest would drop each of them just before its turn."""
 
-    def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES) -> None:
-        self._free_bytes = budget_bytes
+    def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES, device: str = "cpu") -> None:
+        """`budget_bytes` in main memory; on a GPU at most `VRAM_SHARE` of what is free there."""
+        self._free_bytes = budget_bytes if device == "cpu" else min(budget_bytes, int(VRAM_SHARE * torch.cuda.mem_get_info()[0]))
+        self._device = device
         self._kept: dict[int, TargetStatistics] = {}
 
     def get(self, view: int, load: Callable[[], Tensor]) -> TargetStatistics:
         """The statistics of `view`, whose target `load` gives when they are not kept."""
         if view in self._kept:
             return self._kept[view]
-        statistics = TargetStatistics.of(load())
+        statistics = TargetStatistics.of(load().to(self._device))
         if statistics.num_bytes <= self._free_bytes:
             self._free_bytes -= statistics.num_bytes
             self._kept[view] = statistics
@@ -76,16 +85,21 @@ class StatisticsCache:
 
 
 def target_loss(image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float) -> Tensor:
-    """`weighted_loss` of image and `statistics.target`, on the CPU in float32 by the native kernel,
-    else by torch. Raises BadInput naming tensor, count and first index of values that are not
-    finite or beyond 2e18 and of negative weights, and for an ssim_weight outside 0..1."""
+    """`weighted_loss` of image and `statistics.target`. Raises BadInput for an ssim_weight outside
+    0..1 and, on the CPU in float32, naming tensor, count and first index of values that are not
+    finite or beyond 2e18 and of negative weights; elsewhere what is not finite is so in the loss.
+    """
     if not 0 <= ssim_weight <= 1:
         raise BadInput(f"ssim_weight is {ssim_weight}, expected 0 to 1: it is SSIM's share of the loss.")
     if image.device.type == "cpu" and image.dtype == torch.float32:
         wanted = torch.is_grad_enabled() and image.requires_grad
         loss: Tensor = _NativeLoss.apply(image, statistics, weights, ssim_weight, wanted)
         return loss
-    return weighted_loss(image, statistics.target.to(image), None if weights is None else weights.to(image), ssim_weight)
+    weights = None if weights is None else weights.to(image)
+    if image.dtype != torch.float32:
+        return weighted_loss(image, statistics.target.to(image), weights, ssim_weight)
+    target, means, variances = (tensor.to(image) for tensor in (statistics.target, statistics.means, statistics.variances))
+    return device_loss(image, (target, means, variances), weights, ssim_weight)
 
 
 class _NativeLoss(torch.autograd.Function):

@@ -9,8 +9,11 @@ one seen at once. Rows that were not seen keep value, moments and count. Gradien
 ±1e18, so that their squares and v stay finite in float32.
 """
 
+# torch documents its operations on lists of tensors, but does not export them.
+# pyright: reportPrivateImportUsage=false
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +25,7 @@ from torch import Tensor
 
 from radiant_core import _native
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.render.finite import not_finite
+from radiant_core.render.finite import first_not_finite
 
 _BETA1, _BETA2 = 0.9, 0.999
 _MAX_GRADIENT = 1e18
@@ -158,15 +161,17 @@ class SelectiveAdam:
             runs = _native.visible_runs(visible.contiguous(), row_steps)
         elif visible is not None:
             row_steps = row_steps + visible
-        for name, gradient in gradients.items():
-            _require_finite(name, gradient, visible, runs)
+        _require_finite(gradients, visible, runs)
         self._step, self._row_steps = self._step + 1, row_steps
-        for name, gradient in gradients.items():
-            group = self._groups[name]
-            if _is_native(group.tensor):
-                self._step_natively(group, gradient, runs)
-            else:
-                self._step_in_torch(group, gradient, visible)
+        natively = {name: gradient for name, gradient in gradients.items() if _is_native(self._groups[name].tensor)}
+        for name, gradient in natively.items():
+            self._step_natively(self._groups[name], gradient, runs)
+        rest = [(self._groups[name], gradient) for name, gradient in gradients.items() if name not in natively]
+        if visible is None and rest:
+            self._step_together([group for group, _ in rest], [gradient for _, gradient in rest])
+        elif visible is not None:
+            for group, gradient in rest:
+                self._step_rows(group, gradient, visible)
 
     def _step_natively(self, group: _Group, gradient: Tensor, runs: NDArray[np.int32] | None) -> None:
         # Autograd does not see what the kernel writes: by the new version it refuses an old graph.
@@ -188,10 +193,24 @@ class SelectiveAdam:
             torch.get_num_threads(),
         )
 
-    def _step_in_torch(self, group: _Group, gradient: Tensor, visible: Tensor | None) -> None:
-        rows = slice(None) if visible is None else visible
-        steps = torch.full_like(self._row_steps, self._step) if visible is None else self._row_steps
-        at = steps[rows].clamp_max(len(self._first_factors)).long() - 1
+    def _step_together(self, groups: list[_Group], gradients: list[Tensor]) -> None:
+        """All rows of all tensors by torch's operations on lists: on a GPU one launch each, where a
+        launch takes longer than its arithmetic."""
+        first, second = (float(factors[min(self._step, len(factors)) - 1]) for factors in _bias_factors())
+        tensors = [group.tensor for group in groups]
+        m, v = [group.first_moments for group in groups], [group.second_moments for group in groups]
+        g = torch._foreach_clamp_max(gradients, _MAX_GRADIENT)
+        torch._foreach_clamp_min_(g, -_MAX_GRADIENT)
+        torch._foreach_lerp_(m, g, 1 - _BETA1)
+        torch._foreach_mul_(v, _BETA2)
+        torch._foreach_addcmul_(v, g, g, 1 - _BETA2)
+        root = torch._foreach_sqrt(v)
+        torch._foreach_mul_(root, second)
+        torch._foreach_add_(root, self._eps)
+        torch._foreach_addcdiv_(tensors, m, root, [-group.rate * first for group in groups])
+
+    def _step_rows(self, group: _Group, gradient: Tensor, rows: Tensor) -> None:
+        at = self._row_steps[rows].clamp_max(len(self._first_factors)).long() - 1
         shape = (-1, *(1 for _ in gradient.shape[1:]))
         g = gradient[rows].clamp(-_MAX_GRADIENT, _MAX_GRADIENT)
         m = group.first_moments[rows].lerp(g, 1 - _BETA1)
@@ -210,6 +229,7 @@ def _require_rate(name: str, rate: float | None) -> None:
         raise BadInput(f"the learning rate of {name} is {rate}, expected above 0 and finite: leave out tensors that keep still.")
 
 
+@functools.cache
 def _bias_factors() -> tuple[Tensor, Tensor]:
     """1 / (1 − β₁ᵗ), 1 / √(1 − β₂ᵗ) float32 (T,) for t = 1 … T, at and after which both are 1."""
     steps = np.arange(1, math.ceil(math.log(2.0**-26) / math.log(_BETA2)) + 1)
@@ -217,9 +237,10 @@ def _bias_factors() -> tuple[Tensor, Tensor]:
     return torch.from_numpy(factors[0].astype(np.float32)), torch.from_numpy(factors[1].astype(np.float32))
 
 
-def _require_finite(name: str, gradient: Tensor, visible: Tensor | None, runs: NDArray[np.int32] | None) -> None:
-    count, first = not_finite(gradient, visible, runs)
-    if count:
+def _require_finite(gradients: Mapping[str, Tensor], visible: Tensor | None, runs: NDArray[np.int32] | None) -> None:
+    found = first_not_finite(gradients, visible, runs)
+    if found is not None:
+        name, count, first = found
         raise StageFailed(
             f"training: the gradient of {name} has {count} values that are not finite, the first at index {first}: nothing was "
             "changed by this step; lower the learning rates or check the photographs."

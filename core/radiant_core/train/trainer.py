@@ -135,7 +135,8 @@ class Training:
         self._config, self._options = config, options
         self._full, self._views = views, views
         self._extent = camera_extent(views.cameras)
-        self._splats = SplatTensors.from_splats(initial, device=device_of(resolve_backend(options.backend)))
+        self._device = device_of(resolve_backend(options.backend))
+        self._splats = SplatTensors.from_splats(initial, device=self._device)
         self._optimizer, self._rates = self._new_optimizer()
         self._parts = training_parts(self._splats, views, config, options)
         self._losses: list[float] = []
@@ -246,7 +247,7 @@ class Training:
         self._views = self._full if scale == 1 else self._full.scaled(scale)
         cameras = self._views.cameras
         self._viewmats, self._Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
-        self._statistics = StatisticsCache(self._options.statistics_bytes)
+        self._statistics = StatisticsCache(self._options.statistics_bytes, self._device)
 
     def _progress_after(self, num_steps: int) -> float:
         share = num_steps / self._config.num_steps
@@ -269,7 +270,7 @@ class Training:
     def _fit_view(self, moment: Moment) -> float:
         """Render, compare, step; the loss. StageFailed, with nothing changed, when not finite."""
         config, view, parts = self._config, moment.view, self._parts
-        target = self._statistics.get(view, lambda: _target(self._views, view))
+        target = self._statistics.get(view, lambda: _target(self._views, view, self._device))
         height, width = target.target.shape[:2]
         rendered = self._splats
         for part in parts:
@@ -402,8 +403,11 @@ def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: 
     return SelectiveAdam(tensors, moving), moving
 
 
-def _target(views: TrainingViews, view: int) -> Tensor:
-    return torch.from_numpy(views.images[view].astype(np.float32) / 255)
+def _target(views: TrainingViews, view: int, device: str) -> Tensor:
+    if device == "cpu":  # by numpy: see `render/finite.py`
+        return torch.from_numpy(views.images[view].astype(np.float32) / 255)
+    # As bytes to the GPU, a quarter of the way's load.
+    return torch.tensor(views.images[view], device=device).float() / 255
 
 
 def match_masked(image: Tensor, target: Tensor, weights: Tensor | None) -> Tensor:

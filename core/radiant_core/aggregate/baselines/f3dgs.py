@@ -106,7 +106,8 @@ def f3dgs(
 
 def fit_attributes(server: Splats, views: TrainingViews, train: TrainConfig, num_steps: int, number: int, options: FitOptions) -> Local:
     """A client's round: all attributes but the means, fitted to its photographs."""
-    splats = SplatTensors.from_splats(server, device=device_of(resolve_backend(options.backend)))
+    device = device_of(resolve_backend(options.backend))
+    splats = SplatTensors.from_splats(server, device=device)
     rates = {
         "quats": train.quats_lr,
         "log_scales": train.scales_lr,
@@ -117,7 +118,7 @@ def fit_attributes(server: Splats, views: TrainingViews, train: TrainConfig, num
     named = {name: tensor for name, tensor in splats.tensors().items() if name in ATTRIBUTES and tensor.numel()}
     adam = SelectiveAdam(named, rates)
     poses, Ks = torch.tensor(views.cameras.cam_from_world), torch.tensor(views.cameras.Ks)
-    statistics = StatisticsCache(options.statistics_bytes)
+    statistics = StatisticsCache(options.statistics_bytes, device)
     visible, pixels = np.zeros(len(server), np.int64), 0
     for step in range(num_steps):
         view = view_of_step(number * num_steps + step, len(views), train.seed)

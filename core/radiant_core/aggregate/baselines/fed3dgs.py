@@ -244,11 +244,12 @@ def _fit_opacities(
     merged: Splats, trained: NDArray[np.bool_], views: TrainingViews, config: Fed3dgsConfig, num_steps: int, options: FitOptions
 ) -> Splats:
     """`merged` (N) with the opacities of the `trained` ones (N,) fitted to `views`."""
-    splats = SplatTensors.from_splats(merged, device=device_of(resolve_backend(options.backend)))
+    device = device_of(resolve_backend(options.backend))
+    splats = SplatTensors.from_splats(merged, device=device)
     rows = torch.from_numpy(trained).to(splats.means.device)
     optimizer = SelectiveAdam({"logit_opacities": splats.logit_opacities}, {"logit_opacities": config.opacities_lr})
     poses, Ks = torch.tensor(views.cameras.cam_from_world), torch.tensor(views.cameras.Ks)
-    statistics = StatisticsCache(options.statistics_bytes)
+    statistics = StatisticsCache(options.statistics_bytes, device)
     losses: list[float] = []
     reported_s = options.clock()
     for step in range(num_steps):

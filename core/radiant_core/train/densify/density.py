@@ -232,7 +232,7 @@ class AdaptiveDensity(Part):
         with np.errstate(over="ignore", invalid="ignore"):
             length = (across * across + down * down) ** 0.5
             # A step whose gradient is not finite is not taken nor counted in the statistics.
-            length[~(length < math.inf)] = 0
+            _zero_not_finite(length)
             self._sums += length
         self._seen += visible
 
@@ -299,6 +299,13 @@ def _as_plain(tensor: Tensor) -> Any:
 
 def _to_numpy(array: Any) -> NDArray[Any]:
     return array if isinstance(array, np.ndarray) else array.cpu().numpy()
+
+
+def _zero_not_finite(lengths: Any) -> None:
+    if isinstance(lengths, np.ndarray):
+        lengths[~(lengths < math.inf)] = 0
+    else:  # by a mask, torch would wait for the GPU
+        lengths.nan_to_num_(nan=0.0, posinf=0.0)
 
 
 def _elementwise_maximum(first: Any, second: Any) -> Any:
