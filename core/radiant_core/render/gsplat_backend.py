@@ -2,7 +2,7 @@
 
 Its α_min, α_max, cut and low-pass filter are those of the contract. It culls a Gaussian by a box of
 its own, so pictures agree with the reference inside the frustum, up to pairs at a discrete
-decision. Once per image and training step.
+decision; `means2d` of what it culls are not written. Once per image and training step.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from radiant_core.errors import BadInput
 from radiant_core.render.contract import DILATION_PX2, RenderOutput, SplatTensors, ViewOptions
+from radiant_core.render.torch_reference import rasterize_reference
 
 INSTALL = "pip install -e '.[cuda]'"
 
@@ -45,6 +46,8 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
     BadInput where gsplat or CUDA is missing, for another type or device, and where the cameras ask
     for gradients."""
     _check_gsplat(splats, viewmats, Ks)
+    if not len(splats):  # gsplat 1.5.3 ends the process
+        return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 
     means = splats.means

@@ -220,8 +220,8 @@ def _tile_lists(projection: _Projection, tiles_x: int, tiles_y: int) -> tuple[Te
     last = torch.minimum(torch.maximum(((means2d + extents) / TILE_PX).floor(), zero), limit).long()
     spans = last - first + 1
     per_gaussian = spans.prod(-1)
-    owner = torch.repeat_interleave(torch.arange(len(order)), per_gaussian)
-    within = torch.arange(len(owner)) - torch.repeat_interleave(per_gaussian.cumsum(0) - per_gaussian, per_gaussian)
+    owner = torch.repeat_interleave(torch.arange(len(order), device=order.device), per_gaussian)
+    within = torch.arange(len(owner), device=owner.device) - torch.repeat_interleave(per_gaussian.cumsum(0) - per_gaussian, per_gaussian)
     tile_x = first[owner, 0] + within % spans[owner, 0]
     tile_y = first[owner, 1] + within // spans[owner, 0]
     tile = tile_y * tiles_x + tile_x
@@ -246,7 +246,7 @@ def _blocks_of_tiles(tile_order: Tensor, counts: Tensor) -> list[Tensor]:
 def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, starts: Tensor, counts: Tensor, centres: Tensor) -> Tensor:
     """Blend lists of Gaussians into tiles around `centres` (tiles,2) px: (tiles,P,F). ln α is
     quadratic in the pixel: all pairs come from one product of coefficients and monomials."""
-    slots = torch.arange(int(counts.max()))
+    slots = torch.arange(int(counts.max()), device=counts.device)
     present = slots < counts[:, None]
     chosen = lists[torch.where(present, starts[:, None] + slots, starts[:, None])]
     coefficients = _log_alpha_coefficients(projection, chosen, centres, present)
@@ -282,7 +282,7 @@ def _slopes(projection: _Projection, chosen: Tensor, centres: Tensor) -> Tensor:
 
 def _monomials(like: Tensor) -> Tensor:
     """(P, 6): 1, u, v, u², uv, v² of the pixel centres of a tile relative to its centre."""
-    inside = torch.arange(TILE_PX * TILE_PX)
+    inside = torch.arange(TILE_PX * TILE_PX, device=like.device)
     u = (inside % TILE_PX).to(like) + 0.5 - TILE_PX / 2
     v = (inside // TILE_PX).to(like) + 0.5 - TILE_PX / 2
     return torch.stack([torch.ones_like(u), u, v, u * u, u * v, v * v], dim=-1)

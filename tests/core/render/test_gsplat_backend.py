@@ -7,6 +7,7 @@ import sys
 import weakref
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -87,3 +88,25 @@ def _drawn_by_the_reference(
     pictures = torch.cat([output.images, output.depths[..., None]], dim=-1)
     radii = output.radii_px.ceil().int()[..., None].expand(-1, -1, 2)
     return pictures, output.alphas[..., None], {"means2d": output.means2d, "radii": radii}
+
+
+def test_the_reference_names_the_device_of_whatever_it_makes() -> None:
+    """It stands in for gsplat on CUDA. A factory that names no device would make a tensor on the
+    default one, which is "meta" here, and no operation takes that beside one of the CPU."""
+    tensors = SplatTensors.from_splats(gaussians.regular(60, bases=16))
+    leaves = [tensor.requires_grad_() for tensor in tensors.tensors().values()]
+    plain = render("reference", tensors)
+    cameras = gaussians.off_centre_cameras(48, 32, count=2, focal_px=40)
+    poses, Ks, background = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks), torch.tensor([0.1, 0.2, 0.3])
+    with torch.device("meta"):
+        there = rasterize(tensors, poses, Ks, 48, 32, sh_degree=2, background=background, backend="reference", absgrad=True)
+        there.images.sum().backward()
+    assert torch.equal(there.images, plain.images)
+    assert all(leaf.grad is not None and leaf.grad.device.type == "cpu" for leaf in leaves)
+
+
+def test_an_empty_model_is_not_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gsplat_backend, "_check_gsplat", lambda *_: None)
+    monkeypatch.setitem(sys.modules, "gsplat", None)  # type: ignore[arg-type]
+    output = render("gsplat", SplatTensors.from_splats(gaussians.regular(60, bases=16).select(np.zeros(0, int))))
+    torch.testing.assert_close(output.images, torch.tensor([0.1, 0.2, 0.3]).expand(2, 32, 48, 3))
