@@ -2,12 +2,10 @@
 
 A run without options: two edges with two devices each, `num_workers` processes at a time.
 
-    sfm(N) + ⌈4 / W⌉ (G + F) + ⌈2 / W⌉ F_m(N/2) + merge(N) + rounds (⌈4 / W⌉ (G + 2 F k / K) + 2 G)
+    sfm(N) + ⌈4 / W⌉ (G + F) + ⌈2 / W⌉ F_m(N/2) + merge(N) + rounds (⌈4 / W⌉ r + ⌈2 / W⌉ G + G / 2)
 
-seconds, with W workers, G and F of N/4 photographs, K steps of a training and k of a round of
-refining. Refining has no curve: a step of it took 1.0 to 2.1 times one of training, edges and cloud
-together twice what a device takes beside it (town and caliterra, 576 px). Scoring and the report
-come on top. Once per call.
+seconds, with W workers, G and F of N/4 photographs and r what `plan.timeline.refining` says of a
+device's round. Scoring and the report come on top. Once per call.
 """
 
 from __future__ import annotations
@@ -19,17 +17,15 @@ from pathlib import Path
 
 from radiant_app.config.run_config import ExecutionOptions
 from radiant_app.files.profile_file import load_profile
-from radiant_app.run.predictions import planned_training
+from radiant_app.run.predictions import planned_training, refining_law_of
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.plan.profiles.profile import Profile
+from radiant_core.plan.timeline.refining import AT_CLOUD, AT_EDGE, predict_round
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.memory import most_cameras
-from radiant_core.train.needs import Overrides, step_law_of
+from radiant_core.train.needs import Overrides
 
 NUM_DEVICES, NUM_EDGES = 4, 2
-REFINING_STEP = 2.0
-"""A step of refining by one of training: the scene is larger than a device's model."""
 FAR = 2.0
 """A curve is extrapolated beyond so many times the photographs it was measured with."""
 
@@ -97,10 +93,11 @@ def _stages(curves: Profile, train: TrainConfig, num_photographs: int, workers: 
             continue
         seconds = waves_of.get(stage, 1) * sum(float(fit.curve(count)) for fit in known)
         yield stage, seconds, any(count > FAR * fit.largest_count for fit in known)
-    steps = refining_steps(AggregateConfig().refine_epochs, per_device) / train.num_steps
+    law = refining_law_of(train, AggregateConfig(), num_photographs, NUM_DEVICES)
     beside_s, trained_s = (float(fit.curve(per_device)) for fit in (curves.init_s, curves.train_s))
-    round_s = waves_of["devices"] * (beside_s + REFINING_STEP * trained_s * steps) + 2 * beside_s
-    yield "refining", AggregateConfig().rounds_after(step_law_of(train, num_photographs, NUM_DEVICES).per_photograph) * round_s, False
+    device_s = predict_round(law, beside_s=beside_s, train_s=trained_s, num_photographs=per_device)
+    round_s = waves_of["devices"] * device_s + (waves_of["edges"] * AT_EDGE + AT_CLOUD) * beside_s
+    yield "refining", law.num_rounds * round_s, False
 
 
 def duration_text(seconds: float) -> str:

@@ -43,12 +43,14 @@ from radiant_app.run.predictions import (
     depends_on_training,
     planned_training,
     prediction_warnings,
+    refining_law_of,
     training_key_of,
     with_camera_limits,
     with_step_law,
 )
 from radiant_app.workers.regions import plan_from_raster
 from radiant_app.workers.sources import load_scene_of
+from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.choices import CutBy, PlanMethod
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -69,6 +71,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
+from radiant_core.plan.timeline.refining import predict_refining
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
@@ -147,6 +150,8 @@ class _Plan:
     cut: Decision | None = None
     """What a scene's regions are cut by; None for waypoints."""
     curve: tuple[SlackPoint, ...] = ()
+    refining_s: float | None = None
+    """From the joined scene to the refined one; None where the costs are not those of a training."""
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -282,12 +287,13 @@ def _points_seen(scene: SfmScene) -> FloatArray | None:
 def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     num_cameras = len(cameras.positions)
-    training, warnings = None, ()
+    training, law, warnings = None, None, ()
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
         training = training_key_of(train, request.train_preset)
         system = with_step_law(system, train, num_cameras)
         system, _, warnings = with_camera_limits(system, train, num_cameras)
+        law = refining_law_of(train, AggregateConfig(), num_cameras, len(system.devices))
     given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
     start, constraints = (None, None) if given is None else (given.start, given.constraints)
 
@@ -321,8 +327,16 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
     edges = split_edges(positions, cloud, system)
     if training is not None:
         warnings = (*warnings, *prediction_warnings(system, edges, training))
-    made = _Plan(cloud=replace(cloud, looks=looks), edges=edges, system=system, compared=compared, warnings=warnings, curve=curve)
-    return made if cut is None else replace(made, cut=cut.decision)
+    return _Plan(
+        cloud=replace(cloud, looks=looks),
+        edges=edges,
+        system=system,
+        compared=compared,
+        warnings=warnings,
+        cut=None if cut is None else cut.decision,
+        curve=curve,
+        refining_s=None if law is None else predict_refining(system, edges, law),
+    )
 
 
 def _cut(cameras: _PlanInput, request: PlanRequest, start: CloudPlan | None, place: Callable[[FloatArray], System]) -> Cut | None:
@@ -365,6 +379,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
     return {
         "makespan_s": cloud.makespan_s,
         "lower_bound_s": cloud.lower_bound_s,
+        **({} if made.refining_s is None else {"refining_s": made.refining_s}),
         "status": cloud.status,
         "method": cloud.method,
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),

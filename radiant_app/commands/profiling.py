@@ -264,7 +264,7 @@ class Measuring:
         for index, rows in enumerate(self._shares(count)):
             folder = self._folder(f"sfm/{count}-{index}")
             deal_files(self.images, self.scene.cameras.select(rows).names, folder / "photos")
-            tasks[folder] = sfm_task(folder / "photos", SfmConfig(two_view_points=True), None, Placement())
+            tasks[folder] = sfm_task(folder / "photos", SfmConfig(), None, Placement())
         try:
             return max(float(np.mean(self._run("sfm", tasks))) - start_s, 0.1)
         except (BadInput, StageFailed) as error:

@@ -169,7 +169,6 @@ class DevicePhotographs:
                 matching=self.config.sfm.matching,
                 effort=self.config.sfm.effort,
                 seed=self.config.seed,
-                two_view_points=True,
                 memory_bytes=settings.memory_bytes,
             ),
             poses=poses,

@@ -249,7 +249,7 @@ class CloudRun:
             first_held_out=tuple(map(devices.first_held_out, names)),
             num_dealt=tuple(map(devices.num_dealt, names)),
             origin=None if devices.origin is None else (float(devices.origin[0]), float(devices.origin[1]), float(devices.origin[2])),
-            sfm=SfmSettings(matching=self.config.sfm.matching, effort=self.config.sfm.effort, seed=self.config.seed, two_view_points=True),
+            sfm=SfmSettings(matching=self.config.sfm.matching, effort=self.config.sfm.effort, seed=self.config.seed),
             aggregate=recipe.aggregate,
             upload=recipe.upload,
             step_policy=recipe.step_policy,

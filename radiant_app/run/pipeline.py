@@ -30,6 +30,7 @@ from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.prediction_error import prediction_of
+from radiant_app.run.predictions import refining_law_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
 from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
@@ -51,12 +52,11 @@ from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
 from radiant_core.hierarchy.choosing import REFINED
-from radiant_core.hierarchy.recipe import devices_with_photographs
+from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.signing import keeps_modes
-from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import System
 from radiant_core.splats import Splats
 
@@ -134,7 +134,7 @@ def run(
         missed = {"not_refined": left_out(rounds), "partly_refined": partly_left_out(rounds)}
         refined = {"refined": dealer.version == REFINED, **missed}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
-        metrics = _write_metrics(config, manifest, dealer.recipe.cloud_plan, more)
+        metrics = _write_metrics(config, manifest, dealer.recipe, more)
         manifest.status = "done"
         write_report(config.out, manifest, metrics)
     return RunResult(folder=config.out, metrics=metrics)
@@ -230,12 +230,16 @@ def _refine(config: RunConfig, rounds: Sequence[Refining], system: System, progr
     return fold_rounds(rounds, fold, progress.listen)
 
 
-def _write_metrics(config: RunConfig, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:
-    run = config.out
+def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: dict[str, Any]) -> dict[str, Any]:
+    run, cloud_plan = config.out, recipe.cloud_plan
     result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
     planned = {"planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
-    prediction = prediction_of(run, manifest, load_plan(run / "plan.json")[1])
+    edge_plans = load_plan(run / "plan.json")[1]
+    # What devices that place their own photographs need beside training is mostly that.
+    pooled, num_cameras = config.frames == "shared", sum(len(plan.camera_indices) for plan in edge_plans)
+    law = refining_law_of(recipe.train, recipe.aggregate, num_cameras, devices_with_photographs(edge_plans)) if pooled else None
+    prediction = prediction_of(run, manifest, edge_plans, law)
     peaks = {**manifest.peak_bytes, "run": peak_bytes()}
     promises = promises_of(config, pooled=result.get("pooled", True))
     if (survey := survey_of_run(run)) is not None:

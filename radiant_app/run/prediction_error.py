@@ -17,6 +17,7 @@ import numpy as np
 from radiant_app.events import UPLINK
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
+from radiant_core.aggregate.tree import refined_at
 from radiant_core.io.run_store import read_json, write_atomic
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import Device, System
@@ -29,6 +30,7 @@ from radiant_core.plan.timeline.prediction import (
     planned_stages,
     stage_errors,
 )
+from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
 
 MAX_NAMES = 6
 """The most machines that a sentence names."""
@@ -41,8 +43,12 @@ def save_system(run: Path, system: System) -> None:
     write_atomic(run / SYSTEM_NAME, dump_system(system).encode())
 
 
-def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan]) -> dict[str, Any]:
-    """The predictions for metrics.json: stages, the makespan, the error with corrections."""
+def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan], law: RefiningLaw | None = None) -> dict[str, Any]:
+    """The predictions for metrics.json: stages, the makespan, refining, the error with corrections.
+
+    `law`: how the scene is refined; None where its machines' times beside training hold more, as
+    those that place their own photographs.
+    """
     system = load_system(run / SYSTEM_NAME)
     planned = planned_stages(system, edge_plans)
     measured = measured_seconds(run, manifest)
@@ -53,6 +59,7 @@ def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan])
         "emulated": bool(manifest.emulated),
         "stages": [_row(error) for error in errors],
         "makespan": None if whole is None else _row(whole),
+        "refining": None if law is None else _refining_error(system, edge_plans, manifest, law),
         "median_error_percent": _median_error(errors),
         "online": _online_errors(system, edge_plans, manifest, measured),
     }
@@ -76,6 +83,29 @@ def measured_seconds(run: Path, manifest: Manifest) -> dict[tuple[str, str], flo
             train_s = min(seconds, float(read_json(summary, ("train_s",))["train_s"]))
             found[node, "initialise"], found[node, "train"] = seconds - train_s, train_s
     return found
+
+
+def _refining_error(system: System, edge_plans: Sequence[EdgePlan], manifest: Manifest, law: RefiningLaw) -> dict[str, Any] | None:
+    """All rounds if every machine works for itself; None where none were taken."""
+    times = manifest.emulated or manifest.stages
+    measured_s, number = 0.0, 0
+    while (cloud := manifest.stages.get(refined_at("cloud", number + 1))) is not None:
+        number += 1
+
+        def spent_s(node: str, number: int = number) -> float:
+            spans = (times.get(refined_at(node, number)), times.get(refined_at(node, number) + UPLINK))
+            return sum(span["ended_s"] - span["started_s"] for span in spans if span is not None)
+
+        edges_s = (
+            max((spent_s(f"devices/{name}") for name in plan.device_ids), default=0.0) + spent_s(f"edges/{plan.edge_id}")
+            for plan in edge_plans
+        )
+        measured_s += max(edges_s, default=0.0) + cloud["ended_s"] - cloud["started_s"]
+    if not measured_s:
+        return None
+    predicted_s = predict_refining(system, edge_plans, law, with_sending=bool(manifest.emulated))
+    num_cameras = sum(len(plan.camera_indices) for plan in edge_plans)
+    return _row(StageError(node="all", stage="refine", num_cameras=num_cameras, predicted_s=predicted_s, measured_s=measured_s))
 
 
 def curves_note(system: System) -> str:

@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from radiant_core.aggregate.config import AggregatePreset
+from radiant_core.aggregate.config import AggregateConfig, AggregatePreset
 from radiant_core.decisions import Decision
+from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.plan.counts.wide_deadline import system_capacity
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.profiles.profile import ProfileKey
 from radiant_core.plan.profiles.profile_warnings import profile_warnings
 from radiant_core.plan.profiles.step_law import curve_through
 from radiant_core.plan.system import Device, Edge, System
+from radiant_core.plan.timeline.refining import RefiningLaw
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend, step_law_of
@@ -51,6 +53,18 @@ def with_step_law(system: System, train: TrainConfig, num_cameras: int) -> Syste
         return replace(device, train_s=law.cost(device.train_s, device.profile.key.num_steps, num_cameras))
 
     return replace(system, edges=tuple(replace(edge, devices=tuple(map(by_photographs, edge.devices))) for edge in system.edges))
+
+
+def refining_law_of(train: TrainConfig, aggregate: AggregateConfig, num_photographs: int, num_devices: int) -> RefiningLaw:
+    """How a scene of so many training photographs is refined after such trainings."""
+    if not aggregate.refine_epochs or not num_photographs or not num_devices:
+        return RefiningLaw(num_rounds=0, share_of_training=lambda count: 0.0)
+    law = step_law_of(train, num_photographs, num_devices)
+
+    def share_of(count: int) -> float:
+        return refining_steps(aggregate.refine_epochs, count) / law.steps(count)
+
+    return RefiningLaw(num_rounds=aggregate.rounds_after(law.per_photograph), share_of_training=share_of)
 
 
 def with_own_frames(system: System, num_cameras: int) -> System:

@@ -92,7 +92,6 @@ class SfmSettings:
     matching: Matching
     effort: Effort = "auto"
     seed: Count
-    two_view_points: bool
     memory_bytes: Positive | None = None
 
 

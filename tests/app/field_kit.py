@@ -30,6 +30,6 @@ def split_by_device(images: Path, target: Path) -> Path:
 
 def placing_in(source: Path) -> PlacingTask:
     """By GPS, of photographs in a device's own folder."""
-    sfm = SfmSettings(matching="auto", seed=0, two_view_points=True)
+    sfm = SfmSettings(matching="auto", seed=0)
     origin = (50.0, 8.0, 100.0)
     return PlacingTask(frames="gps", source=str(source), names=(), held_out=(), fetch=False, origin=origin, sfm=sfm, poses=None)

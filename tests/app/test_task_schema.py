@@ -82,7 +82,7 @@ MESSAGES: dict[str, Any] = {
             held_out=("b/c.jpg",),
             fetch=True,
             origin=(45.0, 7.5, 300.0),
-            sfm=SfmSettings(matching="auto", seed=0, two_view_points=True),
+            sfm=SfmSettings(matching="auto", seed=0),
             poses=None,
         ),
         changed=((10, 20),),
@@ -95,7 +95,7 @@ MESSAGES: dict[str, Any] = {
         frames="gps",
         first_held_out=7,
         origin=(45.0, 7.5, 300.0),
-        sfm=SfmSettings(matching="auto", seed=0, two_view_points=True),
+        sfm=SfmSettings(matching="auto", seed=0),
     ),
     "edge": EdgeTask(
         train=TRAIN,

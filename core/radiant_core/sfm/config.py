@@ -37,9 +37,6 @@ class SfmConfig:
     """Which steps are shortened: auto or thorough."""
     mapper: Mapper = "auto"
     """Which mapper estimates the poses: auto, incremental or global."""
-    two_view_points: bool = False
-    """Whether points that only two photographs see are kept: where few overlap they are as many as
-    all others."""
     num_threads: int = 0
     """Threads, 0 for all cores."""
     seed: int = 0

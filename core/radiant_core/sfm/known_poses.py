@@ -133,13 +133,18 @@ def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple
     return cameras.named([name for name in cameras.names if name not in copies]), copies_warning(copies, len(cameras))
 
 
-def triangulate(model: pycolmap.Reconstruction, database: Path, photo_folder: Path, model_folder: Path, config: SfmConfig) -> None:
-    """Points from the matches in `database` for the poses of `model`, which stay; writes the model
-    to `model_folder`."""
+def triangulate(
+    model: pycolmap.Reconstruction, database: Path, photo_folder: Path, model_folder: Path, config: SfmConfig, refinements: int = 5
+) -> None:
+    """Points from the matches in `database` for the poses of `model`, which stay, beside those it
+    has; writes the model to `model_folder`. Those that two photographs see count too: the mappers
+    leave them out, and they are up to half of all (docs/experiments/sfm.md). Points are adjusted
+    and sorted out in up to so many `refinements`."""
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = config.threads
     options.random_seed = config.seed
-    options.triangulation.ignore_two_view_tracks = not config.two_view_points
+    options.triangulation.ignore_two_view_tracks = False
+    options.ba_global_max_refinements = refinements
     call_colmap(
         "triangulating",
         pycolmap.triangulate_points,

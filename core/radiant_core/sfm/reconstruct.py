@@ -1,8 +1,8 @@
 """Structure from motion: from a folder of photographs to cameras and points in one world frame.
 
 Once per scene: list and check the photographs, features, pairs, matches, poses (`attempts.py`,
-`refine.py`), undistort to pinhole (`undistort.py`), then the world frame
-(`world.py`). EXIF orientation is ignored for pixels throughout.
+`refine.py`), the points that two photographs see, undistort to pinhole (`undistort.py`), then the
+world frame (`world.py`). EXIF orientation is ignored for pixels throughout.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
-from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmResult, number_phases, with_preview
+from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmProgress, SfmResult, number_phases, with_preview
 from radiant_core.sfm.control.place import place_surveyed, survey_record
 from radiant_core.sfm.control.survey import Surveyed, adjust_to_survey
 from radiant_core.sfm.copies import without_repeats
@@ -32,7 +32,7 @@ from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_in_world
 
-PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "undistorting")
+PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "triangulating", "undistorting")
 
 
 def reconstruct(
@@ -57,11 +57,12 @@ def reconstruct(
     mapped, given = attempt.mapped, attempt.given_masks
     assert mapped is not None
     (work_folder / "sparse").mkdir()
-    if config.two_view_points:
-        triangulate(mapped.model, attempt.database, photo_folder, work_folder / "sparse", attempt.config)
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control(), report)
-    refined.write_binary(work_folder / "sparse")
+    report(SfmProgress(phase="triangulating", done=0, total=len(refined.images)))
+    # Once: what more photographs see has just been adjusted.
+    triangulate(refined, attempt.database, photo_folder, work_folder / "sparse", attempt.config, refinements=1)
+    report(SfmProgress(phase="triangulating", done=len(refined.images), total=len(refined.images)))
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)

@@ -140,6 +140,16 @@ def test_points_project_to_where_the_photographs_show_them(hamlet_result: tuple)
     assert np.median(np.linalg.norm(pixels - found, axis=1)) < 1.0
 
 
+def test_points_that_two_photographs_see_are_kept_and_lie_as_well(hamlet: Path, hamlet_result: tuple) -> None:
+    scene: SfmScene = hamlet_result[0].scene
+    seen_by = np.bincount(scene.observations[:, 0], minlength=len(scene.points))
+    assert seen_by.min() == 2 and (seen_by == 2).mean() > 0.1
+    known = read_model(hamlet / "known")
+    extent = float(np.linalg.norm(np.ptp(known.points.xyz, axis=0)))
+    away = KDTree(known.points.xyz).query(scene.points)[0] / extent
+    assert np.median(away[seen_by == 2]) < 2 * np.median(away[seen_by > 2])
+
+
 def test_progress_moves_through_the_phases_and_ends_complete(hamlet_result: tuple) -> None:
     told: list[SfmProgress] = hamlet_result[1]
     phases = list(dict.fromkeys(progress.phase for progress in told))
