@@ -151,7 +151,7 @@ class _Plan:
     """What a scene's regions are cut by; None for waypoints."""
     curve: tuple[SlackPoint, ...] = ()
     refining_s: float | None = None
-    """From the joined scene to the refined one; None where the costs are not those of a training."""
+    """From the joined scene to the refined one; None where costs are not those of a training."""
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
