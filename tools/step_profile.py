@@ -62,7 +62,7 @@ def main() -> None:
     result = training.result()
     shown = render_views(result.splats, views[1].cameras, given.backend)
     errors = [psnr_db(view.image, image / 255) for view, image in zip(shown, views[1].images, strict=True)]
-    rate = (result.num_steps - PROFILED_STEPS) / seconds
+    rate = (result.num_steps - (PROFILED_STEPS if given.steps > STEPS_AFTER else 0)) / seconds
     print(f"{rate:.1f} steps/s, {np.mean(errors):.2f} dB held out, {len(result.splats):,} Gaussians, {result.num_rolled_back} not taken")
 
 

@@ -71,7 +71,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
-from radiant_core.plan.timeline.refining import predict_refining
+from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
@@ -150,8 +150,8 @@ class _Plan:
     cut: Decision | None = None
     """What a scene's regions are cut by; None for waypoints."""
     curve: tuple[SlackPoint, ...] = ()
-    refining_s: float | None = None
-    """From the joined scene to the refined one; None where costs are not those of a training."""
+    refining: RefiningLaw | None = None
+    """How the scene is refined; None where costs are not those of a training."""
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -335,7 +335,7 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
         warnings=warnings,
         cut=None if cut is None else cut.decision,
         curve=curve,
-        refining_s=None if law is None else predict_refining(system, edges, law),
+        refining=law,
     )
 
 
@@ -379,7 +379,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
     return {
         "makespan_s": cloud.makespan_s,
         "lower_bound_s": cloud.lower_bound_s,
-        **({} if made.refining_s is None else {"refining_s": made.refining_s}),
+        **({} if made.refining is None else {"refining_s": predict_refining(made.system, made.edges, made.refining)}),
         "status": cloud.status,
         "method": cloud.method,
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),

@@ -237,9 +237,9 @@ def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: 
     planned = {"planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
     edge_plans = load_plan(run / "plan.json")[1]
     # What devices that place their own photographs need beside training is mostly that.
-    pooled, num_cameras = config.frames == "shared", sum(len(plan.camera_indices) for plan in edge_plans)
-    law = refining_law_of(recipe.train, recipe.aggregate, num_cameras, devices_with_photographs(edge_plans)) if pooled else None
-    prediction = prediction_of(run, manifest, edge_plans, law)
+    num_cameras, num_devices = sum(len(plan.camera_indices) for plan in edge_plans), len(recipe.system.devices)
+    law = refining_law_of(recipe.train, recipe.aggregate, num_cameras, num_devices, fixed=config.train.step_policy == "fixed")
+    prediction = prediction_of(run, manifest, edge_plans, law if config.frames == "shared" else None)
     peaks = {**manifest.peak_bytes, "run": peak_bytes()}
     promises = promises_of(config, pooled=result.get("pooled", True))
     if (survey := survey_of_run(run)) is not None:

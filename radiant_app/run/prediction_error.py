@@ -8,7 +8,7 @@ motion too); an edge's process; sending only where it was emulated. Once per run
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -86,24 +86,23 @@ def measured_seconds(run: Path, manifest: Manifest) -> dict[tuple[str, str], flo
 
 
 def _refining_error(system: System, edge_plans: Sequence[EdgePlan], manifest: Manifest, law: RefiningLaw) -> dict[str, Any] | None:
-    """All rounds if every machine works for itself; None where none were taken."""
-    times = manifest.emulated or manifest.stages
+    """All rounds if every machine works for itself; None where none were taken, a node's time is
+    not known (a resumed run), or machines are emulated, whose cloud is not."""
+    nodes = [f"edges/{plan.edge_id}" for plan in edge_plans] + [f"devices/{name}" for plan in edge_plans for name in plan.device_ids]
     measured_s, number = 0.0, 0
-    while (cloud := manifest.stages.get(refined_at("cloud", number + 1))) is not None:
+    while refined_at("cloud", number + 1) in manifest.stages:
         number += 1
-
-        def spent_s(node: str, number: int = number) -> float:
-            spans = (times.get(refined_at(node, number)), times.get(refined_at(node, number) + UPLINK))
-            return sum(span["ended_s"] - span["started_s"] for span in spans if span is not None)
-
-        edges_s = (
-            max((spent_s(f"devices/{name}") for name in plan.device_ids), default=0.0) + spent_s(f"edges/{plan.edge_id}")
+        spans = {node: manifest.stages.get(refined_at(node, number)) for node in ("cloud", *nodes)}
+        spent_s = {node: span["ended_s"] - span["started_s"] for node, span in spans.items() if span is not None}
+        if min(spent_s.values()) <= 0:
+            return None
+        measured_s += spent_s["cloud"] + max(
+            max((spent_s.get(f"devices/{name}", 0.0) for name in plan.device_ids), default=0.0) + spent_s.get(f"edges/{plan.edge_id}", 0.0)
             for plan in edge_plans
         )
-        measured_s += max(edges_s, default=0.0) + cloud["ended_s"] - cloud["started_s"]
-    if not measured_s:
+    if not number or manifest.emulated:
         return None
-    predicted_s = predict_refining(system, edge_plans, law, with_sending=bool(manifest.emulated))
+    predicted_s = predict_refining(system, edge_plans, replace(law, num_rounds=number), with_sending=False)
     num_cameras = sum(len(plan.camera_indices) for plan in edge_plans)
     return _row(StageError(node="all", stage="refine", num_cameras=num_cameras, predicted_s=predicted_s, measured_s=measured_s))
 

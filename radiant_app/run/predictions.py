@@ -55,14 +55,18 @@ def with_step_law(system: System, train: TrainConfig, num_cameras: int) -> Syste
     return replace(system, edges=tuple(replace(edge, devices=tuple(map(by_photographs, edge.devices))) for edge in system.edges))
 
 
-def refining_law_of(train: TrainConfig, aggregate: AggregateConfig, num_photographs: int, num_devices: int) -> RefiningLaw:
-    """How a scene of so many training photographs is refined after such trainings."""
+def refining_law_of(
+    train: TrainConfig, aggregate: AggregateConfig, num_photographs: int, num_devices: int, *, fixed: bool = False
+) -> RefiningLaw:
+    """How a scene of so many training photographs is refined after such trainings, of which each
+    has as many steps where these are `fixed`. The devices are all of the system, as in
+    `with_step_law`: a share counts beside its costs of training."""
     if not aggregate.refine_epochs or not num_photographs or not num_devices:
         return RefiningLaw(num_rounds=0, share_of_training=lambda count: 0.0)
     law = step_law_of(train, num_photographs, num_devices)
 
     def share_of(count: int) -> float:
-        return refining_steps(aggregate.refine_epochs, count) / law.steps(count)
+        return refining_steps(aggregate.refine_epochs, count) / (train.num_steps if fixed else law.steps(count))
 
     return RefiningLaw(num_rounds=aggregate.rounds_after(law.per_photograph), share_of_training=share_of)
 

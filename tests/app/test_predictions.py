@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiant_app.run.predictions import depends_on_training, with_camera_limits, with_own_frames, with_step_law
-from radiant_core.plan.plans import CloudPlan
+from radiant_app.files.run_folder import Manifest
+from radiant_app.files.system_file import dump_system
+from radiant_app.run.prediction_error import prediction_of
+from radiant_app.run.predictions import depends_on_training, refining_law_of, with_camera_limits, with_own_frames, with_step_law
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.curve_fit import FittedCurve
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
-from radiant_core.train.config import TrainConfig
+from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
+from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.memory import BASE_BYTES, IMAGE_BYTES_PER_PX, PROCESS_BYTES, STEP_BYTES_PER_PX, bytes_per_splat, most_cameras
+from tests.core.plan.test_prediction import SYSTEM, planned
 from tests.core.plan.test_profiles import MEASURED
 from tests.core.plan.test_profiles import system as system_of
 
@@ -131,3 +138,50 @@ def test_the_largest_count_that_fits_is_found(memory_bytes: float, per_photograp
 def test_a_limit_of_gaussians_leaves_room_for_photographs(limit: int) -> None:
     few = most_cameras(replace(TRAIN, max_num_splats=limit), 1e9, lambda count: 5_000.0 * count, 10_000)
     assert few > most_cameras(TRAIN, 1e9, lambda count: 5_000.0 * count, 10_000)
+
+
+def test_the_law_has_the_rounds_and_steps_of_a_run() -> None:
+    train, aggregate = train_preset("default"), AggregateConfig()
+    train = replace(train, num_steps=1500)
+    long, short = (refining_law_of(train, aggregate, count, 4) for count in (52, 400))
+    assert (long.num_rounds, short.num_rounds) == (aggregate.rounds_after(1500 / 13), aggregate.rounds_after(15)) == (1, 5)
+    # Eight epochs of 13 photographs, and 200 steps at most of 100; trainings of 1,500 steps each.
+    assert long.share_of_training(13) == pytest.approx(104 / 1500) and short.share_of_training(100) == pytest.approx(200 / 1500)
+    fixed = refining_law_of(train, aggregate, 52, 4, fixed=True)
+    assert fixed.share_of_training(5) == pytest.approx(40 / 1500) and fixed.num_rounds == long.num_rounds
+    for nothing in (refining_law_of(train, AggregateConfig(refine_epochs=0), 52, 4), refining_law_of(train, aggregate, 0, 4)):
+        assert nothing.num_rounds == 0 and nothing.share_of_training(5) == 0
+
+
+def edges_of_a_run() -> tuple[System, tuple[EdgePlan, ...], RefiningLaw]:
+    _, edges, _ = planned()
+    return SYSTEM, edges, RefiningLaw(num_rounds=2, share_of_training=lambda count: count / 1000)
+
+
+def manifest_of(seconds: dict[str, float], **changes: Any) -> Manifest:
+    stages = {node: {"started_s": 5.0, "ended_s": 5.0 + spent_s} for node, spent_s in seconds.items()}
+    return Manifest(folder=Path("unused"), config={}, stages=stages, **changes)
+
+
+def test_refining_is_compared_over_the_rounds_that_were_taken(tmp_path: Path) -> None:
+    system, edges, law = edges_of_a_run()
+    (tmp_path / "system.toml").write_bytes(dump_system(system).encode())
+    # Of edge a the second device is the slowest, then its edge; edge b is faster; then the cloud.
+    first = {"devices/a1/refine": 3.0, "devices/a2/refine": 7.0, "edges/a/refine": 2.0, "devices/b1/refine": 4.0, "edges/b/refine": 1.0}
+    first["cloud/refine"] = 0.5
+    second = {f"{node}2": 2 * spent_s for node, spent_s in first.items()}
+    for seconds, number in ((first, 1), (first | second, 2)):
+        row = prediction_of(tmp_path, manifest_of(seconds), edges, law)["refining"]
+        assert row["measured_s"] == pytest.approx(9.5 if number == 1 else 28.5)
+        predicted_s = predict_refining(system, edges, replace(law, num_rounds=number), with_sending=False)
+        assert row["predicted_s"] == pytest.approx(predicted_s) and row["stage"] == "refine"
+
+
+def test_refining_is_not_compared_where_a_time_is_not_known(tmp_path: Path) -> None:
+    system, edges, law = edges_of_a_run()
+    (tmp_path / "system.toml").write_bytes(dump_system(system).encode())
+    seconds = {"devices/a1/refine": 3.0, "edges/a/refine": 1.0, "cloud/refine": 0.5}
+    resumed = manifest_of({**seconds, "devices/a1/refine": 0.0})
+    emulated = manifest_of(seconds, emulated={"devices/a1": {"started_s": 0.0, "ended_s": 9.0}})
+    for manifest, rounds in ((manifest_of({}), law), (resumed, law), (emulated, law), (manifest_of(seconds), None)):
+        assert prediction_of(tmp_path, manifest, edges, rounds)["refining"] is None

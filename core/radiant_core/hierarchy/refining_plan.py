@@ -15,8 +15,8 @@ from radiant_core.aggregate.config import ENOUGH_SHOWS, NUM_ROUNDS
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.plan.timeline.refining import LEAST_DEVICES
 
-LEAST_DEVICES = 2
 MAX_STEPS = 200
 """Devices that take many steps between two means drift apart (docs/experiments/aggregation.md): no
 more than were measured to gain, but each photograph once."""

@@ -6,7 +6,7 @@ By native threads on the CPU: torch's would spin on and take a core from the ras
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import torch
@@ -26,14 +26,20 @@ def first_not_finite(
     `_native.visible_runs`, needed on the CPU.
     """
     # What is not finite stays so in a sum: one wait for the GPU instead of one for each tensor.
-    there = {name: tensor for name, tensor in tensors.items() if tensor.device.type != "cpu"}
-    if there and math.isfinite(float(torch.stack([tensor.detach().sum() for tensor in there.values()]).sum())):
-        tensors = {name: tensor for name, tensor in tensors.items() if name not in there}
+    on_gpu = {name: tensor for name, tensor in tensors.items() if tensor.device.type != "cpu"}
+    if on_gpu and are_finite(on_gpu.values()):
+        tensors = {name: tensor for name, tensor in tensors.items() if name not in on_gpu}
     for name, tensor in tensors.items():
         count, first = _not_finite(tensor.detach(), visible, runs)
         if count:
             return name, count, first
     return None
+
+
+def are_finite(tensors: Iterable[Tensor]) -> bool:
+    """Whether sums over tensors of one device show that all of their values are finite; False also
+    where finite values exceed their type together."""
+    return math.isfinite(float(torch.stack([tensor.detach().sum() for tensor in tensors]).sum()))
 
 
 def _not_finite(tensor: Tensor, visible: Tensor | None, runs: NDArray[np.int32] | None) -> tuple[int, tuple[int, ...]]:

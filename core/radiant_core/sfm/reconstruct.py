@@ -59,10 +59,11 @@ def reconstruct(
     (work_folder / "sparse").mkdir()
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control(), report)
-    report(SfmProgress(phase="triangulating", done=0, total=len(refined.images)))
+    total = int(refined.num_reg_images())
+    report(SfmProgress(phase="triangulating", done=0, total=total))
     # Once: what more photographs see has just been adjusted.
     triangulate(refined, attempt.database, photo_folder, work_folder / "sparse", attempt.config, refinements=1)
-    report(SfmProgress(phase="triangulating", done=len(refined.images), total=len(refined.images)))
+    report(SfmProgress(phase="triangulating", done=total, total=total))
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)

@@ -38,7 +38,7 @@ def predict_phases(sizes_wh: Sequence[tuple[int, int]], config: SfmConfig) -> Ma
         "pairs": 0.0002 * candidates,
         "matching": (0.06 if thorough else 0.017) * pairs,
         "mapping": (0.4 if thorough else 0.29) * count * min(1.0, count / 60),
-        "triangulating": 0.05 * count,
+        "triangulating": 0.03 * count + 0.01 * whole_mp,
         "refining": 0.08 * count,
         "undistorting": 0.03 * whole_mp,
     }

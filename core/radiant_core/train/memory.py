@@ -31,7 +31,8 @@ IMAGE_BYTES_PER_PX, MASK_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_P
 MAX_STATISTICS_SHARE = 0.25
 """At most this share of what photographs leave free keeps statistics, which only save time."""
 VRAM_SHARE = 0.8
-"""Of free GPU memory, for Gaussians and a step. Not measured: no CUDA device was at hand."""
+"""Of free GPU memory, for Gaussians and a step; what the loss keeps and the driver take the rest.
+Never tried to its limit: a training of 264,000 Gaussians held 777 MB (docs/experiments/cuda.md)."""
 PROCESS_BYTES = 300_000_000
 """What a device's process holds before its photographs, if unknown: 296 MB with its imports."""
 MIN_SPLATS = 1_000
@@ -111,7 +112,8 @@ def memory_plan(
 
 def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """The configuration whose Gaussians fit with one step into free memory of a CUDA device, and
-    the decision where that is fewer; photographs stay in main memory. BadInput as `memory_plan`."""
+    the decision where that is fewer; photographs stay in main memory but for what the loss keeps.
+    BadInput as `memory_plan`."""
     step = STEP_BYTES_PER_PX * float(cameras.sizes_wh.prod(axis=1).max(initial=0))
     count = int((VRAM_SHARE * free_bytes - step) // bytes_per_splat(config.sh_degree))
     if count >= config.max_num_splats:
@@ -127,7 +129,7 @@ def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: s
         choice=f"at most {count:,} Gaussians instead of {config.max_num_splats:,}",
         figure=free_bytes / 1e6,
         unit="MB free",
-        reason=f"each takes {bytes_per_splat(config.sh_degree):,.0f} bytes in training, and a fifth is left to the driver",
+        reason=f"each takes {bytes_per_splat(config.sh_degree):,.0f} bytes in training, and a fifth is left to all else",
     )
     return replace(config, max_num_splats=count), (decision,)
 

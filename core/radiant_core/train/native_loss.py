@@ -28,8 +28,8 @@ from radiant_core.train.losses import weighted_loss
 
 STATISTICS_BUDGET_BYTES = 1 << 30
 """Memory for kept statistics, 36 bytes a pixel; without them the loss takes 1.8 times as long."""
-VRAM_SHARE = 0.1
-"""Share of a GPU's free memory for them."""
+STATISTICS_VRAM_SHARE = 0.1
+"""Share of a GPU's free memory for them, of what `train.memory` leaves beside the Gaussians."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,8 +68,9 @@ class StatisticsCache:
     epoch, so dropping the oldest would drop each of them just before its turn."""
 
     def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES, device: str = "cpu") -> None:
-        """`budget_bytes` in main memory; on a GPU at most `VRAM_SHARE` of what is free there."""
-        self._free_bytes = budget_bytes if device == "cpu" else min(budget_bytes, int(VRAM_SHARE * torch.cuda.mem_get_info()[0]))
+        """`budget_bytes` in main memory; on a GPU at most `STATISTICS_VRAM_SHARE` of what is
+        free there."""
+        self._free_bytes = budget_bytes if device == "cpu" else min(budget_bytes, int(STATISTICS_VRAM_SHARE * torch.cuda.mem_get_info()[0]))
         self._device = device
         self._kept: dict[int, TargetStatistics] = {}
 

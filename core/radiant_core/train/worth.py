@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from radiant_core.decisions import Decision
 from radiant_core.numerics import FloatArray
@@ -31,7 +32,10 @@ MIN_COMMON_POINTS = 20
 MIN_SHARPNESS = 0.7
 """Below this a photograph is blurred."""
 MIN_SEEN_ELSEWHERE = 0.9
-"""A blurred photograph stays unless this share of its points is seen by two that are kept."""
+"""A blurred photograph stays unless this share of its places is seen by two that are kept."""
+POINTS_OF_A_PLACE = 5
+"""A place is one of its points and the nearest others, and is seen by as many as see any of them:
+up to half of all points are found in two photographs alone, though more see the place."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,10 +119,16 @@ def _find_dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.b
         if not (kept[index] and sharpness[index] < MIN_SHARPNESS):
             continue
         own = point[view == index]
-        if (num_seeing[own] >= 3).mean() >= MIN_SEEN_ELSEWHERE:
+        if (_views_of_places(scene.points[own], num_seeing[own]) >= 3).mean() >= MIN_SEEN_ELSEWHERE:
             blurred[index] = True
             num_seeing[own] -= 1
     return blurred
+
+
+def _views_of_places(points: FloatArray, num_seeing: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The most views (K,) that see a point (K,3) or one of its nearest neighbours."""
+    nearest = KDTree(points).query(points, k=min(POINTS_OF_A_PLACE, len(points)))[1]
+    return np.asarray(num_seeing[nearest.reshape(len(points), -1)].max(axis=1))
 
 
 def find_repeats(scene: SfmScene, views: TrainingViews) -> NDArray[np.bool_]:

@@ -1,19 +1,14 @@
-"""Rounds of refining: their time by hand, who takes part, and what a law of rounds comes from."""
+"""Rounds of refining: their time by hand, and who takes part."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from radiant_app.run.predictions import refining_law_of
-from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, Edge, System
 from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
-from radiant_core.train.config import train_preset
 from tests.core.plan.test_prediction import SYSTEM, planned
 
 TWICE = RefiningLaw(num_rounds=2, share_of_training=lambda count: count / 1000)
@@ -64,17 +59,6 @@ def test_edges_whose_devices_are_not_known_take_no_time() -> None:
     assert predict_refining(wider, (*edges, nothing), TWICE) == predict_refining(SYSTEM, edges, TWICE)
 
 
-def test_the_law_has_the_rounds_and_steps_of_a_run() -> None:
-    train, aggregate = train_preset("default"), AggregateConfig()
-    train = replace(train, num_steps=1500)
-    long, short = (refining_law_of(train, aggregate, count, 4) for count in (52, 400))
-    assert (long.num_rounds, short.num_rounds) == (aggregate.rounds_after(1500 / 13), aggregate.rounds_after(15)) == (1, 5)
-    # Eight epochs of 13 photographs, and 200 steps at most of 100; trainings of 1,500 steps each.
-    assert long.share_of_training(13) == pytest.approx(104 / 1500) and short.share_of_training(100) == pytest.approx(200 / 1500)
-    for nothing in (refining_law_of(train, AggregateConfig(refine_epochs=0), 52, 4), refining_law_of(train, aggregate, 0, 4)):
-        assert nothing.num_rounds == 0 and nothing.share_of_training(5) == 0
-
-
 def device() -> Device:
     return Device(id="a1", init_s=CostCurve(constant=1.0), train_s=CostCurve(constant=1.0), model_bytes=CostCurve(), uplink_bytes_per_s=1.0)
 
@@ -84,9 +68,3 @@ def rest_of(plan: EdgePlan, num_devices: int = 1) -> dict:
         "strips": plan.strips[:num_devices],
         "device_time_s": plan.device_time_s[:num_devices],
     }
-
-
-def test_the_plan_is_not_changed_by_it() -> None:
-    cloud, edges, stages = planned()
-    assert isinstance(cloud, CloudPlan) and max(row.stop_s for row in stages) == pytest.approx(cloud.makespan_s)
-    assert predict_refining(SYSTEM, edges, TWICE) > 0

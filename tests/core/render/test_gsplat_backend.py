@@ -15,6 +15,7 @@ from torch import Tensor
 from radiant_core.errors import BadInput
 from radiant_core.render import gsplat_backend
 from radiant_core.render.contract import SplatTensors
+from radiant_core.render.finite import are_finite
 from radiant_core.render.gsplat_backend import missing_for_gsplat
 from radiant_core.render.rasterize import rasterize, resolve_backend
 from tests.contract import gaussians
@@ -110,3 +111,15 @@ def test_an_empty_model_is_not_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "gsplat", None)  # type: ignore[arg-type]
     output = render("gsplat", SplatTensors.from_splats(gaussians.regular(60, bases=16).select(np.zeros(0, int))))
     torch.testing.assert_close(output.images, torch.tensor([0.1, 0.2, 0.3]).expand(2, 32, 48, 3))
+
+
+@pytest.mark.parametrize("poison", [torch.nan, torch.inf, -torch.inf])
+def test_sums_show_what_is_not_finite(poison: float) -> None:
+    """What is asked of tensors on a GPU, where each search of its own would be waited for."""
+    tensors = [torch.randn(50, 3, generator=torch.Generator().manual_seed(seed)) for seed in range(3)]
+    assert are_finite(tensors) and are_finite([torch.zeros(0, 3), *tensors])
+    tensors[1][7, 2] = poison
+    assert not are_finite(tensors)
+    # Opposite infinities do not cancel, and what overflows in a sum is searched.
+    assert not are_finite([torch.tensor([torch.inf]), torch.tensor([-torch.inf])])
+    assert not are_finite([torch.full((2,), 3e38)])

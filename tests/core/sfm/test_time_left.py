@@ -9,7 +9,7 @@ import pytest
 from radiant_core.sfm.config import Phase, SfmConfig, SfmProgress
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
 
-PHASES: tuple[Phase, ...] = ("features", "pairs", "matching", "mapping", "refining", "undistorting")
+PHASES: tuple[Phase, ...] = ("features", "pairs", "matching", "mapping", "refining", "triangulating", "undistorting")
 
 
 class Job:
@@ -32,7 +32,7 @@ class Job:
 
 @pytest.mark.parametrize("speed", [0.1, 1.0, 30.0])
 def test_on_a_machine_of_any_speed_the_time_left_is_exact_where_phases_share_it_as_predicted(speed: float) -> None:
-    predicted: dict[Phase, float] = dict(zip(PHASES, (20.0, 0.2, 15.0, 12.0, 4.0, 5.0), strict=True))
+    predicted: dict[Phase, float] = dict(zip(PHASES, (20.0, 0.2, 15.0, 12.0, 4.0, 2.0, 3.0), strict=True))
     job = Job(predicted)
     for phase, seconds in predicted.items():
         job.run(phase, speed * seconds)
@@ -44,7 +44,7 @@ def test_on_a_machine_of_any_speed_the_time_left_is_exact_where_phases_share_it_
 
 
 def test_a_phase_twice_as_long_as_predicted_is_noticed_within_it() -> None:
-    predicted: dict[Phase, float] = dict(zip(PHASES, (20.0, 0.2, 15.0, 12.0, 4.0, 5.0), strict=True))
+    predicted: dict[Phase, float] = dict(zip(PHASES, (20.0, 0.2, 15.0, 12.0, 4.0, 2.0, 3.0), strict=True))
     job = Job(predicted)
     for phase, seconds in predicted.items():
         job.run(phase, seconds * (2.0 if phase == "matching" else 1.0))
@@ -54,7 +54,7 @@ def test_a_phase_twice_as_long_as_predicted_is_noticed_within_it() -> None:
 
 
 def test_phases_that_come_back_and_a_job_that_begins_anew() -> None:
-    predicted: dict[Phase, float] = dict(zip(PHASES, (20.0, 1.0, 15.0, 12.0, 4.0, 5.0), strict=True))
+    predicted: dict[Phase, float] = dict(zip(PHASES, (20.0, 1.0, 15.0, 12.0, 4.0, 2.0, 3.0), strict=True))
     job = Job(predicted)
     for phase in PHASES[:4]:
         job.run(phase, predicted[phase])
@@ -78,10 +78,10 @@ def test_photographs_of_no_size_and_empty_phases_divide_by_nothing() -> None:
 
 # Photographs, their size, and measured CPU seconds of one thread (docs/experiments/sfm.md).
 MEASURED = {
-    "brighton": (18, (1152, 648), (5.3, 0.0, 1.9, 1.1, 0.6, 0.4)),
-    "caliterra": (75, (1152, 864), (21.3, 0.2, 7.4, 22.4, 7.1, 1.9)),
-    "lewis": (55, (1152, 864), (19.9, 0.2, 8.9, 12.9, 2.7, 1.4)),
-    "town": (60, (640, 480), (8.6, 0.2, 7.2, 11.9, 3.6, 0.8)),
+    "brighton": (18, (1152, 648), (5.3, 0.0, 1.9, 1.1, 0.6, 0.2, 0.4)),
+    "caliterra": (75, (1152, 864), (21.3, 0.2, 7.4, 22.4, 7.1, 2.0, 1.9)),
+    "lewis": (55, (1152, 864), (19.9, 0.2, 8.9, 12.9, 2.7, 1.3, 1.4)),
+    "town": (60, (640, 480), (8.6, 0.2, 7.2, 11.9, 3.6, 1.2, 0.8)),
 }
 
 

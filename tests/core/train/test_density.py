@@ -222,6 +222,12 @@ class TestSchedule:
         assert sums.max() > 0
         np.testing.assert_allclose(policy._sums, sums, rtol=1e-5, atol=1e-12)
 
+    def test_on_a_gpu_poison_is_not_remembered_either(self) -> None:
+        lengths = [1.0, math.nan, 2.0, math.inf, 0.0]
+        for array in (np.array(lengths, np.float32), torch.tensor(lengths)):
+            density._zero_not_finite(array)
+            assert array.tolist() == [1.0, 0.0, 2.0, 0.0, 0.0]
+
     def test_a_rendering_without_absolute_gradients_is_a_mistake_of_the_caller(self) -> None:
         splats = SplatTensors.from_splats(ground_splats(4))
         splats.means.requires_grad_()

@@ -55,6 +55,17 @@ def test_weights_of_zero_have_no_loss_and_no_gradient() -> None:
     assert loss == 0 and not gradient.any()
 
 
+@pytest.mark.parametrize(("image", "target"), [(0.0, 3e8), (3e8, 0.0), (1e9, 1e9), (3e8, 2.9e8)])
+def test_bright_planes_keep_the_limits_that_rounding_would_break(image: float, target: float) -> None:
+    # Variances of such planes are differences of 1e17; a negative one would divide by what is near 0.
+    pictures = [torch.full((24, 24, 3), value) for value in (image, target)]
+    for picture in pictures:
+        picture[::2] *= 1 + 1e-7
+    loss, gradient = on_a_device(*pictures, None, 1.0)
+    assert 0 <= loss <= 2.001 and torch.isfinite(gradient).all()
+    assert (device_statistics(pictures[1])[1] >= 0).all()
+
+
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e30])
 def test_what_is_not_finite_shows_in_the_loss(poison: float) -> None:
     image, target = pair((20, 20), 1.0)

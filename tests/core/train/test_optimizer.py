@@ -71,6 +71,20 @@ def test_dense_is_torchs_adam_over_a_hundred_steps(dtype: torch.dtype) -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("size", [1e30, -1e30])
+def test_gradients_count_as_at_most_1e18_either_way(size: float, dtype: torch.dtype) -> None:
+    ours = tensors(dtype, 3)
+    adam = SelectiveAdam(ours, RATES)
+    for tensor in ours.values():
+        tensor.grad = torch.full_like(tensor, size)
+    adam.step()
+    for name in SHAPES:
+        first, second = adam.moments(name)
+        torch.testing.assert_close(first, torch.full_like(first, 1e17 if size > 0 else -1e17))
+        torch.testing.assert_close(second, torch.full_like(second, 1e33))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_a_row_moves_as_torchs_adam_on_the_steps_that_saw_it(dtype: torch.dtype) -> None:
     ours = tensors(dtype, 30)
     adam = SelectiveAdam(ours, RATES)

@@ -57,6 +57,15 @@ def with_image(views: TrainingViews, index: int, image: np.ndarray) -> TrainingV
     return replace(views, images=tuple(images))
 
 
+def with_points_of_two(scene: SfmScene, share: float) -> SfmScene:
+    """The scene, of whose points such a share is found in two photographs alone, here and there."""
+    few = np.random.default_rng(2).random(len(scene.points)) < share
+    order = np.random.default_rng(3).permutation(len(scene.observations))
+    rows = scene.observations[order]
+    place = np.array([(rows[:row, 0] == rows[row, 0]).sum() for row in range(len(rows))])
+    return replace(scene, observations=rows[~few[rows[:, 0]] | (place < 2)])
+
+
 def streaked(image: np.ndarray, length_px: int) -> np.ndarray:
     return cv2.blur(image, (length_px, 1))
 
@@ -95,6 +104,17 @@ def test_a_darker_photograph_or_one_of_a_lawn_is_not_taken_for_blurred() -> None
         scene, views = flat_scene()
     assert views.images[5][:, 60:].std() < 0.5 * views.images[0][:, :36].std()
     assert images_worth(scene, views).kept.all()
+
+
+def test_points_found_in_two_photographs_alone_do_not_keep_a_blurred_one() -> None:
+    scene, views = flat_scene(num_points=1_000)
+    assert ((counts := np.bincount(scene.observations[:, 0])) >= 3).mean() > 0.9
+    mixed = with_points_of_two(scene, 0.45)
+    counts = np.bincount(mixed.observations[:, 0])
+    assert 0.3 < (counts == 2).mean() < 0.6
+    # In the middle, where all see the ground; a corner is seen by few.
+    blurred = with_image(views, 2, streaked(views.images[2], 9))
+    assert images_worth(mixed, blurred).kept.tolist() == [True, True, False, True, True, True]
 
 
 def test_a_blurred_photograph_that_alone_shows_a_place_stays() -> None:

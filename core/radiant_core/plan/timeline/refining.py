@@ -8,7 +8,7 @@
 G and F are those of the devices' own trainings. That a node reads, writes and weighs in about the
 time in which a device of its tree initialises, and that a step on the scene takes 1.4 times as long
 as one on a device's own model, is what four runs took: their rounds are predicted within ±20 %
-(docs/experiments/emulation.md). The scene's way down is left out.
+(docs/experiments/planner.md). The scene's way down is left out.
 """
 
 from __future__ import annotations
@@ -22,6 +22,10 @@ from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import Device, Edge, System
 
 BESIDE, STEP, AT_EDGE, AT_CLOUD = 1.2, 1.4, 1.0, 0.5
+"""Factors of what a device needs beside training, of its training by the share of steps, and of the
+first at an edge and at the cloud."""
+LEAST_DEVICES = 2
+"""One device alone refines nothing: it has fitted its model to its photographs before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +45,7 @@ def predict_round(law: RefiningLaw, *, beside_s: float, train_s: float, num_phot
 
 def predict_refining(system: System, edge_plans: Sequence[EdgePlan], law: RefiningLaw, *, with_sending: bool = True) -> float:
     """Seconds from the joined scene to the refined one if every machine works for itself; 0 where
-    fewer than two devices have photographs. Edges whose devices are not known take no time."""
+    too few devices have photographs. Edges whose devices are not known take no time."""
     edges_s, beside_s, num_devices = [0.0], [0.0], 0
     for edge, plan in zip(system.edges, edge_plans, strict=True):
         if edge.time_s is not None:
@@ -52,7 +56,7 @@ def predict_refining(system: System, edge_plans: Sequence[EdgePlan], law: Refini
             edges_s.append(_edge_s(edge, busy, law, sending=float(with_sending)))
             beside_s += [float(device.init_s(count)) for device, count in busy]
             num_devices += len(busy)
-    return law.num_rounds * (max(edges_s) + AT_CLOUD * max(beside_s)) if num_devices > 1 else 0.0
+    return law.num_rounds * (max(edges_s) + AT_CLOUD * max(beside_s)) if num_devices >= LEAST_DEVICES else 0.0
 
 
 def _edge_s(edge: Edge, busy: Sequence[tuple[Device, int]], law: RefiningLaw, sending: float) -> float:

@@ -1,4 +1,4 @@
-"""The last word on poses, lenses and points: one bundle adjustment with a robust loss, per scene.
+"""The last word on poses and lenses: one bundle adjustment with a robust loss, per scene.
 
 The mappers minimise squared errors of reprojection and drop points off by more than 4 px, so that
 what is off by 1 to 4 px, often a wrong match, bends poses and lenses. A Cauchy loss of half a pixel
