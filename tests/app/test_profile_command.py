@@ -6,7 +6,7 @@ import json
 import shutil
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +168,11 @@ def planned_with(folder: Path, scene: Path, name: str, value: int) -> str:
     result = plan(request, ProgressDisplay(Console(quiet=True)))
     assert " ".join(read_json(out).get("warnings", [])) == result["warnings"].replace("none", "")
     assert load_plan(out)[0].counts.sum() == 7
+    # One device refines nothing; two do; without profiles nobody knows how long a training is.
+    (folder / "two.toml").write_text((folder / "system.toml").read_text() + '[[edge.device]]\nid = "d2"\nprofile = "mine.toml"\n')
+    others = [replace(request, system=system, out=folder / "other.json") for system in (folder / "two.toml", None)]
+    two, without = (plan(other, ProgressDisplay(Console(quiet=True))) for other in others)
+    assert result["refining_s"] == 0 < two["refining_s"] and "refining_s" not in without
     return result["warnings"]
 
 
