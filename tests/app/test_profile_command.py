@@ -170,7 +170,7 @@ def planned_with(folder: Path, scene: Path, name: str, value: int) -> str:
     assert load_plan(out)[0].counts.sum() == 7
     # One device refines nothing; two do; without profiles nobody knows how long a training is.
     (folder / "two.toml").write_text((folder / "system.toml").read_text() + '[[edge.device]]\nid = "d2"\nprofile = "mine.toml"\n')
-    others = [replace(request, system=system, out=folder / "other.json") for system in (folder / "two.toml", None)]
+    others = [replace(request, system=system, out=folder / f"{value}_{system is None}.json") for system in (folder / "two.toml", None)]
     two, without = (plan(other, ProgressDisplay(Console(quiet=True))) for other in others)
     assert result["refining_s"] == 0 < two["refining_s"] and "refining_s" not in without
     return result["warnings"]
