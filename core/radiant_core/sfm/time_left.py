@@ -37,7 +37,7 @@ def predict_phases(sizes_wh: Sequence[tuple[int, int]], config: SfmConfig) -> Ma
         "features": (2.2 if thorough else 1.0) * (0.08 * count + 0.26 * reduced_mp),
         "pairs": 0.0002 * candidates,
         "matching": (0.06 if thorough else 0.017) * pairs,
-        "mapping": (0.4 if thorough else 0.29) * count * min(1.0, count / 60),
+        "mapping": (0.4 if thorough else 0.26) * count * min(1.0, count / 60),
         "triangulating": 0.03 * count + 0.01 * whole_mp,
         "refining": 0.08 * count,
         "undistorting": 0.03 * whole_mp,
