@@ -61,7 +61,7 @@ def test_bright_planes_keep_the_limits_that_rounding_would_break(image: float, t
     pictures = [torch.full((24, 24, 3), value) for value in (image, target)]
     for picture in pictures:
         picture[::2] *= 1 + 1e-7
-    loss, gradient = on_a_device(*pictures, None, 1.0)
+    loss, gradient = on_a_device(pictures[0], pictures[1], None, 1.0)
     assert 0 <= loss <= 2.001 and torch.isfinite(gradient).all()
     assert (device_statistics(pictures[1])[1] >= 0).all()
 
