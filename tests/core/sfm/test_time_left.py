@@ -67,6 +67,19 @@ def test_phases_that_come_back_and_a_job_that_begins_anew() -> None:
     assert job.shown[-1][1] == pytest.approx(37.0, rel=0.1), "all is done again thoroughly"
 
 
+def test_the_first_of_a_phase_may_wait_for_libraries_and_threads() -> None:
+    predicted: dict[Phase, float] = dict(zip(PHASES, (20.0, 0.2, 15.0, 12.0, 4.0, 2.0, 3.0), strict=True))
+    job = Job(predicted)
+    job.now_s = 3.0
+    job.tell(SfmProgress(phase="features", done=0, total=40))
+    job.now_s += 4.0
+    job.tell(SfmProgress(phase="features", done=1, total=40))
+    for done in range(2, 9):
+        job.now_s += 0.5
+        job.tell(SfmProgress(phase="features", done=done, total=40))
+    assert job.shown[-1][1] == pytest.approx(16.0 + sum(predicted.values()) - 20.0, rel=0.2)
+
+
 def test_photographs_of_no_size_and_empty_phases_divide_by_nothing() -> None:
     assert all(value >= 0 for value in predict_phases([], SfmConfig()).values())
     job = Job(predict_phases([], SfmConfig()))
@@ -82,6 +95,10 @@ MEASURED = {
     "caliterra": (75, (1152, 864), (21.3, 0.2, 7.4, 22.4, 7.1, 2.0, 1.9)),
     "lewis": (55, (1152, 864), (19.9, 0.2, 8.9, 12.9, 2.7, 1.3, 1.4)),
     "town": (60, (640, 480), (8.6, 0.2, 7.2, 11.9, 3.6, 1.2, 0.8)),
+    # Of two threads on one core, halved.
+    "60 small ones": (60, (384, 288), (3.1, 0.3, 3.4, 3.9, 2.8, 0.4, 0.5)),
+    "400": (400, (384, 288), (26.6, 2.4, 19.3, 40.5, 17.8, 2.4, 2.7)),
+    "1,600": (1600, (384, 288), (92.0, 9.8, 76.8, 335.0, 95.7, 17.0, 16.5)),
 }
 
 
