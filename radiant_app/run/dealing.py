@@ -25,7 +25,7 @@ from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import Version
 from radiant_core.frames import Sim3
-from radiant_core.hierarchy.choosing import CUT, JOINED, REFINED
+from radiant_core.hierarchy.choosing import in_order
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import FRAME_NAME, SUMMARY_NAME, TASK_NAME, save_task, sent_files, task_key
 from radiant_core.io.photos.masks import mask_name
@@ -165,13 +165,11 @@ class Dealer:
     @property
     def versions(self) -> dict[Version, Path]:
         """Folder of each version of the scene, that which is kept without a comparison first."""
-        cut = (self.run / "cloud" / CUT_SCENE).parent
-        made: tuple[tuple[Version, Path | None], ...] = (
-            (REFINED, self.refined),
-            (JOINED, self.run / "cloud"),
-            (CUT, cut if (self.run / "cloud" / CUT_SCENE).is_file() else None),
-        )
-        return {name: folder for name, folder in made if folder is not None}
+        joined, cut = self.run / "cloud", self.run / "cloud" / CUT_SCENE
+        if not cut.is_file():
+            return in_order(self.refined, joined, None, only_faded=False)
+        only_faded = read_json(joined / SUMMARY_NAME, ("num_steps",))["num_steps"] == 0
+        return in_order(self.refined, joined, cut.parent, only_faded=only_faded)
 
     @property
     def version(self) -> Version:

@@ -12,7 +12,7 @@ AggregatePreset = Literal["default", "paper"]
 the cloud, nothing skipped (paper Sec. III-D)."""
 
 MAX_TILES = 256
-JOINING_EPOCHS, SHORT_EPOCHS, SHORT_BELOW = (10, 5), (2, 2), 50
+JOINING_EPOCHS, SHORT_EPOCHS, SHORT_BELOW = (10, 5), (1, 0), 50
 """Epochs at the edges and at the cloud, and where refining follows on trainings that show each
 photograph less often than that, which does the rest as well (docs/experiments/aggregation.md)."""
 NUM_ROUNDS = {30: 5, 75: 3}
@@ -29,7 +29,8 @@ class AggregateConfig:
     preset: AggregatePreset = "default"
     """default: models fade where others own the place and are fitted; paper: all are retrained."""
     num_epochs: int | None = None
-    """How often the cloud shows each synthetic view (paper Sec. IV-B: 10). None: as in
+    """How often the cloud shows each synthetic view (paper Sec. IV-B: 10); 0: models fade where
+    others own the place, and nothing is fitted before devices refine them. None: as in
     `JOINING_EPOCHS`, or in `SHORT_EPOCHS` where devices are to refine what was joined after short
     trainings; whether memory or too few devices keep them from it is not known yet then."""
     edge_epochs: int | None = None
@@ -73,8 +74,11 @@ class AggregateConfig:
             raise BadInput(f"refine_epochs is {self.refine_epochs}, expected 0 (the scene is not refined) or more.")
         if self.refine_rounds is not None and not 1 <= self.refine_rounds <= MAX_ROUNDS:
             raise BadInput(f"refine_rounds is {self.refine_rounds}, expected 1 to {MAX_ROUNDS}: set refine_epochs to 0 to refine nothing.")
-        if any(number is not None and number < 1 for number in (self.num_epochs, self.edge_epochs, self.max_num_steps)):
-            raise BadInput("num_epochs, edge_epochs and max_num_steps of the aggregation must be at least 1.")
+        limits = (self.num_epochs, 0), (self.edge_epochs, 0), (self.max_num_steps, 1)
+        if any(number is not None and number < least for number, least in limits):
+            raise BadInput("num_epochs and edge_epochs of the aggregation must be at least 0, max_num_steps at least 1.")
+        if 0 in (self.num_epochs, self.edge_epochs) and (self.preset == "paper" or not self.refine_epochs):
+            raise BadInput("0 epochs of joining leave the models to the devices that refine them: give 1 or more, or refine_epochs.")
 
     @property
     def most_tiles(self) -> int:
@@ -89,12 +93,12 @@ class AggregateConfig:
     @property
     def epochs_at_edges(self) -> int:
         """How often an edge shows each synthetic view."""
-        return self.edge_epochs or JOINING_EPOCHS[0]
+        return JOINING_EPOCHS[0] if self.edge_epochs is None else self.edge_epochs
 
     @property
     def epochs_at_cloud(self) -> int:
         """The same of the cloud."""
-        return self.num_epochs or JOINING_EPOCHS[1]
+        return JOINING_EPOCHS[1] if self.num_epochs is None else self.num_epochs
 
     def rounds_after(self, photograph_shows: float) -> int:
         """In how many rounds devices refine after trainings that show each photograph so often:
@@ -107,7 +111,8 @@ class AggregateConfig:
         if not self.refine_epochs or photograph_shows >= SHORT_BELOW:
             return self
         edges, cloud = SHORT_EPOCHS
-        return replace(self, edge_epochs=self.edge_epochs or edges, num_epochs=self.num_epochs or cloud)
+        given = self.edge_epochs, self.num_epochs
+        return replace(self, edge_epochs=edges if given[0] is None else given[0], num_epochs=cloud if given[1] is None else given[1])
 
 
 def aggregate_preset(name: str) -> AggregateConfig:

@@ -4,9 +4,9 @@ own cameras. Once per node.
 `paper` concatenates and retrains everything (paper Sec. III-D, Fig. 6). `default` begins near the
 end instead: every model fades where another one speaks for the place (`ownership`), so that the
 first picture is about that of a clean cut, then all of them are fitted together in a few epochs at
-falling rates. Views before which nothing is contested are not shown, and what only they see keeps
-its bits. Gaussians are neither added nor densified: the paper densifies on devices, from step 500
-of their 20,000 on.
+falling rates; in no epoch, where devices fit them at once (`hierarchy/refine.py`). Views before
+which nothing is contested are not shown, and what only they see keeps its bits. Gaussians are
+neither added nor densified: the paper densifies on devices, from step 500 of their 20,000 on.
 """
 
 from __future__ import annotations
@@ -81,7 +81,13 @@ class Joined:
     check: Check | None = None
     """Joined against cut; None: not compared."""
     cut: Splats | None = None
-    """The cut that the joined model was better than; None: not compared, or the cut is kept."""
+    """The cut that the joined model was better than, or that stands for models that nobody fits;
+    None: nothing is contested, or the cut is kept."""
+
+    @property
+    def is_unfitted(self) -> bool:
+        """Whether models only faded, for devices to fit."""
+        return self.cut is not None and not self.trained.num_steps
 
     @property
     def splats(self) -> Splats:
@@ -160,6 +166,9 @@ def _join(
     cut = replace(cut, num_shown=int(sum(rows.sum() for rows in shown)), contested_share=float(contested.mean()) if len(contested) else 0.0)
     if not cut.num_shown:
         return cut
+    if not aggregate.epochs_at_cloud:
+        # The cut is for the case that nobody refines it.
+        return replace(cut, trained=as_result(merged), cut=cut.splats)
     asked = [
         replace(one, cameras=one.cameras.select(np.flatnonzero(rows))) for one, rows in zip(teachers, shown, strict=True) if rows.any()
     ]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 
+Scene = TypeVar("Scene")
 REFINED: Version = "refined"
 JOINED: Version = "joined"
 CUT: Version = "cut"
@@ -66,6 +68,16 @@ class Choice:
             reason=f"{figures} in {self.num_photographs} photographs that were in no training, {same}{without}",
             changes_nothing=self.keeps_usual,
         )
+
+
+def in_order(refined: Scene | None, joined: Scene | None, cut: Scene | None, *, only_faded: bool) -> dict[Version, Scene]:
+    """The versions that there are, that which is kept without a comparison first: the refined one,
+    else the joined one, but of models that `only_faded`, for devices that then fitted nothing, the
+    cut one."""
+    made: list[tuple[Version, Scene | None]] = [(REFINED, refined), (JOINED, joined), (CUT, cut)]
+    if only_faded and refined is None:
+        made.reverse()
+    return {name: version for name, version in made if version is not None}
 
 
 def is_comparison(names: Sequence[Version], machine: Mapping[Version, Sequence[float]]) -> bool:

@@ -57,7 +57,9 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     sites, weights = np.array(task.sites)[rows], np.array(task.weights)[rows]
     cut_for_memory = False
     if task.aggregate.cloud == "retrain":
-        choice = _choose(task, arrivals, rows, reporter, machine)
+        # What only fades takes no more memory than what arrived, and no time.
+        fits = task.aggregate.preset != "paper" and not task.aggregate.epochs_at_cloud
+        choice = _FADES if fits else _choose(task, arrivals, rows, reporter, machine)
         cut_for_memory = choice.cut_for_memory
         if choice.retrains or task.aggregate.preset != "paper":
             options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
@@ -96,6 +98,9 @@ class _Choice:
     retrains: bool
     memory: JoinMemory
     cut_for_memory: bool
+
+
+_FADES = _Choice(retrains=True, memory=JoinMemory(num_tiles=1, needed_bytes=0.0, statistics_bytes=0, fits=True), cut_for_memory=False)
 
 
 def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: Reporter, machine: Machine) -> _Choice:

@@ -171,6 +171,10 @@ def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, join
         return [decided(f"{steps:,} steps on all Gaussians and whole pictures", float(steps), "steps", BY_PRESET)]
     exposures = [] if joined.balance is None else [exposures_decision(stage, joined.balance)]
     checks = [] if joined.check is None else [check_decision(stage, joined.check)]
+    if joined.is_unfitted:
+        left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
+        reason = "after short trainings devices that refine the models at once get as far as after a join, and sooner"
+        return [*exposures, decided(f"models fade where others own the place; {left}", 100 * joined.contested_share, "% contested", reason)]
     if not joined.num_shown:
         reason = "no view shows enough that a second model knows: models are cut at their borders"
         return [*exposures, decided("skipped", 0.0, "% contested", reason)]

@@ -17,7 +17,7 @@ from radiant_core.aggregate.tree import refined_at
 from radiant_core.choices import Version
 from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.frames import Sim3
-from radiant_core.hierarchy.choosing import CUT, JOINED, REFINED, Choice, choose_version
+from radiant_core.hierarchy.choosing import Choice, choose_version, in_order
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.decisions import refinement_decision
 from radiant_core.hierarchy.device import train_device
@@ -51,12 +51,8 @@ class InProcessRun:
     @property
     def versions(self) -> dict[Version, Splats]:
         """Of the scene, the one that is kept without a comparison first."""
-        made: tuple[tuple[Version, Splats | None], ...] = (
-            (REFINED, self.scene.splats if self.refinements else None),
-            (JOINED, self.joined.splats),
-            (CUT, self.joined.cut),
-        )
-        return {name: splats for name, splats in made if splats is not None}
+        refined = self.scene.splats if self.refinements else None
+        return in_order(refined, self.joined.splats, self.joined.cut, only_faded=self.joined.only_faded)
 
 
 def run_in_process(
@@ -104,7 +100,7 @@ def _refine(
         return joined
     present = {edge: devices_in(joined.edges[edge].corrections) for edge in devices_in(joined.scene.corrections)}
     if not (refining := plan_refining(recipe, present, len(splats)).devices):
-        return joined
+        return replace(joined, scene=replace(joined.scene, splats=next(iter(joined.versions.values()))))
     refiner = _Refiner(recipe=recipe, devices=refining, scene=scene, views=views, reporter_of=reporter_of)
     sent: dict[str, Refinement] = {}
     start, kept = splats, None

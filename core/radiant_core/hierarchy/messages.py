@@ -190,4 +190,10 @@ class SceneModel:
     cut_for_memory: bool = False
     """Whether too little free memory made it cut models, which another try may join."""
     cut: Splats | None = None
-    """The edges' models cut at their borders, where they were joined and that was compared."""
+    """The edges' models cut at their borders, where they were joined and that was compared, or
+    where they only faded, for devices to fit."""
+
+    @property
+    def only_faded(self) -> bool:
+        """Whether the edges' models only faded: what no device fits is better cut."""
+        return self.cut is not None and self.summary.get("num_steps") == 0

@@ -10,7 +10,7 @@ import pytest
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.join import Joined, join_models, teacher_views
+from radiant_core.aggregate.join import Joined, cut_at_borders, join_models, teacher_views
 from radiant_core.aggregate.retrain import retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
@@ -18,6 +18,7 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.geometry.coverage import reached_by
+from radiant_core.hierarchy.decisions import join_decisions
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.claims import Claims, claims_of_cells
 from radiant_core.render.rendered_view import render_views
@@ -110,6 +111,18 @@ def test_joining_heals_what_a_blind_neighbour_covers(claims: Claims | None) -> N
     assert (result.trained.num_steps, result.num_shown, result.num_views) == (4 * AggregateConfig().epochs_at_cloud, 4, 4)
     assert result.agreement_db is not None and before + 3 < result.agreement_db < 48
     assert mean_psnr_db(result.splats, views) > before + 3
+
+
+def test_in_no_epoch_models_fade_and_the_cut_comes_beside() -> None:
+    west, east = halves()
+    result = joined([west, east], [WEST, EAST], num_epochs=0, faint_opacity=0.0)
+    cut = cut_at_borders(teachers([west, east], [WEST, EAST]), CELLS).splats
+    assert result.is_unfitted and result.trained.num_steps == 0 and result.check is None
+    assert result.cut is not None and len(result.cut) == len(cut) < len(result.splats) == len(west) + len(east)
+    owned = np.flatnonzero(result.splats.logit_opacities == concatenate_splats([west, east]).logit_opacities)
+    np.testing.assert_array_equal(result.splats.means[owned], result.cut.means)
+    (decision,) = [one for one in join_decisions("cloud", AggregateConfig(num_epochs=0), 2, result) if one.topic == "retraining"]
+    assert decision.choice.startswith("models fade where others own the place") and not decision.changes_nothing
 
 
 def test_models_that_agree_are_cut_and_not_retrained() -> None:

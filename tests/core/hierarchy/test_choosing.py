@@ -10,7 +10,7 @@ import pytest
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.image_error import psnr_db
-from radiant_core.hierarchy.choosing import BEST_DB, CUT, JOINED, REFINED, choose_version
+from radiant_core.hierarchy.choosing import BEST_DB, CUT, JOINED, REFINED, choose_version, in_order
 from radiant_core.hierarchy.in_process import InProcessRun, keep_best
 from radiant_core.hierarchy.messages import SceneModel
 from radiant_core.hierarchy.reporter import Recorder
@@ -94,6 +94,15 @@ def test_figures_are_those_of_the_scorer_masks_and_light_included() -> None:
 def ended(joined: Splats, cut: Splats | None) -> InProcessRun:
     scene = SceneModel(splats=joined, cut=cut)
     return InProcessRun(scene=scene, edges={}, refinements={}, joined=scene)
+
+
+def test_models_that_only_faded_are_cut_where_no_device_fits_them() -> None:
+    faded = replace(ended(DULL, TRUTH).joined, summary={"num_steps": 0})
+    run = InProcessRun(scene=faded, edges={}, refinements={}, joined=faded)
+    assert faded.only_faded and [*run.versions] == [CUT, JOINED]
+    assert not replace(faded, summary={"num_steps": 9}).only_faded and not replace(faded, cut=None).only_faded
+    assert [*in_order(TRUTH, DULL, TRUTH, only_faded=True)] == [REFINED, JOINED, CUT]
+    assert [*in_order(None, DULL, TRUTH, only_faded=False)] == [JOINED, CUT]
 
 
 def test_a_poisoned_join_is_replaced_by_the_cut() -> None:
