@@ -17,7 +17,7 @@ from pathlib import Path
 
 from radiant_app.config.run_config import ExecutionOptions
 from radiant_app.files.profile_file import load_profile
-from radiant_app.run.predictions import planned_training, refining_law_of
+from radiant_app.run.predictions import joining_shares, planned_training, refining_law_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.plan.profiles.profile import Profile
 from radiant_core.plan.timeline.refining import AT_CLOUD, AT_EDGE, predict_round
@@ -80,6 +80,8 @@ def forecast(num_photographs: int, profile: Path, free_bytes: int) -> Forecast:
 def _stages(curves: Profile, train: TrainConfig, num_photographs: int, workers: int) -> Iterator[tuple[str, float | None, bool]]:
     """Stage, its seconds (None: no curve) and whether they are extrapolated."""
     per_device, per_edge = (math.ceil(num_photographs / parts) for parts in (NUM_DEVICES, NUM_EDGES))
+    at_edges, at_cloud = joining_shares(train, AggregateConfig(), num_photographs, NUM_DEVICES)
+    share_of = {"edges": at_edges, "cloud": at_cloud}
     waves_of = {"devices": math.ceil(NUM_DEVICES / workers), "edges": math.ceil(NUM_EDGES / workers)}
     for stage, fits, count in (
         ("structure from motion", (curves.sfm_s,), num_photographs),
@@ -91,7 +93,7 @@ def _stages(curves: Profile, train: TrainConfig, num_photographs: int, workers: 
         if len(known) < len(fits):
             yield stage, None, False
             continue
-        seconds = waves_of.get(stage, 1) * sum(float(fit.curve(count)) for fit in known)
+        seconds = share_of.get(stage, 1.0) * waves_of.get(stage, 1) * sum(float(fit.curve(count)) for fit in known)
         yield stage, seconds, any(count > FAR * fit.largest_count for fit in known)
     law = refining_law_of(train, AggregateConfig(), num_photographs, NUM_DEVICES)
     beside_s, trained_s = (float(fit.curve(per_device)) for fit in (curves.init_s, curves.train_s))

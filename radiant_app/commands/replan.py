@@ -26,7 +26,7 @@ from radiant_app.files.run_folder import Manifest, read_manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
-from radiant_app.run.predictions import depends_on_training, planned_training, with_camera_limits, with_step_law
+from radiant_app.run.predictions import depends_on_training, planned_training, with_camera_limits, with_short_joins, with_step_law
 from radiant_app.workers.sources import DELIVERED, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
@@ -128,7 +128,8 @@ def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[
     if not depends_on_training(system):
         return system, ()
     train = planned_training("default", Overrides())
-    limited, _, warnings = with_camera_limits(with_step_law(system, train, num_positions), train, num_positions)
+    shorter = with_short_joins(with_step_law(system, train, num_positions), train, num_positions)
+    limited, _, warnings = with_camera_limits(shorter, train, num_positions)
     return limited, warnings
 
 

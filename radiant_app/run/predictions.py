@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from radiant_core.aggregate.config import AggregateConfig, AggregatePreset
+from radiant_core.aggregate.config import JOINING_EPOCHS, AggregateConfig, AggregatePreset
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.plan.counts.wide_deadline import system_capacity
@@ -22,6 +22,11 @@ from radiant_core.plan.timeline.refining import RefiningLaw
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend, step_law_of
+
+
+BESIDE_EPOCHS = 0.15
+"""Of a join in all of its epochs, what it takes in none: of the edges of three scenes 1.1 to 1.3 of
+8.7 to 9.5 CPU s, by one and two epochs (docs/experiments/aggregation.md)."""
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
@@ -53,6 +58,27 @@ def with_step_law(system: System, train: TrainConfig, num_cameras: int) -> Syste
         return replace(device, train_s=law.cost(device.train_s, device.profile.key.num_steps, num_cameras))
 
     return replace(system, edges=tuple(replace(edge, devices=tuple(map(by_photographs, edge.devices))) for edge in system.edges))
+
+
+def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photographs: int, num_devices: int) -> tuple[float, float]:
+    """Of a join in `JOINING_EPOCHS`, for which profiles hold, what one takes at the edges and at
+    the cloud after such trainings."""
+    if aggregate.preset == "paper" or not num_photographs or not num_devices:
+        return 1.0, 1.0
+    joining = aggregate.joining_after(step_law_of(train, num_photographs, num_devices).per_photograph)
+    at_edges, at_cloud = joining.epochs_at_edges / JOINING_EPOCHS[0], joining.epochs_at_cloud / JOINING_EPOCHS[1]
+    return BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * at_edges, BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * at_cloud
+
+
+def with_short_joins(system: System, train: TrainConfig, num_cameras: int, aggregate: AggregateConfig = AggregateConfig()) -> System:
+    """The system whose edges and cloud join in as many epochs as after such trainings, where their
+    curves come from a profile."""
+    at_edges, at_cloud = joining_shares(train, aggregate, num_cameras, len(system.devices))
+    edges = (edge if edge.profile is None else replace(edge, aggregate_s=edge.aggregate_s.scaled(at_edges)) for edge in system.edges)
+    cloud = system.cloud
+    if cloud.profile is not None and cloud.merge_s is not None:
+        cloud = replace(cloud, merge_s=cloud.merge_s.scaled(at_cloud))
+    return replace(system, edges=tuple(edges), cloud=cloud)
 
 
 def refining_law_of(

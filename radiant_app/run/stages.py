@@ -21,6 +21,7 @@ from radiant_app.run.predictions import (
     training_key_of,
     with_camera_limits,
     with_own_frames,
+    with_short_joins,
     with_step_law,
 )
 from radiant_app.run.progress import Progress
@@ -75,6 +76,7 @@ def plan_stage(
     train = planned_training(config.train.preset, config.train.overrides)
     if config.train.step_policy == "per_photograph":
         system = with_step_law(system, train, len(positions))
+    system = with_short_joins(system, train, len(positions), config.aggregate.config)
     if config.frames != "shared":
         system = with_own_frames(system, len(positions))
     if config.plan.file is not None:

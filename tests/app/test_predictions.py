@@ -14,13 +14,21 @@ from hypothesis import strategies as st
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system
 from radiant_app.run.prediction_error import prediction_of
-from radiant_app.run.predictions import depends_on_training, refining_law_of, with_camera_limits, with_own_frames, with_step_law
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_app.run.predictions import (
+    BESIDE_EPOCHS,
+    depends_on_training,
+    refining_law_of,
+    with_camera_limits,
+    with_own_frames,
+    with_short_joins,
+    with_step_law,
+)
+from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.curve_fit import FittedCurve
 from radiant_core.plan.regions.region_plan import plan_regions
-from radiant_core.plan.system import System
+from radiant_core.plan.system import Cloud, System
 from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.memory import BASE_BYTES, IMAGE_BYTES_PER_PX, PROCESS_BYTES, STEP_BYTES_PER_PX, bytes_per_splat, most_cameras
@@ -77,6 +85,24 @@ def test_measured_devices_cost_the_steps_that_their_photographs_ask_for() -> Non
             assert float(device.train_s(count)) == pytest.approx(slower * (8.0 + 0.1 * count) * (1_000 * count / 30) / 500, rel=0.03)
     spelt_out = system_of(None, None)
     assert with_step_law(spelt_out, train, 60) == spelt_out
+
+
+def test_measured_edges_and_the_cloud_cost_the_epochs_that_follow_on_short_trainings() -> None:
+    curve = FittedCurve(curve=CostCurve(linear=0.5), smallest_count=5, largest_count=50)
+    profile = replace(MEASURED, aggregate_s=curve, merge_s=curve)
+    (edge,) = profiled().edges
+    edge = replace(edge, profile=profile, aggregate_s=curve.curve)
+    system = System(edges=(edge,), cloud=Cloud(merge_s=curve.curve, profile=profile))
+    train = replace(TRAIN, num_steps=1_000, max_epochs=None)
+    # 1,000 steps for 10 photographs a device, 100 times each, then for 50, 20 times each.
+    assert with_short_joins(system, train, 20) == system
+    short = with_short_joins(system, train, 100)
+    assert float(short.edges[0].aggregate_s(40)) == pytest.approx(20 * (BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * 0.1))
+    assert short.cloud.merge_s is not None and float(short.cloud.merge_s(40)) == pytest.approx(20 * BESIDE_EPOCHS)
+    assert with_short_joins(system, train, 100, aggregate_preset("paper")) == system
+    assert with_short_joins(system, train, 100, AggregateConfig(refine_epochs=0)) == system
+    spelt_out = System(edges=(replace(edge, profile=None),), cloud=Cloud(merge_s=curve.curve))
+    assert with_short_joins(spelt_out, train, 100) == spelt_out
 
 
 def test_devices_that_place_their_own_photographs_cost_their_structure_from_motion() -> None:
