@@ -58,8 +58,8 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     cut_for_memory = False
     if task.aggregate.cloud == "retrain":
         # What only fades takes no more memory than what arrived, and no time.
-        fits = task.aggregate.preset != "paper" and not task.aggregate.epochs_at_cloud
-        choice = _FADES if fits else _choose(task, arrivals, rows, reporter, machine)
+        fades = task.aggregate.preset != "paper" and not task.aggregate.epochs_at_cloud
+        choice = _FADES if fades else _choose(task, arrivals, rows, reporter, machine)
         cut_for_memory = choice.cut_for_memory
         if choice.retrains or task.aggregate.preset != "paper":
             options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))

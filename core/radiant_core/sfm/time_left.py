@@ -45,7 +45,7 @@ def predict_phases(sizes_wh: Sequence[tuple[int, int]], config: SfmConfig) -> Ma
         "features": (2.2 if thorough else 1.0) * min(0.02 * count + 0.45 * reduced_mp, 0.08 * count + 0.26 * reduced_mp),
         "pairs": 0.0002 * candidates,
         "matching": (0.06 if thorough else 0.017) * pairs * full,
-        "mapping": (0.4 if thorough else 0.26) * count * full * few * max(1.0, count / 60) ** 0.35,
+        "mapping": (0.4 if thorough else 0.32) * count * full * few * max(1.0, count / 60) ** 0.35,
         "triangulating": 0.03 * count * full * few**0.75 + 0.01 * whole_mp,
         "refining": 0.08 * count * full**0.5 * few**0.75,
         "undistorting": 0.03 * whole_mp,
