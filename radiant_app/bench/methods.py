@@ -277,7 +277,9 @@ def _join_at_once(cell: Cell, recipe: Recipe) -> Made:
     cameras = concatenate_cameras([model.cameras for model in models]).scaled(recipe.train.long_side_px)
 
     def work() -> tuple[Splats, float]:
-        joined = join_models(teachers, recipe.train, recipe.aggregate, FitOptions(backend=recipe.backend), claims)
+        # Nobody refines this one: it is fitted.
+        aggregate = replace(recipe.aggregate, num_epochs=recipe.aggregate.epochs_at_cloud or None)
+        joined = join_models(teachers, recipe.train, aggregate, FitOptions(backend=recipe.backend), claims)
         return joined.splats, float(joined.trained.num_steps * cameras.sizes_wh.prod(axis=1).mean())
 
     return _time_work(work)

@@ -27,8 +27,9 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
 from radiant_app.files.run_folder import read_manifest, require_current
-from radiant_app.run.predictions import planned_training, training_key_of
+from radiant_app.run.predictions import planned_training, share_of_epochs, training_key_of
 from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of, sfm_task
+from radiant_core.aggregate.config import JOINING_EPOCHS
 from radiant_core.errors import BadInput
 from radiant_core.io.messages import save_task, task_setting
 from radiant_core.io.records import load_plan, load_scene
@@ -136,6 +137,9 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
         seconds = _seconds(stages, f"edges/{plan.edge_id}")
         if seconds:
             working = sum(1 for count in counts.values() if count)
+            if working > 1:
+                epochs = _epochs(run / "edges" / plan.edge_id, "edge_epochs")
+                seconds /= share_of_epochs(JOINING_EPOCHS[0] if epochs is None else epochs, JOINING_EPOCHS[0])
             edges.append(EdgeSample(num_cameras=sum(counts.values()), num_devices=working, seconds=seconds))
     if not devices:
         raise BadInput(f"{run} keeps no times of a device's training: give the folder of a run with its devices/ and edges/.")
@@ -146,12 +150,18 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     key = ProfileKey(preset=config["train"]["preset"], num_steps=num_steps, aggregate_preset=config["aggregate"]["preset"], **sizes)
     distinct = sorted({sample.num_cameras for sample in devices})
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
-    seconds = _seconds(stages, "cloud")
+    # Where the cloud fitted nothing, its time does not say what fitting takes.
+    seconds = None if _epochs(run / "cloud", "num_epochs") == 0 else _seconds(stages, "cloud")
     num_cameras = sum(sample.num_cameras for sample in edges)
     merges = (EdgeSample(num_cameras=num_cameras, num_devices=len(edges), seconds=seconds),) if seconds and num_cameras else ()
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out, merges=merges)
     source = f"stage times of a run, {len(devices)} devices and {len(edges)} edges, run side by side as it did"
     return _write_profile(out, measured, key, machine or machine_label(None), source)
+
+
+def _epochs(node: Path, name: str) -> int | None:
+    """Epochs that a node's task asks for; None for as many as there are by default."""
+    return (task_setting(node, "aggregate") or {}).get(name)
 
 
 def library_table() -> str:

@@ -19,11 +19,13 @@ from radiant_app.events import Decided, Listener, Warned
 from radiant_app.run.dealing import Dealer
 from radiant_app.workers.evaluation import SCENE_NAME
 from radiant_core.choices import Version
-from radiant_core.hierarchy.choosing import choose_version, is_comparison
+from radiant_core.hierarchy.choosing import CUT, choose_version, is_comparison
+from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN
 from radiant_core.io.ply import load_ply
 from radiant_core.io.run_store import read_json
 
 STAGE = "evaluation"
+NOBODY_REFINED = "the models only faded, for devices to refine them, and none did: the scene is what is cut at their borders."
 Score = Callable[[Mapping[Version, Path]], Mapping[str, Path]]
 """Scores the first of several versions and compares all: files of scores by machine."""
 
@@ -39,6 +41,8 @@ def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[s
     """
     dealer.chosen = None
     scenes: dict[Version, Path] = {name: folder / SCENE_NAME for name, folder in dealer.versions.items()}
+    if next(iter(scenes)) == CUT:
+        listen(Warned(stage=STAGE, message=f"{NOBODY_REFINED} {CUT_COSTS} {JOIN_AGAIN}."))
     scores = dict(score(scenes))
     compared = {machine: read_json(path, ("versions",))["versions"] for machine, path in scores.items()}
     for machine, figures in list(compared.items()):
@@ -48,14 +52,18 @@ def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[s
             del compared[machine], scores[machine]
     choice = choose_version([*scenes], [*compared.values()])
     if choice is None:
-        return scores, {"version": dealer.version}
+        return scores, _facts(dealer.version, scenes)
     decision = choice.decision(STAGE)
     listen(Decided(decision=decision))
-    facts: dict[str, Any] = {"version": choice.version, "versions": dict(choice.mean_db)}
+    facts = _facts(choice.version, scenes) | {"versions": dict(choice.mean_db)}
     if choice.keeps_usual:
         return scores, facts
     listen(Warned(stage=STAGE, message=f"{decision.choice}, not the {next(iter(scenes))} one: {decision.reason}."))
     dealer.chosen = choice.version
-    # The cloud's summary counts the joined one.
-    facts["num_gaussians"] = len(load_ply(scenes[choice.version]))
     return score({choice.version: scenes[choice.version]}), facts
+
+
+def _facts(version: Version, scenes: Mapping[Version, Path]) -> dict[str, Any]:
+    # The cloud's summary counts the joined one, whose rows the refined one keeps.
+    counted = {"num_gaussians": len(load_ply(scenes[version]))} if version == CUT else {}
+    return {"version": version, **counted}

@@ -26,6 +26,7 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import Version
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.choosing import in_order
+from radiant_core.hierarchy.messages import ONLY_FADED
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import FRAME_NAME, SUMMARY_NAME, TASK_NAME, save_task, sent_files, task_key
 from radiant_core.io.photos.masks import mask_name
@@ -168,8 +169,7 @@ class Dealer:
         joined, cut = self.run / "cloud", self.run / "cloud" / CUT_SCENE
         if not cut.is_file():
             return in_order(self.refined, joined, None, only_faded=False)
-        only_faded = read_json(joined / SUMMARY_NAME, ("num_steps",))["num_steps"] == 0
-        return in_order(self.refined, joined, cut.parent, only_faded=only_faded)
+        return in_order(self.refined, joined, cut.parent, only_faded=bool(read_json(joined / SUMMARY_NAME).get(ONLY_FADED)))
 
     @property
     def version(self) -> Version:

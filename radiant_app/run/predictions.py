@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from radiant_core.aggregate.config import JOINING_EPOCHS, AggregateConfig, AggregatePreset
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.refining_plan import refining_steps
@@ -22,7 +24,6 @@ from radiant_core.plan.timeline.refining import RefiningLaw
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend, step_law_of
-
 
 BESIDE_EPOCHS = 0.15
 """Of a join in all of its epochs, what it takes in none: of the edges of three scenes 1.1 to 1.3 of
@@ -66,19 +67,30 @@ def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photograp
     if aggregate.preset == "paper" or not num_photographs or not num_devices:
         return 1.0, 1.0
     joining = aggregate.joining_after(step_law_of(train, num_photographs, num_devices).per_photograph)
-    at_edges, at_cloud = joining.epochs_at_edges / JOINING_EPOCHS[0], joining.epochs_at_cloud / JOINING_EPOCHS[1]
-    return BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * at_edges, BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * at_cloud
+    return share_of_epochs(joining.epochs_at_edges, JOINING_EPOCHS[0]), share_of_epochs(joining.epochs_at_cloud, JOINING_EPOCHS[1])
+
+
+def share_of_epochs(epochs: int, most: int) -> float:
+    """Of a join in so many epochs at `most`, what one in fewer takes."""
+    return BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * epochs / most
 
 
 def with_short_joins(system: System, train: TrainConfig, num_cameras: int, aggregate: AggregateConfig = AggregateConfig()) -> System:
-    """The system whose edges and cloud join in as many epochs as after such trainings, where their
-    curves come from a profile."""
+    """The system whose edges and cloud join in as many epochs as after such trainings, where the
+    costs of edges come from a profile."""
     at_edges, at_cloud = joining_shares(train, aggregate, num_cameras, len(system.devices))
-    edges = (edge if edge.profile is None else replace(edge, aggregate_s=edge.aggregate_s.scaled(at_edges)) for edge in system.edges)
-    cloud = system.cloud
-    if cloud.profile is not None and cloud.merge_s is not None:
-        cloud = replace(cloud, merge_s=cloud.merge_s.scaled(at_cloud))
-    return replace(system, edges=tuple(edges), cloud=cloud)
+    if at_edges == at_cloud == 1.0 or not any(edge.profile for edge in system.edges):
+        return system
+
+    def shorter(edge: Edge) -> Edge:
+        if edge.profile is None or edge.aggregate_alone_s is None:
+            return edge if edge.profile is None else replace(edge, aggregate_s=edge.aggregate_s.scaled(at_edges))
+        joined, alone = edge.aggregate_s, edge.aggregate_alone_s
+        # With one device an edge does all but the epochs.
+        return replace(edge, aggregate_s=curve_through(lambda n: alone(n) + at_edges * np.maximum(joined(n) - alone(n), 0.0), num_cameras))
+
+    merge_s = None if system.cloud.merge_s is None else system.cloud.merge_s.scaled(at_cloud)
+    return replace(system, edges=tuple(map(shorter, system.edges)), cloud=replace(system.cloud, merge_s=merge_s))
 
 
 def refining_law_of(

@@ -70,9 +70,12 @@ def fold_rounds(rounds: Sequence[Refining], fold: Callable[[Refining, Tree], Non
         tried.append(each)
         each.dealer.refined = each.scene_folder
         if not each.is_done(tree.id):
-            kept = "it was joined" if each.dealer.refined is None else f"round {each.number - 1} left it"
+            kept = "the cloud left it" if each.dealer.refined is None else f"round {each.number - 1} left it"
             listen(Warned(stage=tree.id, message=f"the scene stays as {kept}: no refinement arrived; --resume tries again."))
             break
+    if tried and left_out(tried).keys() >= set().union(*tried[0].plan.devices.values()):
+        # What came back are the Gaussians that went out.
+        tried[0].dealer.refined = None
     if tried and (missing := {**left_out(tried), **partly_left_out(tried)}):
         stage, num_devices = tried[-1].node("cloud"), sum(map(len, tried[0].plan.devices.values()))
         listen(Decided(decision=left_out_decision(stage, missing, num_devices)))

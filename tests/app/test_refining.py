@@ -202,7 +202,7 @@ def test_a_round_of_which_nothing_came_is_the_last_and_leaves_the_joined_scene(r
     names = {Path(node.id).parent.name for node in nodes_of(refining, "device")}
     assert left_out(tried) == dict.fromkeys(names, LATE)
     (warned,) = [event.message for event in heard if isinstance(event, Warned)]
-    assert warned == "the scene stays as it was joined: no refinement arrived; --resume tries again."
+    assert warned == "the scene stays as the cloud left it: no refinement arrived; --resume tries again."
 
 
 def test_nodes_of_rounds_are_told_from_others_by_their_ids() -> None:

@@ -74,11 +74,11 @@ class AggregateConfig:
             raise BadInput(f"refine_epochs is {self.refine_epochs}, expected 0 (the scene is not refined) or more.")
         if self.refine_rounds is not None and not 1 <= self.refine_rounds <= MAX_ROUNDS:
             raise BadInput(f"refine_rounds is {self.refine_rounds}, expected 1 to {MAX_ROUNDS}: set refine_epochs to 0 to refine nothing.")
-        limits = (self.num_epochs, 0), (self.edge_epochs, 0), (self.max_num_steps, 1)
+        limits = (self.num_epochs, 0), (self.edge_epochs, 1), (self.max_num_steps, 1)
         if any(number is not None and number < least for number, least in limits):
-            raise BadInput("num_epochs and edge_epochs of the aggregation must be at least 0, max_num_steps at least 1.")
-        if 0 in (self.num_epochs, self.edge_epochs) and (self.preset == "paper" or not self.refine_epochs):
-            raise BadInput("0 epochs of joining leave the models to the devices that refine them: give 1 or more, or refine_epochs.")
+            raise BadInput("edge_epochs and max_num_steps of the aggregation must be at least 1, num_epochs at least 0.")
+        if self.num_epochs == 0 and (self.preset == "paper" or not self.refine_epochs):
+            raise BadInput("0 epochs at the cloud leave the models to the devices that refine them: give 1 or more, or refine_epochs.")
 
     @property
     def most_tiles(self) -> int:

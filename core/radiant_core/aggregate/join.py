@@ -87,7 +87,7 @@ class Joined:
     @property
     def is_unfitted(self) -> bool:
         """Whether models only faded, for devices to fit."""
-        return self.cut is not None and not self.trained.num_steps
+        return self.cut is not None and self.check is None
 
     @property
     def splats(self) -> Splats:

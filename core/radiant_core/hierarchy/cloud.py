@@ -1,6 +1,7 @@
 """What the cloud does: join the edges' models into the scene (paper Sec. III-D). Once per run.
 
 admit ─→ retrain     all models together, on what each shows at its edge's virtual cameras
+      ├→ fade        each where others own the place, in no epoch: devices fit the scene next
       ├→ cut         at the borders of the regions, where memory, time or a count of cameras forbid
       │              that; a warning says so
       └→ crop-merge  where the settings ask for it, or the paper's preset meets its limits
@@ -14,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from radiant_core.aggregate.averaging import average_bytes
 from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.extend import NewRegion, extend_scene
@@ -23,7 +25,7 @@ from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN, join_decisions, report_join_memory
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.joining import Arrivals, admit, join_key
-from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension, SceneModel
+from radiant_core.hierarchy.messages import ONLY_FADED, CloudTask, EdgeModel, Extension, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.plan.regions.claims import Claims, claims_of_cells
 from radiant_core.plan.system import Cloud
@@ -57,15 +59,16 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     sites, weights = np.array(task.sites)[rows], np.array(task.weights)[rows]
     cut_for_memory = False
     if task.aggregate.cloud == "retrain":
-        # What only fades takes no more memory than what arrived, and no time.
-        fades = task.aggregate.preset != "paper" and not task.aggregate.epochs_at_cloud
-        choice = _FADES if fades else _choose(task, arrivals, rows, reporter, machine)
+        if not task.aggregate.epochs_at_cloud and not _can_average(task, arrivals):
+            # Nobody is going to refine what would only fade.
+            task = replace(task, aggregate=replace(task.aggregate, num_epochs=None))
+        choice = _choose(task, arrivals, rows, reporter, machine) if task.aggregate.epochs_at_cloud else _FADES
         cut_for_memory = choice.cut_for_memory
         if choice.retrains or task.aggregate.preset != "paper":
             options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
             teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]
             joined = _join(task, teachers, claims_of_cells(sites, weights), options, choice, reporter)
-            summary = training_summary(joined.trained)
+            summary = training_summary(joined.trained) | {ONLY_FADED: int(joined.is_unfitted)}
             return SceneModel(splats=joined.splats, summary=summary, cut_for_memory=cut_for_memory, cut=joined.cut, **found)
     merged = crop_merge(arrivals.models, sites, weights)
     counts = {"num_splats": len(merged), "num_dropped": sum(map(len, arrivals.models)) - len(merged)}
@@ -101,6 +104,13 @@ class _Choice:
 
 
 _FADES = _Choice(retrains=True, memory=JoinMemory(num_tiles=1, needed_bytes=0.0, statistics_bytes=0, fits=True), cut_for_memory=False)
+
+
+def _can_average(task: CloudTask, arrivals: Arrivals) -> bool:
+    """Whether what devices refine of so many Gaussians can be averaged in the cloud's memory."""
+    most_bytes = None if task.limits is None else task.limits.memory_bytes
+    needed = average_bytes(sum(map(len, arrivals.models)), max(model.sh_degree for model in arrivals.models), renders=False)
+    return most_bytes is None or needed <= most_bytes
 
 
 def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: Reporter, machine: Machine) -> _Choice:

@@ -173,7 +173,7 @@ def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, join
     checks = [] if joined.check is None else [check_decision(stage, joined.check)]
     if joined.is_unfitted:
         left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
-        reason = "after short trainings devices that refine the models at once get as far as after a join, and sooner"
+        reason = "devices refine them next: after short trainings that gets as far as a join before it, and sooner"
         return [*exposures, decided(f"models fade where others own the place; {left}", 100 * joined.contested_share, "% contested", reason)]
     if not joined.num_shown:
         reason = "no view shows enough that a second model knows: models are cut at their borders"

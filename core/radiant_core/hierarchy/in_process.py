@@ -51,7 +51,7 @@ class InProcessRun:
     @property
     def versions(self) -> dict[Version, Splats]:
         """Of the scene, the one that is kept without a comparison first."""
-        refined = self.scene.splats if self.refinements else None
+        refined = self.scene.splats if any(len(each.rows) for each in self.refinements.values()) else None
         return in_order(refined, self.joined.splats, self.joined.cut, only_faded=self.joined.only_faded)
 
 
@@ -100,7 +100,7 @@ def _refine(
         return joined
     present = {edge: devices_in(joined.edges[edge].corrections) for edge in devices_in(joined.scene.corrections)}
     if not (refining := plan_refining(recipe, present, len(splats)).devices):
-        return replace(joined, scene=replace(joined.scene, splats=next(iter(joined.versions.values()))))
+        return _usual(joined)
     refiner = _Refiner(recipe=recipe, devices=refining, scene=scene, views=views, reporter_of=reporter_of)
     sent: dict[str, Refinement] = {}
     start, kept = splats, None
@@ -108,7 +108,12 @@ def _refine(
         splats, sent_now = refiner.refine(start, number, kept)
         start, kept = start_of_next_round(start, splats), splats
         sent |= sent_now
-    return replace(joined, scene=replace(joined.scene, splats=splats), refinements=sent)
+    return _usual(replace(joined, scene=replace(joined.scene, splats=splats), refinements=sent))
+
+
+def _usual(run: InProcessRun) -> InProcessRun:
+    """The run with the version of its scene that is kept without a comparison."""
+    return replace(run, scene=replace(run.scene, splats=next(iter(run.versions.values()))))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

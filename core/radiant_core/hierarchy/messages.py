@@ -47,6 +47,10 @@ def in_file(name: str) -> Mapping[str, Any]:
     return {"file": name}
 
 
+ONLY_FADED = "only_faded"
+"""In a cloud's summary: 1 where models faded and nothing was fitted to them."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Training:
     """What every node that trains or joins is given."""
@@ -196,4 +200,4 @@ class SceneModel:
     @property
     def only_faded(self) -> bool:
         """Whether the edges' models only faded: what no device fits is better cut."""
-        return self.cut is not None and self.summary.get("num_steps") == 0
+        return self.cut is not None and bool(self.summary.get(ONLY_FADED))

@@ -149,8 +149,10 @@ class Recipe:
         )
 
     def _join_s(self, edge: str, summary: Mapping[str, float | int]) -> float:
-        """Seconds that the edge's retraining took; by its cost curve where it did none."""
+        """Seconds that the edge's retraining would take in the cloud's epochs; by its cost curve
+        where it did none."""
+        joining = self.aggregate.joining_after(self.photograph_shows)
         if summary["num_steps"]:
-            return float(summary["train_s"])
+            return float(summary["train_s"]) * joining.epochs_at_cloud / joining.epochs_at_edges
         row = self.cloud_plan.edge_ids.index(edge)
         return float(self.system.edges[row].aggregate_s(int(self.cloud_plan.counts[row])))

@@ -101,7 +101,7 @@ def _too_few(num_devices: int) -> Decision:
     return Decision(
         stage=STAGE,
         topic="refinement",
-        choice="the scene stays as it was joined",
+        choice="no device refines the scene",
         figure=float(num_devices),
         unit="devices could refine it",
         reason=f"a device alone has fitted its model to its photographs before: {LEAST_DEVICES} are needed",

@@ -26,6 +26,8 @@ FEATURES_PER_MP = 16_000
 at 640 px, 14,500 at 384."""
 PARALLEL: tuple[Phase, ...] = ("features", "pairs", "matching", "undistorting")
 """Phases that threads share; others hardly gain."""
+WAVE = 0.25
+"""Threads end their first ones within this share of the time that the first of them took."""
 GAIN = 0.75
 """n threads do n^GAIN times the work of one: two gained 1.6 in features and 1.8 in matching."""
 
@@ -68,8 +70,8 @@ class TimeLeft:
     """The first report of the current phase."""
     _phase_begun_s: float = 0.0
     _first: tuple[float, int] | None = None
-    """When the first of the phase was done, and how many were then: it waits for libraries to load,
-    and for all threads."""
+    """When the first ones of the phase were done, and how many: they wait for libraries to load."""
+    _waited_s: float = 0.0
     _last: int = -1
     """Number of the latest phase that was reached."""
 
@@ -113,12 +115,18 @@ class TimeLeft:
         """How long what is done of the phase took, at the pace since its first."""
         assert self._phase is not None
         since_begun_s = now_s - self._phase_begun_s
-        if self._first is None and progress.done > self._phase.done:
+        if progress.done > self._phase.done and now_s <= self._phase_begun_s + (1 + WAVE) * self._wait_s(now_s):
             self._first = now_s, progress.done
         if self._first is None or progress.done <= self._first[1]:
             return since_begun_s
         first_s, first = self._first
         return min(since_begun_s, (now_s - first_s) * (progress.done - self._phase.done) / (progress.done - first))
+
+    def _wait_s(self, now_s: float) -> float:
+        """How long the first of the phase took."""
+        if self._first is None:
+            self._waited_s = now_s - self._phase_begun_s
+        return self._waited_s
 
 
 def _share(done: float, total: float) -> float:

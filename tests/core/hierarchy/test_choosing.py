@@ -12,7 +12,7 @@ from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.choosing import BEST_DB, CUT, JOINED, REFINED, choose_version, in_order
 from radiant_core.hierarchy.in_process import InProcessRun, keep_best
-from radiant_core.hierarchy.messages import SceneModel
+from radiant_core.hierarchy.messages import ONLY_FADED, SceneModel
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
@@ -97,10 +97,10 @@ def ended(joined: Splats, cut: Splats | None) -> InProcessRun:
 
 
 def test_models_that_only_faded_are_cut_where_no_device_fits_them() -> None:
-    faded = replace(ended(DULL, TRUTH).joined, summary={"num_steps": 0})
+    faded = replace(ended(DULL, TRUTH).joined, summary={ONLY_FADED: 1})
     run = InProcessRun(scene=faded, edges={}, refinements={}, joined=faded)
     assert faded.only_faded and [*run.versions] == [CUT, JOINED]
-    assert not replace(faded, summary={"num_steps": 9}).only_faded and not replace(faded, cut=None).only_faded
+    assert not replace(faded, summary={ONLY_FADED: 0}).only_faded and not replace(faded, cut=None).only_faded
     assert [*in_order(TRUTH, DULL, TRUTH, only_faded=True)] == [REFINED, JOINED, CUT]
     assert [*in_order(None, DULL, TRUTH, only_faded=False)] == [JOINED, CUT]
 

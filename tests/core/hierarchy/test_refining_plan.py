@@ -38,7 +38,7 @@ def test_without_limits_all_devices_in_the_scene_refine(recipe: Recipe) -> None:
 @pytest.mark.parametrize("present", [{}, {"edge-1": []}, {"edge-1": [], "edge-2": ["edge-2-device-1"]}])
 def test_fewer_than_two_devices_refine_nothing_and_it_is_told(recipe: Recipe, present: dict[str, list[str]]) -> None:
     plan = plan_refining(recipe, present, NUM_SPLATS)
-    assert not plan.devices and [decision.choice for decision in plan.decisions] == ["the scene stays as it was joined"]
+    assert not plan.devices and [decision.choice for decision in plan.decisions] == ["no device refines the scene"]
     assert plan.decisions[0].figure == sum(map(len, present.values()))
 
 

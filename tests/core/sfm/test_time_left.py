@@ -80,6 +80,20 @@ def test_the_first_of_a_phase_may_wait_for_libraries_and_threads() -> None:
     assert job.shown[-1][1] == pytest.approx(16.0 + sum(predicted.values()) - 20.0, rel=0.2)
 
 
+def test_threads_that_end_their_first_ones_together_say_nothing_about_the_pace() -> None:
+    predicted: dict[Phase, float] = dict(zip(PHASES, (20.0, 0.2, 15.0, 12.0, 4.0, 2.0, 3.0), strict=True))
+    job = Job(predicted)
+    job.tell(SfmProgress(phase="features", done=0, total=40))
+    for wave in range(1, 11):
+        job.now_s = 2.0 * wave
+        for done in range(4 * wave - 3, 4 * wave + 1):
+            job.now_s += 0.01
+            job.tell(SfmProgress(phase="features", done=done, total=40))
+    shown = [(at_s, left_s) for at_s, left_s in job.shown if left_s is not None and at_s > 2.04]
+    for at_s, left_s in shown:
+        assert 0.6 < left_s / (sum(predicted.values()) - at_s) < 1.7
+
+
 def test_photographs_of_no_size_and_empty_phases_divide_by_nothing() -> None:
     assert all(value >= 0 for value in predict_phases([], SfmConfig()).values())
     job = Job(predict_phases([], SfmConfig()))
