@@ -5,7 +5,7 @@ placement, seed).
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each
     ours            the default of `radiant run`; in a run's own cell, the run's settings
-    ours once       all device models joined at once, as without edges, in the cloud's epochs
+    ours once       all device models joined at once, as without edges, in five epochs or the run's
     paper once      the same by the paper's preset: one tier in place of two
     ours edges      as ours, the cloud only cuts
     even            ours on even counts of photographs

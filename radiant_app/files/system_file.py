@@ -23,7 +23,7 @@
 The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
 both has relative_speed and speed 0.5.
 
-    [cloud]                              # limits of joining there; beyond them models are only cut
+    [cloud]                              # limits of fitting there; beyond them models are only cut
     memory_gb = 16.0                     # left out: four fifths of what is free
     time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000

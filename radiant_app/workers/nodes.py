@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 CUT_NAME = "cut_for_memory"
 """Empty file in the cloud's folder: models were cut because its machine had too little memory."""
 CUT_SCENE = "cut/scene.ply"
-"""The scene as it would be without joining, where the cloud has compared both."""
+"""The scene as it would be without joining, where the cloud fitted it or leaves that to devices."""
 
 Work = Callable[[Path, Any, EventReporter], Sequence[str]]
 """The work of a kind of node in its folder with its task; returns the names of its files."""

@@ -32,7 +32,8 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     made = {row.arm: row for row in rows}
     assert list(made) == ["centralised", "crop", "paper", "ours", "ours edges", "photographs"]
     assert all(len(row.psnr_db) == 2 and np.isfinite(row.psnr_db).all() and row.num_gaussians > 100 for row in rows)
-    assert made["crop"].training_px == 0 < made["ours"].training_px < made["paper"].training_px
+    # An edge with one device joins nothing, and the cloud leaves fitting to the devices.
+    assert made["crop"].training_px == made["ours"].training_px == 0 < made["paper"].training_px
     assert made["crop"].num_gaussians < made["paper"].num_gaussians
     found = {metric.key: metric.value for metric in metrics}
     key = "methods.scene.ours.over_paper"

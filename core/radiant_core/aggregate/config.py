@@ -27,7 +27,8 @@ class AggregateConfig:
     """How an edge joins its devices' models, and the cloud its edges'."""
 
     preset: AggregatePreset = "default"
-    """default: models fade where others own the place and are fitted; paper: all are retrained."""
+    """default: models fade where others own the place and are fitted, here or by devices; paper:
+    all are retrained."""
     num_epochs: int | None = None
     """How often the cloud shows each synthetic view (paper Sec. IV-B: 10); 0: models fade where
     others own the place, and nothing is fitted before devices refine them. None: as in

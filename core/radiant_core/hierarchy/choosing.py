@@ -5,8 +5,8 @@ training. Once per run.
     is_comparison      whether what a machine says can be compared
     choose_version     the version with the best mean over the photographs of all machines
 
-Figures go up, pixels do not. A join is compared with its cut on pictures of the models before
-(`aggregate/join.py`): that alone stands for land of which no photograph is held out.
+Figures go up, pixels do not. What a node fitted was compared with its cut on pictures of the models
+before (`aggregate/join.py`): that alone stands for land of which no photograph is held out.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Choice:
         without = ""
         if self.num_without:
             machines = f"{self.num_without} of {self.num_machines} machines hold out none"
-            without = f"; {machines}: of their land only pictures of the models were compared"
+            without = f"; {machines}: of their land at most pictures of the models were compared"
         return Decision(
             stage=stage,
             topic="refined, joined or cut",

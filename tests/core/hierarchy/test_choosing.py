@@ -51,7 +51,7 @@ def test_machines_that_hold_out_nothing_are_said_and_without_any_photograph_noth
     nothing: dict = {name: [] for name in NAMES}
     choice = choose_version(NAMES, [{REFINED: [20.0], JOINED: [21.0], CUT: [19.0]}, nothing])
     assert choice is not None and choice.version == JOINED
-    assert "1 of 2 machines hold out none: of their land only pictures of the models were compared" in choice.decision("s").reason
+    assert "1 of 2 machines hold out none: of their land at most pictures of the models were compared" in choice.decision("s").reason
     assert choose_version(NAMES, [nothing, nothing]) is None and choose_version(NAMES, []) is None
     assert choose_version([JOINED], [{JOINED: [20.0]}]) is None
 
