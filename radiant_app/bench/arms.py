@@ -31,6 +31,7 @@ from radiant_core.evaluate.seam_error import SeamMasks, band_and_interior_psnr_d
 from radiant_core.evaluate.shown_pixels import select_strongest
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.hierarchy.refining_plan import choose_rounds
 from radiant_core.io.array_file import load_arrays, save_arrays
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
@@ -263,7 +264,10 @@ class Arms:
 
     def model_file(self, cell: Cell, arm: Arm) -> Path:
         """Where an arm's model is kept, or the pictures of its field."""
-        decides = (arm.recipe(cell), *(() if arm.settings is None else (arm.settings,)))
+        recipe = arm.recipe(cell)
+        # What the settings leave to the product is what it does today.
+        schedule = (recipe.joining, choose_rounds(recipe))
+        decides = (recipe, *schedule, *(() if arm.settings is None else (arm.settings,)))
         key = content_key(__version__, arm.name, *decides, self.scene.training, self.scene.held_out.cameras)[:16]
         return self.out / "joined" / f"{cell.name}-{arm.name.replace(' ', '_')}-{key}.safetensors"
 

@@ -292,7 +292,7 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
         training = training_key_of(train, request.train_preset)
-        system = with_short_joins(with_step_law(system, train, num_cameras), train, num_cameras)
+        system = with_short_joins(with_step_law(system, train, num_cameras), train, num_cameras, AggregateConfig())
         system, _, warnings = with_camera_limits(system, train, num_cameras)
         law = refining_law_of(train, AggregateConfig(), num_cameras, len(system.devices))
     given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)

@@ -28,6 +28,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
 from radiant_app.run.predictions import depends_on_training, planned_training, with_camera_limits, with_short_joins, with_step_law
 from radiant_app.workers.sources import DELIVERED, load_scene_of
+from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.csv_cells import cell_of_text
@@ -128,7 +129,7 @@ def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[
     if not depends_on_training(system):
         return system, ()
     train = planned_training("default", Overrides())
-    shorter = with_short_joins(with_step_law(system, train, num_positions), train, num_positions)
+    shorter = with_short_joins(with_step_law(system, train, num_positions), train, num_positions, AggregateConfig())
     limited, _, warnings = with_camera_limits(shorter, train, num_positions)
     return limited, warnings
 

@@ -66,7 +66,7 @@ def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photograp
     the cloud after such trainings."""
     if aggregate.preset == "paper" or not num_photographs or not num_devices:
         return 1.0, 1.0
-    joining = aggregate.joining_after(step_law_of(train, num_photographs, num_devices).per_photograph)
+    joining = aggregate.joining_after(step_law_of(train, num_photographs, num_devices).per_photograph, num_devices)
     return share_of_epochs(joining.epochs_at_edges, JOINING_EPOCHS[0]), share_of_epochs(joining.epochs_at_cloud, JOINING_EPOCHS[1])
 
 
@@ -75,7 +75,7 @@ def share_of_epochs(epochs: int, most: int) -> float:
     return BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * epochs / most
 
 
-def with_short_joins(system: System, train: TrainConfig, num_cameras: int, aggregate: AggregateConfig = AggregateConfig()) -> System:
+def with_short_joins(system: System, train: TrainConfig, num_cameras: int, aggregate: AggregateConfig) -> System:
     """The system whose edges and cloud join in as many epochs as after such trainings, where the
     costs of edges come from a profile."""
     at_edges, at_cloud = joining_shares(train, aggregate, num_cameras, len(system.devices))

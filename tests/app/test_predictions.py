@@ -94,18 +94,19 @@ def test_measured_edges_and_the_cloud_cost_the_epochs_that_follow_on_short_train
     system = System(edges=(edge,), cloud=Cloud(merge_s=curve))
     train = replace(TRAIN, num_steps=1_000, max_epochs=None)
     # 1,000 steps for 10 photographs a device, 100 times each, then for 50, 20 times each.
-    assert with_short_joins(system, train, 20) == system
-    short = with_short_joins(system, train, 100)
+    assert with_short_joins(system, train, 20, AggregateConfig()) == system
+    short = with_short_joins(system, train, 100, AggregateConfig())
     at_edges = BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * 0.1
     assert float(short.edges[0].aggregate_s(40)) == pytest.approx(20 * at_edges)
     assert short.cloud.merge_s is not None and float(short.cloud.merge_s(40)) == pytest.approx(20 * BESIDE_EPOCHS)
-    (with_alone,) = with_short_joins(System(edges=(replace(edge, aggregate_alone_s=alone),)), train, 100).edges
+    alone_known = System(edges=(replace(edge, aggregate_alone_s=alone),))
+    (with_alone,) = with_short_joins(alone_known, train, 100, AggregateConfig()).edges
     for count, expected in ((40, 6 + at_edges * (20 - 6)), (4, 2.4)):
         assert float(with_alone.aggregate_s(count)) == pytest.approx(expected, rel=0.05), "no less than what one device takes"
     assert with_short_joins(system, train, 100, aggregate_preset("paper")) == system
     assert with_short_joins(system, train, 100, AggregateConfig(refine_epochs=0)) == system
     spelt_out = System(edges=(replace(edge, profile=None),), cloud=Cloud(merge_s=curve))
-    assert with_short_joins(spelt_out, train, 100) == spelt_out
+    assert with_short_joins(spelt_out, train, 100, AggregateConfig()) == spelt_out
 
 
 def test_devices_that_place_their_own_photographs_cost_their_structure_from_motion() -> None:

@@ -61,8 +61,16 @@ class Recipe:
         """How often the training of a device shows each of its photographs, in the mean."""
         if not self._total_photographs:
             return float("inf")
-        num_devices = self.num_devices or devices_with_photographs(self.edge_plans)
-        return step_law_of(self.train, self._total_photographs, num_devices).per_photograph
+        return step_law_of(self.train, self._total_photographs, self._total_devices).per_photograph
+
+    @property
+    def joining(self) -> AggregateConfig:
+        """How tiers join models after such trainings."""
+        return self.aggregate.joining_after(self.photograph_shows, self._total_devices)
+
+    @property
+    def _total_devices(self) -> int:
+        return self.num_devices or devices_with_photographs(self.edge_plans)
 
     @property
     def _total_photographs(self) -> int:
@@ -73,7 +81,7 @@ class Recipe:
         """The steps of devices by their photographs; None: all take those of `train`."""
         if self.step_policy == "fixed" or not self._total_photographs:
             return None
-        return step_law_of(self.train, self._total_photographs, self.num_devices or devices_with_photographs(self.edge_plans))
+        return step_law_of(self.train, self._total_photographs, self._total_devices)
 
     def training_of(self, device: str) -> TrainConfig:
         """The training of a device, as long as its photographs ask for."""
@@ -116,7 +124,7 @@ class Recipe:
             num_dealt=tuple(num_dealt.values()),
             strips=tuple(tuple((float(x), float(y)) for x, y in strip) for strip in strips),
             train=self.train,
-            aggregate=self.aggregate.joining_after(self.photograph_shows),
+            aggregate=self.joining,
             backend=self.backend,
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,
@@ -141,7 +149,7 @@ class Recipe:
             sites=tuple((float(x), float(y)) for x, y in self.cloud_plan.sites[rows]),
             weights=tuple(float(weight) for weight in self.cloud_plan.weights[rows]),
             train=self.train,
-            aggregate=self.aggregate.joining_after(self.photograph_shows),
+            aggregate=self.joining,
             backend=self.backend,
             checkpoint_every_s=self.checkpoint_every_s,
             limits=limits if retrains else None,
@@ -151,8 +159,7 @@ class Recipe:
     def _join_s(self, edge: str, summary: Mapping[str, float | int]) -> float:
         """Seconds that the edge's retraining would take in the cloud's epochs; by its cost curve
         where it did none."""
-        joining = self.aggregate.joining_after(self.photograph_shows)
         if summary["num_steps"]:
-            return float(summary["train_s"]) * joining.epochs_at_cloud / joining.epochs_at_edges
+            return float(summary["train_s"]) * self.joining.epochs_at_cloud / self.joining.epochs_at_edges
         row = self.cloud_plan.edge_ids.index(edge)
         return float(self.system.edges[row].aggregate_s(int(self.cloud_plan.counts[row])))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs
-from radiant_core.aggregate.config import SHORT_BELOW, AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import FEW_DEVICES, SHORT_BELOW, AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.join_memory import JoinMemory, join_bytes, plan_join_memory
@@ -148,21 +148,23 @@ class TestPaperAggregation:
     def test_epochs_are_fewer_where_devices_refine_after_short_trainings(self) -> None:
         ours, alone, asked = AggregateConfig(), AggregateConfig(refine_epochs=0), AggregateConfig(edge_epochs=7, num_epochs=0)
         for config, short, long in (
-            (ours, (1, 0), (10, 5)),
+            (ours, (2, 2), (10, 5)),
             (alone, (10, 5), (10, 5)),
             (asked, (7, 0), (7, 0)),
             (aggregate_preset("paper"), (10, 10), (10, 10)),
         ):
             assert (config.epochs_at_edges, config.epochs_at_cloud) == long
             for shows, expected in ((20, short), (SHORT_BELOW - 1, short), (SHORT_BELOW, long), (float("inf"), long)):
-                joining = config.joining_after(shows)
+                joining = config.joining_after(shows, FEW_DEVICES + 1)
                 assert (joining.epochs_at_edges, joining.epochs_at_cloud, joining.at_edge.epochs_at_cloud) == (*expected, expected[0])
+        few = ours.joining_after(20, FEW_DEVICES)
+        assert (few.epochs_at_edges, few.epochs_at_cloud) == (1, 0) and ours.joining_after(SHORT_BELOW, FEW_DEVICES) == ours
         assert [ours.rounds_after(shows) for shows in (20, 40, 100)] == [5, 3, 1]
         assert replace(ours, refine_rounds=2).rounds_after(100) == 2
 
     @pytest.mark.parametrize("given", [{"refine_epochs": 0, "num_epochs": 0}, {"preset": "paper", "num_epochs": 0}, {"edge_epochs": 0}])
     def test_no_epochs_without_devices_that_refine_are_refused(self, given: dict) -> None:
-        with pytest.raises(BadInput, match="give 1 or more, or refine_epochs|edge_epochs and max_num_steps .* at least 1"):
+        with pytest.raises(BadInput, match=r"give 1 or more, or refine_epochs|edge_epochs and max_num_steps .* at least 1"):
             AggregateConfig(**given)
 
     def test_it_retrains_at_the_rates_of_3dgs_however_devices_were_trained(self) -> None:
