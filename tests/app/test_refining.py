@@ -205,6 +205,25 @@ def test_a_round_of_which_nothing_came_is_the_last_and_leaves_the_joined_scene(r
     assert warned == "the scene stays as the cloud left it: no refinement arrived; --resume tries again."
 
 
+def test_rounds_in_which_no_device_changed_anything_leave_the_scene_and_what_only_faded_is_cut(refining: Refining) -> None:
+    rounds = plan_rounds(refining.dealer, refining.moves)
+    run = refining.dealer.run
+
+    def fold(each: Refining, tree: Tree) -> None:
+        for node in tree:
+            (run / node.id).mkdir(parents=True, exist_ok=True)
+            refused = dict.fromkeys([Path(child.id).parent.name for child in node.children], "it changed no Gaussian of the scene.")
+            done_in(each, refines_for(node.id), refused if node.tier == "edge" else {})
+
+    tried = fold_rounds(rounds, fold, lambda event: None)
+    assert len(left_out(tried)) == 4 and refining.dealer.refined is None
+    (run / "cloud" / "cut").mkdir()
+    (run / "cloud" / "cut" / "scene.ply").touch()
+    assert [*refining.dealer.versions] == ["joined", "cut"]
+    write_json(run / "cloud" / "summary.json", {"num_splats": 2000, "num_steps": 0, "only_faded": 1})
+    assert [*refining.dealer.versions] == ["cut", "joined"] and refining.dealer.scene_folder == run / "cloud" / "cut"
+
+
 def test_nodes_of_rounds_are_told_from_others_by_their_ids() -> None:
     assert [refined_at("devices/a", number) for number in (1, 2, 12)] == ["devices/a/refine", "devices/a/refine2", "devices/a/refine12"]
     for owner in ("devices/a", "cloud", "devices/refine", "edges/refine2"):
