@@ -21,7 +21,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.workers.delivering import DELIVERIES, identify_part, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME
-from radiant_app.workers.refining import KEPT_SCENE, NEXT_SCENE, REFINED_SCENE
+from radiant_app.workers.refining import KEPT_SCENE, NEXT_SCENE, REFINED_SCENE, counted_file, dealt_file
 from radiant_app.workers.tasks import SIGNED, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
@@ -251,7 +251,19 @@ class Refining:
             long_side_px=recipe.train.long_side_px,
         )
         cameras = [folder.parent / "inbox" / sender / CAMERAS_NAME for sender in senders]
-        return (task, [folder / "inbox", *cameras]) if senders else None
+        return (task, [folder / "inbox", *cameras, *self._deal_shown(senders, folder)]) if senders else None
+
+    def _deal_shown(self, devices: Sequence[str], folder: Path) -> list[Path]:
+        """Copy what the edge has counted in earlier rounds of what devices' photographs show."""
+        earlier = [folder.parent / Path(refined_at(folder.parent.name, number)).name for number in range(1, self.number)]
+        dealt = []
+        for device in devices:
+            (target := folder / dealt_file(device)).unlink(missing_ok=True)
+            counted = [path for each in earlier if (path := each / counted_file(device)).is_file()]
+            if counted:
+                target.parent.mkdir(exist_ok=True)
+                dealt.append(Path(shutil.copyfile(counted[0], target)))
+        return dealt
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         senders = self._receive(node, folder)

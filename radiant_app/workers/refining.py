@@ -7,9 +7,13 @@ the uploads of the senders that are registered there.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from radiant_app.workers.delivering import belongs_to_run, deliver, find_refusals
 from radiant_app.workers.inbox import REFUSED_NAME
@@ -20,6 +24,7 @@ from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_
 from radiant_core.cameras import Cameras
 from radiant_core.geometry.similarity import move_cameras
 from radiant_core.hierarchy.decisions import refinement_decision
+from radiant_core.io.array_file import load_arrays, save_arrays
 from radiant_core.io.messages import CAMERAS_NAME, load_refinement, save_refinement
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_scene
@@ -31,6 +36,7 @@ REFINED_SCENE, NEXT_SCENE = "refined/scene.ply", "refined/next/scene.ply"
 """What the cloud writes in the folder of a round: the scene, and where the next round starts."""
 KEPT_SCENE = "kept/scene.ply"
 """What the round before made, in the cloud's folder of a round from the second on."""
+SHOWN_SCHEMA = "radiant.shown"
 MIN_ADMITTED = 0.9
 """A refinement of which a smaller share counts is warned about: of honest ones 99.9 % do."""
 NOT_ADMITTED = "the others changed more than refining does, or are not shown by its cameras."
@@ -59,17 +65,16 @@ def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> S
 
 def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Sequence[str]:
     """Average what an edge's devices refined, by what their photographs show."""
-    # At the cloud averaging needs no torch.
-    from radiant_core.evaluate.shown_pixels import count_shown_photographs
-
     scene = load_ply(folder / "scene.ply")
     moves, inbox = dict(zip(task.senders, task.corrections, strict=True)), folder.parent / "inbox"
     refused: dict[str, str] = {}
+    # Of devices that sent something the last time and are not among the senders now.
+    shutil.rmtree((folder / counted_file("")).parent, ignore_errors=True)
 
     def admitted() -> Iterator[Refinement]:
         for name, each in _receive(folder, task, scene, refused, reporter):
             cameras = correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]).scaled(task.long_side_px)
-            kept = admit_refinement(each, scene, count_shown_photographs(scene, cameras, task.backend))
+            kept = admit_refinement(each, scene, _shown_of(name, folder, scene, cameras, task))
             if len(kept.rows) < MIN_ADMITTED * len(each.rows):
                 reporter.warn(f"of the refinement of {name} {len(kept.rows):,} of {len(each.rows):,} Gaussians count: {NOT_ADMITTED}")
             if len(each.rows) and not len(kept.rows):
@@ -78,7 +83,8 @@ def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Seq
 
     refinement = join_refinements(admitted(), scene)
     write_json(folder / REFUSED_NAME, refused)
-    return [REFUSED_NAME, *_save_and_sign(folder, refinement, scene, task.upload, reporter)]
+    counted = [file for name in task.senders if (folder / (file := counted_file(name))).is_file()]
+    return [REFUSED_NAME, *counted, *_save_and_sign(folder, refinement, scene, task.upload, reporter)]
 
 
 def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Sequence[str]:
@@ -102,6 +108,31 @@ def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Seque
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         save_ply(folder / name, splats)
     return [*made, REFUSED_NAME]
+
+
+def counted_file(device: str) -> str:
+    """What an edge has counted in a round of what a device's photographs show, in the folder of
+    that round; it stays there."""
+    return f"counted/{device}.safetensors"
+
+
+def dealt_file(device: str) -> str:
+    """The same of an earlier round, in the folder of a later one."""
+    return f"shown/{device}.safetensors"
+
+
+def _shown_of(device: str, folder: Path, scene: Splats, cameras: Cameras, task: AverageTask) -> NDArray[np.float32]:
+    """What each of N Gaussians makes of a device's photographs, (N,), counted in the first round in
+    which it sends anything: they move little in the others."""
+    if (dealt := folder / dealt_file(device)).is_file():
+        return load_arrays(dealt, SHOWN_SCHEMA, {"photographs": "F32"})[0]["photographs"]
+    # At the cloud, and in later rounds, averaging needs no torch.
+    from radiant_core.evaluate.shown_pixels import count_shown_photographs
+
+    shown = count_shown_photographs(scene, cameras, task.backend).astype(np.float32)
+    (counted := folder / counted_file(device)).parent.mkdir(exist_ok=True)
+    save_arrays(counted, SHOWN_SCHEMA, {"photographs": shown}, {})
+    return shown
 
 
 def photographs_of(own: Path) -> Path:

@@ -282,6 +282,16 @@ def test_every_executor_makes_the_scene_of_the_fold_in_one_process(
             assert (again / "cameras").read_bytes() == (folder / "virtual_cameras.safetensors").read_bytes()
 
 
+def test_what_photographs_show_is_counted_in_the_first_round_alone(runs: dict[str, Path]) -> None:
+    rounds = [path for run in map(run_of, runs.values()) for path in run.glob("edges/*/refine[2-9]")]
+    assert rounds
+    for later in rounds:
+        first, dealt = later.parent / "refine" / "counted", sorted((later / "shown").iterdir())
+        assert [path.name for path in dealt] == [f"{path.name}.safetensors" for path in sorted((later / "inbox").iterdir())]
+        assert all(path.read_bytes() == (first / path.name).read_bytes() for path in dealt)
+        assert not (later / "counted").exists()
+
+
 def test_every_executor_keeps_the_version_that_the_fold_in_one_process_keeps(
     runs: dict[str, Path], oracle: dict[str, Oracle], worlds: dict[str, World]
 ) -> None:

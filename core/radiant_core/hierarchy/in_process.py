@@ -7,10 +7,7 @@ What crosses between two nodes passes through the codec, so that the bits are th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass, field, replace
 
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene, start_of_next_round
 from radiant_core.aggregate.tree import refined_at
@@ -126,6 +123,8 @@ class _Refiner:
     scene: SfmScene
     views: TrainingViews
     reporter_of: Callable[[str], Reporter]
+    shown: dict[str, FloatArray] = field(default_factory=dict)
+    """Device → what its photographs show of the scene, as its edge counted it."""
 
     def refine(self, splats: Splats, number: int, kept: Splats | None = None) -> tuple[Splats, dict[str, Refinement]]:
         """The scene after a round that starts from `splats`, and what nodes sent in it; `kept`: the
@@ -139,13 +138,13 @@ class _Refiner:
         by_edge: list[Refinement] = []
         for edge, devices in self.devices.items():
             arrived = [
-                (each, self.recipe.cameras_of(device))
+                (device, each)
                 for device in devices
                 for each in send(refined_at(f"devices/{device}", number), self._refine_device(device, splats, number))
             ]
             node = refined_at(f"edges/{edge}", number)
             self.reporter_of(node)
-            admitted = [admit_refinement(each, splats, self._shown(splats, rows)) for each, rows in arrived]
+            admitted = [admit_refinement(each, splats, self._shown(device, splats)) for device, each in arrived]
             by_edge += [admit_refinement(each, splats) for each in send(node, join_refinements(admitted, splats))]
         reporter = self.reporter_of(refined_at("cloud", number))
         reporter.decide(refinement_decision(reporter.stage, [len(each.rows) for each in by_edge], splats))
@@ -156,9 +155,12 @@ class _Refiner:
         _, shown, _ = worth_training(self.scene.restricted_to(rows), self.views.select(rows), recipe.train)
         return refine_device(recipe.refine_task(device), splats, shown, self.reporter_of(refined_at(f"devices/{device}", number)))
 
-    def _shown(self, splats: Splats, rows: NDArray[np.int64]) -> FloatArray:
-        cameras = self.scene.cameras.select(rows).scaled(self.recipe.train.long_side_px)
-        return count_shown_photographs(splats, cameras, self.recipe.backend)
+    def _shown(self, device: str, splats: Splats) -> FloatArray:
+        """Counted in the first round in which the device sends anything."""
+        if device not in self.shown:
+            cameras = self.scene.cameras.select(self.recipe.cameras_of(device)).scaled(self.recipe.train.long_side_px)
+            self.shown[device] = count_shown_photographs(splats, cameras, self.recipe.backend)
+        return self.shown[device]
 
 
 def keep_best(run: InProcessRun, compare: Callable[[Splats], Sequence[float]], reporter: Reporter) -> InProcessRun:
