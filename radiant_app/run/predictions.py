@@ -13,6 +13,7 @@ import numpy as np
 
 from radiant_core.aggregate.config import JOINING_EPOCHS, AggregateConfig, AggregatePreset
 from radiant_core.decisions import Decision
+from radiant_core.hierarchy.recipe import trainings_of
 from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.plan.counts.wide_deadline import system_capacity
 from radiant_core.plan.plans import EdgePlan
@@ -66,7 +67,7 @@ def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photograp
     the cloud after such trainings."""
     if aggregate.preset == "paper" or not num_photographs or not num_devices:
         return 1.0, 1.0
-    joining = aggregate.joining_after(step_law_of(train, num_photographs, num_devices).per_photograph, num_devices)
+    joining = aggregate.after(trainings_of(train, num_photographs, num_devices))
     return share_of_epochs(joining.epochs_at_edges, JOINING_EPOCHS[0]), share_of_epochs(joining.epochs_at_cloud, JOINING_EPOCHS[1])
 
 
@@ -106,7 +107,8 @@ def refining_law_of(
     def share_of(count: int) -> float:
         return refining_steps(aggregate.refine_epochs, count) / (train.num_steps if fixed else law.steps(count))
 
-    return RefiningLaw(num_rounds=aggregate.rounds_after(law.per_photograph), share_of_training=share_of)
+    num_rounds = aggregate.after(trainings_of(train, num_photographs, num_devices)).refine_rounds or 1
+    return RefiningLaw(num_rounds=num_rounds, share_of_training=share_of)
 
 
 def with_own_frames(system: System, num_cameras: int) -> System:

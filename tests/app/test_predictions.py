@@ -174,7 +174,7 @@ def test_the_law_has_the_rounds_and_steps_of_a_run() -> None:
     train, aggregate = train_preset("default"), AggregateConfig()
     train = replace(train, num_steps=1500)
     long, short = (refining_law_of(train, aggregate, count, 4) for count in (52, 400))
-    assert (long.num_rounds, short.num_rounds) == (aggregate.rounds_after(1500 / 13), aggregate.rounds_after(15)) == (1, 5)
+    assert (long.num_rounds, short.num_rounds) == (1, 5)
     # Eight epochs of 13 photographs, and 200 steps at most of 100; trainings of 1,500 steps each.
     assert long.share_of_training(13) == pytest.approx(104 / 1500) and short.share_of_training(100) == pytest.approx(200 / 1500)
     fixed = refining_law_of(train, aggregate, 52, 4, fixed=True)

@@ -20,7 +20,7 @@ from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_app.workers.refining import KEPT_SCENE, NEXT_SCENE, NOTHING_REFINED, REFINED_SCENE, run_finish
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import FinishTask
-from radiant_core.aggregate.config import ENOUGH_SHOWS, NUM_ROUNDS
+from radiant_core.aggregate.config import ENOUGH_SHOWS, NUM_ROUNDS, SHORT_SHOWS, SHORT_STEPS
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining, refining_steps
 from radiant_core.io.messages import REFINED_NAME, ROWS_NAME
@@ -152,21 +152,20 @@ def done_in(refining: Refining, owner: str, refused: dict[str, str]) -> None:
     refining.keys[node] = "key"
 
 
-def test_a_second_round_is_for_trainings_that_showed_their_photographs_less_often(refining: Refining) -> None:
+def test_a_second_round_is_for_trainings_that_left_something_to_fit(refining: Refining) -> None:
     recipe = refining.dealer.recipe
     photographs = sum(len(recipe.cameras_of(Path(node.id).parent.name)) for node in nodes_of(refining, "device"))
-    # 4 devices, so that each shows each photograph 4 × steps / photographs times.
-    hardly, few, often = (
-        replace(recipe, train=replace(recipe.train, num_steps=photographs * shows // 4))
-        for shows in (min(NUM_ROUNDS) - 1, ENOUGH_SHOWS - 1, ENOUGH_SHOWS + 1)
-    )
-    assert (choose_rounds(hardly), choose_rounds(few), choose_rounds(often)) == (5, 3, 1)
-    assert choose_rounds(replace(often, num_photographs=2 * photographs)) == 3, "where a recipe knows a part of a run's plans"
+    # 4 devices, so that a photograph is shown 4 × steps / photographs times.
+    steps_of = {shows: photographs * shows // 4 for shows in (min(NUM_ROUNDS) - 1, SHORT_SHOWS - 1, ENOUGH_SHOWS + 1)}
+    assert steps_of[ENOUGH_SHOWS + 1] >= SHORT_STEPS
+    hardly, few, often = (replace(recipe, train=replace(recipe.train, num_steps=steps)) for steps in steps_of.values())
+    assert (choose_rounds(hardly), choose_rounds(few), choose_rounds(often)) == (5, 2, 1)
+    assert choose_rounds(replace(often, num_photographs=2 * photographs)) == 2, "where a recipe knows a part of a run's plans"
     asked = replace(often, aggregate=replace(often.aggregate, refine_rounds=2))
-    for each, number, forced in ((often, 1, False), (asked, 2, True)):
+    for each, number, forced, why in ((often, 1, False, "from 75 on"), (asked, 2, True, "from 75 on"), (few, 2, False, "up to 4 devices")):
         decision = plan_refining(each, refining.plan.devices, 1000).decisions[-1]
         assert (decision.topic, decision.forced) == ("rounds of refining", forced) and f" {number} round" in decision.choice
-        assert decision.figure == pytest.approx(each.train.num_steps * 4 / photographs)
+        assert decision.figure == pytest.approx(each.train.num_steps * 4 / photographs) and why in decision.reason
     none = replace(often, aggregate=replace(often.aggregate, refine_epochs=0))
     assert plan_refining(none, refining.plan.devices, 1000).decisions == ()
 

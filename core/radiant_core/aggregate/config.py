@@ -12,17 +12,42 @@ AggregatePreset = Literal["default", "paper"]
 the cloud, nothing skipped (paper Sec. III-D)."""
 
 MAX_TILES = 256
-JOINING_EPOCHS, SHORT_EPOCHS, SHORT_BELOW = (10, 5), (2, 2), 50
-"""Epochs at the edges and at the cloud, and where refining follows on trainings that show each
-photograph less often than that, which does the rest as well (docs/experiments/aggregation.md)."""
-FEW_EPOCHS, FEW_DEVICES = (1, 0), 4
-"""After such trainings of so few devices: as good as `SHORT_EPOCHS` with 4 of them, 0.6 dB worse
-with 16 (the same page)."""
+JOINING_EPOCHS, SHORT_EPOCHS = (10, 5), (2, 2)
+"""Epochs at the edges and at the cloud, and where refining follows on short trainings, which does
+the rest as well (docs/experiments/aggregation.md)."""
+FEW_EPOCHS, FEW_ROUNDS, FEW_DEVICES = (1, 0), 2, 4
+"""After such trainings of so few devices: better than `paper` in half of its time with 4 of them,
+and 0.6 dB worse than `SHORT_EPOCHS` with 16 (the same page)."""
+SHORT_SHOWS, SHORT_STEPS = 50, 650
+"""Short trainings show each photograph less often than that, or take fewer steps."""
 NUM_ROUNDS = {30: 5, 75: 3}
 """Rounds of refining where a training shows each photograph less often than that; one where it
 shows it more often: a second one then gains less than its time is worth (the same page)."""
 ENOUGH_SHOWS = max(NUM_ROUNDS)
 MAX_ROUNDS = 99
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trainings:
+    """How long so many devices trained, in the mean."""
+
+    num_devices: int
+    photograph_shows: float
+    """How often a training shows each of its photographs."""
+    num_steps: float
+
+    @property
+    def are_short(self) -> bool:
+        """Whether devices that refine the scene have much left to fit."""
+        return self.photograph_shows < SHORT_SHOWS or self.num_steps < SHORT_STEPS
+
+    @property
+    def num_rounds(self) -> int:
+        """In how many rounds devices refine then: they go on with what trainings have not
+        finished, and after long ones the first round has nearly all that there is."""
+        if self.photograph_shows >= min(NUM_ROUNDS) and self.are_short and self.num_devices <= FEW_DEVICES:
+            return FEW_ROUNDS
+        return next((number for shows, number in sorted(NUM_ROUNDS.items()) if self.photograph_shows < shows), 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +70,7 @@ class AggregateConfig:
     refine_rounds: int | None = None
     """How often devices refine the scene, each time from somewhat beyond the mean of what all of
     them made of it before; the scene travels down and what changed in it up in each. None: by how
-    often a training showed each photograph (`NUM_ROUNDS`)."""
+    long devices trained (`Trainings.num_rounds`)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
@@ -104,19 +129,15 @@ class AggregateConfig:
         """The same of the cloud."""
         return JOINING_EPOCHS[1] if self.num_epochs is None else self.num_epochs
 
-    def rounds_after(self, photograph_shows: float) -> int:
-        """In how many rounds devices refine after trainings that show each photograph so often:
-        they go on with what trainings have not finished, and after long ones the first round has
-        nearly all that there is."""
-        return self.refine_rounds or next((number for shows, number in sorted(NUM_ROUNDS.items()) if photograph_shows < shows), 1)
-
-    def joining_after(self, photograph_shows: float, num_devices: int) -> AggregateConfig:
-        """The settings with the epochs of joining after such trainings of so many devices."""
-        if not self.refine_epochs or photograph_shows >= SHORT_BELOW:
+    def after(self, trainings: Trainings) -> AggregateConfig:
+        """The settings with all that is left to such trainings: epochs and rounds."""
+        if not self.refine_epochs:
             return self
-        edges, cloud = FEW_EPOCHS if num_devices <= FEW_DEVICES else SHORT_EPOCHS
-        given = self.edge_epochs, self.num_epochs
-        return replace(self, edge_epochs=edges if given[0] is None else given[0], num_epochs=cloud if given[1] is None else given[1])
+        few = trainings.num_devices <= FEW_DEVICES
+        epochs = JOINING_EPOCHS if not trainings.are_short else FEW_EPOCHS if few else SHORT_EPOCHS
+        given = (self.edge_epochs, self.num_epochs, self.refine_rounds)
+        edge, cloud, rounds = (own if own is not None else left for own, left in zip(given, (*epochs, trainings.num_rounds), strict=True))
+        return replace(self, edge_epochs=edge, num_epochs=cloud, refine_rounds=rounds)
 
 
 def aggregate_preset(name: str) -> AggregateConfig:

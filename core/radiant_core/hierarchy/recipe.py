@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import AggregateConfig, Trainings
 from radiant_core.choices import StepPolicy
 from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudTask, DeviceSettings, EdgeTask, RefineTask, Renderer
 from radiant_core.io.transport.upload import UploadFormat
@@ -23,6 +23,14 @@ from radiant_core.train.needs import step_law_of
 def devices_with_photographs(edge_plans: Sequence[EdgePlan]) -> int:
     """The number of devices that have photographs in a plan."""
     return sum(len(plan.cameras_of(device)) > 0 for plan in edge_plans for device in plan.device_ids)
+
+
+def trainings_of(train: TrainConfig, num_photographs: int, num_devices: int) -> Trainings:
+    """How long devices train that share so many photographs; without any, as long as may be."""
+    if not num_photographs:
+        return Trainings(num_devices=num_devices, photograph_shows=float("inf"), num_steps=float("inf"))
+    law = step_law_of(train, num_photographs, num_devices)
+    return Trainings(num_devices=num_devices, photograph_shows=law.per_photograph, num_steps=law.num_steps)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,16 +65,14 @@ class Recipe:
         return self.plan_of(device).cameras_of(device)
 
     @property
-    def photograph_shows(self) -> float:
-        """How often the training of a device shows each of its photographs, in the mean."""
-        if not self._total_photographs:
-            return float("inf")
-        return step_law_of(self.train, self._total_photographs, self._total_devices).per_photograph
+    def trainings(self) -> Trainings:
+        """How long devices train, in the mean."""
+        return trainings_of(self.train, self._total_photographs, self._total_devices)
 
     @property
     def joining(self) -> AggregateConfig:
-        """How tiers join models after such trainings."""
-        return self.aggregate.joining_after(self.photograph_shows, self._total_devices)
+        """How tiers join and devices refine after such trainings."""
+        return self.aggregate.after(self.trainings)
 
     @property
     def _total_devices(self) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs
-from radiant_core.aggregate.config import FEW_DEVICES, SHORT_BELOW, AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import FEW_DEVICES, SHORT_SHOWS, SHORT_STEPS, AggregateConfig, Trainings, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.join_memory import JoinMemory, join_bytes, plan_join_memory
@@ -145,22 +145,34 @@ class TestPaperAggregation:
         with pytest.raises(BadInput, match="default, paper"):
             aggregate_preset("papers")
 
-    def test_epochs_are_fewer_where_devices_refine_after_short_trainings(self) -> None:
-        ours, alone, asked = AggregateConfig(), AggregateConfig(refine_epochs=0), AggregateConfig(edge_epochs=7, num_epochs=0)
-        for config, short, long in (
-            (ours, (2, 2), (10, 5)),
-            (alone, (10, 5), (10, 5)),
-            (asked, (7, 0), (7, 0)),
-            (aggregate_preset("paper"), (10, 10), (10, 10)),
+    def test_epochs_and_rounds_follow_from_how_long_how_many_devices_trained(self) -> None:
+        ours, alone, asked = (
+            AggregateConfig(),
+            AggregateConfig(refine_epochs=0),
+            AggregateConfig(edge_epochs=7, num_epochs=0, refine_rounds=9),
+        )
+        long, many, few = (10, 5), (2, 2), (1, 0)
+        for shows, steps, num_devices, epochs, rounds in (
+            (20, 500, FEW_DEVICES, few, 5),
+            (20, 500, FEW_DEVICES + 1, many, 5),
+            (20, 1500, FEW_DEVICES, few, 5),
+            (40, 500, FEW_DEVICES, few, 2),
+            (40, 500, FEW_DEVICES + 1, many, 3),
+            (120, 500, FEW_DEVICES, few, 2),
+            (120, 500, FEW_DEVICES + 1, many, 1),
+            (SHORT_SHOWS, SHORT_STEPS, FEW_DEVICES, long, 3),
+            (100, 1500, FEW_DEVICES, long, 1),
+            (float("inf"), float("inf"), FEW_DEVICES, long, 1),
         ):
-            assert (config.epochs_at_edges, config.epochs_at_cloud) == long
-            for shows, expected in ((20, short), (SHORT_BELOW - 1, short), (SHORT_BELOW, long), (float("inf"), long)):
-                joining = config.joining_after(shows, FEW_DEVICES + 1)
-                assert (joining.epochs_at_edges, joining.epochs_at_cloud, joining.at_edge.epochs_at_cloud) == (*expected, expected[0])
-        few = ours.joining_after(20, FEW_DEVICES)
-        assert (few.epochs_at_edges, few.epochs_at_cloud) == (1, 0) and ours.joining_after(SHORT_BELOW, FEW_DEVICES) == ours
-        assert [ours.rounds_after(shows) for shows in (20, 40, 100)] == [5, 3, 1]
-        assert replace(ours, refine_rounds=2).rounds_after(100) == 2
+            trainings = Trainings(num_devices=num_devices, photograph_shows=shows, num_steps=steps)
+            joining = ours.after(trainings)
+            assert (joining.epochs_at_edges, joining.epochs_at_cloud, joining.at_edge.epochs_at_cloud) == (*epochs, epochs[0]), trainings
+            assert joining.refine_rounds == rounds, trainings
+            assert asked.after(trainings) == asked
+            for config in (alone, aggregate_preset("paper")):
+                assert config.after(trainings) == config
+        assert (alone.epochs_at_edges, alone.epochs_at_cloud) == long
+        assert (aggregate_preset("paper").epochs_at_edges, aggregate_preset("paper").epochs_at_cloud) == (10, 10)
 
     @pytest.mark.parametrize("given", [{"refine_epochs": 0, "num_epochs": 0}, {"preset": "paper", "num_epochs": 0}, {"edge_epochs": 0}])
     def test_no_epochs_without_devices_that_refine_are_refused(self, given: dict) -> None:
