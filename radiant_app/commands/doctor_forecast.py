@@ -20,7 +20,7 @@ from radiant_app.files.profile_file import load_profile
 from radiant_app.run.predictions import joining_shares, planned_training, refining_law_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.plan.profiles.profile import Profile
-from radiant_core.plan.timeline.refining import AT_CLOUD, AT_EDGE, predict_round
+from radiant_core.plan.timeline.refining import AT_CLOUD, AT_EDGE, AT_EDGE_LATER, predict_round
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.memory import most_cameras
 from radiant_core.train.needs import Overrides
@@ -98,8 +98,9 @@ def _stages(curves: Profile, train: TrainConfig, num_photographs: int, workers: 
     law = refining_law_of(train, AggregateConfig(), num_photographs, NUM_DEVICES)
     beside_s, trained_s = (float(fit.curve(per_device)) for fit in (curves.init_s, curves.train_s))
     device_s = predict_round(law, beside_s=beside_s, train_s=trained_s, num_photographs=per_device)
-    round_s = waves_of["devices"] * device_s + (waves_of["edges"] * AT_EDGE + AT_CLOUD) * beside_s
-    yield "refining", law.num_rounds * round_s, False
+    at_edges = waves_of["edges"] * (AT_EDGE + (law.num_rounds - 1) * AT_EDGE_LATER)
+    beside_rounds = at_edges + law.num_rounds * AT_CLOUD
+    yield "refining", law.num_rounds * waves_of["devices"] * device_s + beside_rounds * beside_s, False
 
 
 def duration_text(seconds: float) -> str:

@@ -80,6 +80,8 @@ class EdgeRefineTask:
     devices: Devices
     to_cloud: Move
     """From the frame of the edge to the scene's."""
+    joined: str
+    """As of an `AverageTask`."""
     number: Annotated[int, Field(ge=1)] = 1
     """Of the round."""
 

@@ -313,7 +313,8 @@ class EdgeRun:
         name = self.edge.split("/")[1]
         dealer = self._dealer(self.region)
         self._exchange_keys()
-        refining = Refining(dealer=dealer, moves=moves, planned=RefiningPlan(devices={name: devices}), number=task.number)
+        planned = RefiningPlan(devices={name: devices})
+        refining = Refining(dealer=dealer, moves=moves, planned=planned, number=task.number, joined=task.joined)
         assert refining.tree is not None
         (tree,) = refining.tree.children
         times = read_json(self.folder / TIMES_NAME) if (self.folder / TIMES_NAME).is_file() else {}

@@ -317,7 +317,7 @@ class CloudRun:
             move = to_cloud[edge]
             assert move is not None
             devices = tuple(child.id.split("/")[1] for child in node.children)
-            task = EdgeRefineTask(devices=devices, to_cloud=Move.of(move), number=refining.number)
+            task = EdgeRefineTask(devices=devices, to_cloud=Move.of(move), joined=refining.joined_sha256, number=refining.number)
             save_task(folder, task)
             deal_files(refining.start_folder, [SCENE_NAME], folder)
             # The edge's own model stands for what its devices have.

@@ -67,7 +67,7 @@ def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photograp
     the cloud after such trainings."""
     if aggregate.preset == "paper" or not num_photographs or not num_devices:
         return 1.0, 1.0
-    joining = aggregate.after(trainings_of(train, num_photographs, num_devices))
+    joining = aggregate.joining_after(trainings_of(train, num_photographs, num_devices))
     return share_of_epochs(joining.epochs_at_edges, JOINING_EPOCHS[0]), share_of_epochs(joining.epochs_at_cloud, JOINING_EPOCHS[1])
 
 
@@ -107,7 +107,7 @@ def refining_law_of(
     def share_of(count: int) -> float:
         return refining_steps(aggregate.refine_epochs, count) / (train.num_steps if fixed else law.steps(count))
 
-    num_rounds = aggregate.after(trainings_of(train, num_photographs, num_devices)).refine_rounds or 1
+    num_rounds = aggregate.rounds_after(trainings_of(train, num_photographs, num_devices))
     return RefiningLaw(num_rounds=num_rounds, share_of_training=share_of)
 
 

@@ -21,7 +21,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.workers.delivering import DELIVERIES, identify_part, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME
-from radiant_app.workers.refining import KEPT_SCENE, NEXT_SCENE, REFINED_SCENE, counted_file, dealt_file
+from radiant_app.workers.refining import KEPT_SCENE, NEXT_SCENE, REFINED_SCENE, counted_file, is_counted
 from radiant_app.workers.tasks import SIGNED, AverageTask, FinishTask, Move, RefineNodeTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
@@ -31,7 +31,7 @@ from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refining_plan import LEAST_DEVICES, RefiningPlan, choose_rounds, plan_refining
 from radiant_core.io.messages import CAMERAS_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, SUMMARY_NAME, TASK_NAME, save_task, task_key
-from radiant_core.io.run_store import content_key, is_sealed, read_json
+from radiant_core.io.run_store import content_key, file_sha256, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 
 SCENE_NAME = "scene.ply"
@@ -133,6 +133,8 @@ class Refining:
     """Of the round, from 1."""
     before: Refining | None = None
     """The round before, which says where this one starts."""
+    joined: str | None = None
+    """SHA-256 of the scene before any round, where somebody else has that."""
 
     @cached_property
     def plan(self) -> RefiningPlan:
@@ -143,6 +145,11 @@ class Refining:
         present = {plan.edge_id: [name for name in plan.device_ids if name in self.moves] for plan in recipe.edge_plans}
         num_splats = int(read_json(self.dealer.run / "cloud" / SUMMARY_NAME, ("num_splats",))["num_splats"])
         return plan_refining(recipe, present, num_splats)
+
+    @cached_property
+    def joined_sha256(self) -> str:
+        """Of the scene before any round."""
+        return self.joined or file_sha256(self.dealer.run / "cloud" / SCENE_NAME)
 
     @property
     def tree(self) -> Tree | None:
@@ -249,21 +256,17 @@ class Refining:
             upload=recipe.upload,
             backend=recipe.backend,
             long_side_px=recipe.train.long_side_px,
+            joined=self.joined_sha256,
+            counted_in=tuple(self._counted_in(node, sender) for sender in senders),
         )
         cameras = [folder.parent / "inbox" / sender / CAMERAS_NAME for sender in senders]
-        return (task, [folder / "inbox", *cameras, *self._deal_shown(senders, folder)]) if senders else None
+        return (task, [folder / "inbox", *cameras]) if senders else None
 
-    def _deal_shown(self, devices: Sequence[str], folder: Path) -> list[Path]:
-        """Copy what the edge has counted in earlier rounds of what devices' photographs show."""
-        earlier = [folder.parent / Path(refined_at(folder.parent.name, number)).name for number in range(1, self.number)]
-        dealt = []
-        for device in devices:
-            (target := folder / dealt_file(device)).unlink(missing_ok=True)
-            counted = [path for each in earlier if (path := each / counted_file(device)).is_file()]
-            if counted:
-                target.parent.mkdir(exist_ok=True)
-                dealt.append(Path(shutil.copyfile(counted[0], target)))
-        return dealt
+    def _counted_in(self, node: Tree, device: str) -> int:
+        """The earlier round in which an edge counted what a device's photographs show; 0: none."""
+        owner, joined = refines_for(node.id), self.joined_sha256
+        places = ((number, self.dealer.run / refined_at(owner, number) / counted_file(device)) for number in range(1, self.number))
+        return next((number for number, path in places if is_counted(path, joined)), 0)
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         senders = self._receive(node, folder)

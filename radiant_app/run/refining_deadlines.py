@@ -4,7 +4,8 @@ round.
     device   the time of its process beside training, and that of training × the share of its steps
              × how much larger the scene is than its model
     edge     the time of joining × how much larger the scene is than its model, and a training step
-             for each photograph of its devices, whose renders weigh them; the cloud: joining alone
+             for each photograph of its devices, whose renders weigh them in the first round; later
+             ones may take as long, since a device can be late. The cloud: joining alone
 
 Refining has no cost curve and needs none: each of its machines has just been measured. The rule is
 that of trainings and joins (`time_left.py`): given up after `execution.deadline_factor` times as

@@ -21,22 +21,25 @@ from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefinementsTask, RefineNodeTask
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene, start_of_next_round
+from radiant_core.aggregate.tree import refined_at
 from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.geometry.similarity import move_cameras
 from radiant_core.hierarchy.decisions import refinement_decision
-from radiant_core.io.array_file import load_arrays, save_arrays
+from radiant_core.io.array_file import header_of, load_arrays, save_arrays
 from radiant_core.io.messages import CAMERAS_NAME, load_refinement, save_refinement
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.upload import UploadFormat
+from radiant_core.numerics import check_array
 from radiant_core.splats import Splats
 
 REFINED_SCENE, NEXT_SCENE = "refined/scene.ply", "refined/next/scene.ply"
 """What the cloud writes in the folder of a round: the scene, and where the next round starts."""
 KEPT_SCENE = "kept/scene.ply"
 """What the round before made, in the cloud's folder of a round from the second on."""
-SHOWN_SCHEMA = "radiant.shown"
+COUNTED, COUNTED_SCHEMA = "counted", "radiant.counted"
 MIN_ADMITTED = 0.9
 """A refinement of which a smaller share counts is warned about: of honest ones 99.9 % do."""
 NOT_ADMITTED = "the others changed more than refining does, or are not shown by its cameras."
@@ -67,14 +70,18 @@ def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Seq
     """Average what an edge's devices refined, by what their photographs show."""
     scene = load_ply(folder / "scene.ply")
     moves, inbox = dict(zip(task.senders, task.corrections, strict=True)), folder.parent / "inbox"
-    refused: dict[str, str] = {}
-    # Of devices that sent something the last time and are not among the senders now.
-    shutil.rmtree((folder / counted_file("")).parent, ignore_errors=True)
+    counted_in, refused = dict(zip(task.senders, task.counted_in, strict=True)), dict[str, str]()
+    # What another try counted of devices that are not among the senders now.
+    shutil.rmtree(folder / COUNTED, ignore_errors=True)
 
     def admitted() -> Iterator[Refinement]:
         for name, each in _receive(folder, task, scene, refused, reporter):
             cameras = correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]).scaled(task.long_side_px)
-            kept = admit_refinement(each, scene, _shown_of(name, folder, scene, cameras, task))
+            if number := counted_in[name]:
+                shown = _load_shown(Path(refined_at(str(folder.parent), number)) / counted_file(name), scene)
+            else:
+                shown = _count_shown(folder / counted_file(name), scene, cameras, task)
+            kept = admit_refinement(each, scene, shown)
             if len(kept.rows) < MIN_ADMITTED * len(each.rows):
                 reporter.warn(f"of the refinement of {name} {len(kept.rows):,} of {len(each.rows):,} Gaussians count: {NOT_ADMITTED}")
             if len(each.rows) and not len(kept.rows):
@@ -111,27 +118,34 @@ def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Seque
 
 
 def counted_file(device: str) -> str:
-    """What an edge has counted in a round of what a device's photographs show, in the folder of
-    that round; it stays there."""
-    return f"counted/{device}.safetensors"
+    """Where an edge keeps, in the folder of a round, what it counted of what a device's photographs
+    show. It stays there: what later rounds need of it they read there."""
+    return f"{COUNTED}/{device}.safetensors"
 
 
-def dealt_file(device: str) -> str:
-    """The same of an earlier round, in the folder of a later one."""
-    return f"shown/{device}.safetensors"
+def is_counted(path: Path, joined: str) -> bool:
+    """Whether a file holds a count of the scene with this hash."""
+    try:
+        record, _ = header_of(path)
+    except (StoreDamaged, BadInput):
+        return False
+    return record.get("schema") == COUNTED_SCHEMA and record.get("about") == {"joined": joined}
 
 
-def _shown_of(device: str, folder: Path, scene: Splats, cameras: Cameras, task: AverageTask) -> NDArray[np.float32]:
-    """What each of N Gaussians makes of a device's photographs, (N,), counted in the first round in
-    which it sends anything: they move little in the others."""
-    if (dealt := folder / dealt_file(device)).is_file():
-        return load_arrays(dealt, SHOWN_SCHEMA, {"photographs": "F32"})[0]["photographs"]
+def _load_shown(path: Path, scene: Splats) -> NDArray[np.float32]:
+    arrays, _ = load_arrays(path, COUNTED_SCHEMA, {"photographs": "F32"})
+    return check_array("photographs", arrays["photographs"], (len(scene),), np.float32)
+
+
+def _count_shown(path: Path, scene: Splats, cameras: Cameras, task: AverageTask) -> NDArray[np.float32]:
+    """What each of N Gaussians makes of a device's photographs, (N,): counted once, since they move
+    little from round to round."""
     # At the cloud, and in later rounds, averaging needs no torch.
     from radiant_core.evaluate.shown_pixels import count_shown_photographs
 
     shown = count_shown_photographs(scene, cameras, task.backend).astype(np.float32)
-    (counted := folder / counted_file(device)).parent.mkdir(exist_ok=True)
-    save_arrays(counted, SHOWN_SCHEMA, {"photographs": shown}, {})
+    path.parent.mkdir(exist_ok=True)
+    save_arrays(path, COUNTED_SCHEMA, {"photographs": shown}, {"joined": task.joined})
     return shown
 
 

@@ -238,6 +238,16 @@ class AverageTask(RefinementsTask):
     backend: Renderer
     long_side_px: Annotated[int, Field(ge=1)]
     """Of the pictures in which the edge renders what its devices' photographs show."""
+    joined: str
+    """SHA-256 of the scene before any round, which says of what a count is."""
+    counted_in: tuple[Annotated[int, Field(ge=0)], ...]
+    """Of each sender the earlier round whose count of what its photographs show holds; 0: they are
+    counted now."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.senders) != len(self.counted_in):
+            raise BadInput(f"{len(self.senders)} senders come with {len(self.counted_in)} rounds of a count: give one each.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from radiant_app.events import Event, Warned
@@ -17,15 +18,26 @@ from radiant_app.run import refining_deadlines
 from radiant_app.run.refining import LATE, UNUSED, Refining, fold_rounds, left_out, left_out_decision, partly_left_out, plan_rounds
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
-from radiant_app.workers.refining import KEPT_SCENE, NEXT_SCENE, NOTHING_REFINED, REFINED_SCENE, run_finish
+from radiant_app.workers.delivering import exchange_keys
+from radiant_app.workers.refining import (
+    COUNTED_SCHEMA,
+    KEPT_SCENE,
+    NEXT_SCENE,
+    NOTHING_REFINED,
+    REFINED_SCENE,
+    counted_file,
+    is_counted,
+    run_finish,
+)
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import FinishTask
-from radiant_core.aggregate.config import ENOUGH_SHOWS, NUM_ROUNDS, SHORT_SHOWS, SHORT_STEPS
+from radiant_core.aggregate.config import ENOUGH_SHOWS, HARDLY_SHOWN, SHORT_SHOWS, SHORT_STEPS
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining, refining_steps
-from radiant_core.io.messages import REFINED_NAME, ROWS_NAME
+from radiant_core.io.array_file import save_arrays
+from radiant_core.io.messages import CAMERAS_NAME, REFINED_NAME, ROWS_NAME
 from radiant_core.io.ply import save_ply
-from radiant_core.io.run_store import seal, write_json
+from radiant_core.io.run_store import file_sha256, read_json, seal, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from tests.app.test_faults import planned
 from tests.core.scenes import ground_splats
@@ -156,16 +168,25 @@ def test_a_second_round_is_for_trainings_that_left_something_to_fit(refining: Re
     recipe = refining.dealer.recipe
     photographs = sum(len(recipe.cameras_of(Path(node.id).parent.name)) for node in nodes_of(refining, "device"))
     # 4 devices, so that a photograph is shown 4 × steps / photographs times.
-    steps_of = {shows: photographs * shows // 4 for shows in (min(NUM_ROUNDS) - 1, SHORT_SHOWS - 1, ENOUGH_SHOWS + 1)}
-    assert steps_of[ENOUGH_SHOWS + 1] >= SHORT_STEPS
-    hardly, few, often = (replace(recipe, train=replace(recipe.train, num_steps=steps)) for steps in steps_of.values())
-    assert (choose_rounds(hardly), choose_rounds(few), choose_rounds(often)) == (5, 2, 1)
+    steps_of = {shows: photographs * shows // 4 for shows in (HARDLY_SHOWN - 1, SHORT_SHOWS - 1, ENOUGH_SHOWS - 1, ENOUGH_SHOWS + 1)}
+    assert steps_of[SHORT_SHOWS - 1] < SHORT_STEPS <= steps_of[ENOUGH_SHOWS - 1]
+    hardly, few, some, often = (replace(recipe, train=replace(recipe.train, num_steps=steps)) for steps in steps_of.values())
+    assert [choose_rounds(each) for each in (hardly, few, some, often)] == [5, 2, 3, 1]
     assert choose_rounds(replace(often, num_photographs=2 * photographs)) == 2, "where a recipe knows a part of a run's plans"
     asked = replace(often, aggregate=replace(often.aggregate, refine_rounds=2))
-    for each, number, forced, why in ((often, 1, False, "from 75 on"), (asked, 2, True, "from 75 on"), (few, 2, False, "up to 4 devices")):
+    by_steps = replace(often, train=replace(often.train, num_steps=SHORT_STEPS - 1), num_photographs=4)
+    for each, number, forced, why in (
+        (hardly, 5, False, "below 30"),
+        (few, 2, False, "up to 4 devices"),
+        (some, 3, False, "below 75"),
+        (often, 1, False, "from 75"),
+        (asked, 2, True, "asked for; after such trainings it would be 1"),
+        (by_steps, 2, False, "up to 4 devices"),
+    ):
         decision = plan_refining(each, refining.plan.devices, 1000).decisions[-1]
         assert (decision.topic, decision.forced) == ("rounds of refining", forced) and f" {number} round" in decision.choice
-        assert decision.figure == pytest.approx(each.train.num_steps * 4 / photographs) and why in decision.reason
+        assert why in decision.reason and ("steps" in decision.unit) == (each is by_steps)
+        assert decision.figure == pytest.approx(SHORT_STEPS - 1 if each is by_steps else each.train.num_steps * 4 / photographs)
     none = replace(often, aggregate=replace(often.aggregate, refine_epochs=0))
     assert plan_refining(none, refining.plan.devices, 1000).decisions == ()
 
@@ -261,3 +282,35 @@ def test_the_cloud_is_dealt_what_the_round_before_made(refining: Refining) -> No
     dealt = refining.dealer.run / second.node("cloud")
     assert (dealt / "scene.ply").read_bytes() == (folder / NEXT_SCENE).read_bytes()
     assert (dealt / KEPT_SCENE).read_bytes() == (folder / REFINED_SCENE).read_bytes()
+
+
+def test_a_count_holds_for_its_scene_alone(refining: Refining) -> None:
+    """What an edge counted in an earlier round is read where it lies, unless it is of what another --resume had joined."""
+    recipe, run = refining.dealer.recipe, refining.dealer.run
+    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine_rounds=2))
+    save_ply(run / "cloud" / "scene.ply", ground_splats(50))
+    first, second = plan_rounds(refining.dealer, refining.moves)
+    (edge, *_) = nodes_of(second, "edge")
+    owner, names = refines_for(edge.id), [refines_for(child.id).split("/")[1] for child in edge.children]
+    for child, name in zip(edge.children, names, strict=True):
+        (run / child.id).mkdir(parents=True, exist_ok=True)
+        done_in(second, refines_for(child.id), {})
+        for file in (REFINED_NAME, ROWS_NAME, RECORD_NAME, SIGNATURE_NAME):
+            (run / child.id / file).write_bytes(b"")
+        (run / owner / "inbox" / name).mkdir(parents=True, exist_ok=True)
+        (run / owner / "inbox" / name / CAMERAS_NAME).write_bytes(b"")
+
+    def counted_in(joined: str) -> list[int]:
+        path = run / first.node(owner) / counted_file(names[0])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_arrays(path, COUNTED_SCHEMA, {"photographs": np.ones(50, np.float32)}, {"joined": joined})
+        assert second.prepare(edge) is not None
+        return read_json(run / edge.id / "task.json")["counted_in"]
+
+    exchange_keys(run, "cloud", None, [owner])
+    exchange_keys(run, owner, "cloud")
+    others = [0] * (len(names) - 1)
+    assert counted_in(file_sha256(run / "cloud" / "scene.ply")) == [1, *others]
+    assert counted_in("0" * 64) == [0, *others]
+    (run / first.node(owner) / counted_file(names[0])).write_bytes(b"half of a fi")
+    assert not is_counted(run / first.node(owner) / counted_file(names[0]), "0" * 64)

@@ -129,6 +129,8 @@ MESSAGES: dict[str, Any] = {
         upload="float16",
         backend="native",
         long_side_px=64,
+        joined="0" * 64,
+        counted_in=(0,),
     ),
     "finish": FinishTask(senders=("a",), num_dealt=(2,), another_round=True),
     "run": JobTask(config={"source": "photos"}, resume=True),

@@ -50,7 +50,7 @@ from radiant_app.workers.tasks import AverageTask, FinishTask
 folder, kind, num_senders = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 senders = tuple(f"s{index}" for index in range(num_senders))
 common = {"senders": senders, "num_dealt": (2,) * num_senders}
-shown = {"backend": "native", "long_side_px": 4000}
+shown = {"backend": "native", "long_side_px": 4000, "joined": "", "counted_in": (0,) * num_senders}
 reporter = EventReporter(stage="x", emit=lambda event: None)
 reset_peak_bytes()
 if kind == "finish":

@@ -8,7 +8,7 @@ Gaussian n becomes
 with w_dn what n shows in the photographs of sender d, in whole photographs, 0 if it left n as it
 was: federated averaging (McMahan 2017) Gaussian by Gaussian. What hardly shows in a photograph is
 moved by Adam as far as what fills it, and must not outweigh a device that sees it well. An edge
-renders that itself, by the cameras it was sent. Means of means with summed weights are the mean of
+renders that itself, once, by the cameras it was sent. Means of means with summed weights are the mean of
 all, so that edges average first and the cloud averages the edges, whose weights are rounded down to
 powers of four.
 """
@@ -144,7 +144,7 @@ def limit_changes(before: Splats, after: Splats) -> Splats:
     return replace(after, **arrays)
 
 
-def admit_refinement(refinement: Refinement, scene: Splats, shown: FloatArray | None = None) -> Refinement:
+def admit_refinement(refinement: Refinement, scene: Splats, shown: NDArray[np.floating] | None = None) -> Refinement:
     """What of a refinement counts: Gaussians that changed no more than refining does and, where it
     is known what the sender's photographs show of the scene's N, `shown` (N,) of each, that these
     show, weighted by it.

@@ -12,24 +12,25 @@ AggregatePreset = Literal["default", "paper"]
 the cloud, nothing skipped (paper Sec. III-D)."""
 
 MAX_TILES = 256
-JOINING_EPOCHS, SHORT_EPOCHS = (10, 5), (2, 2)
-"""Epochs at the edges and at the cloud, and where refining follows on short trainings, which does
-the rest as well (docs/experiments/aggregation.md)."""
-FEW_EPOCHS, FEW_ROUNDS, FEW_DEVICES = (1, 0), 2, 4
-"""After such trainings of so few devices: better than `paper` in half of its time with 4 of them,
-and 0.6 dB worse than `SHORT_EPOCHS` with 16 (the same page)."""
+JOINING_EPOCHS, SHORT_EPOCHS, FEW_EPOCHS = (10, 5), (2, 2), (1, 0)
+"""Epochs at the edges and at the cloud: after long trainings, after short ones where refining
+follows, which does the rest as well, and after such of few devices (docs/experiments/aggregation.md)."""
 SHORT_SHOWS, SHORT_STEPS = 50, 650
 """Short trainings show each photograph less often than that, or take fewer steps."""
-NUM_ROUNDS = {30: 5, 75: 3}
-"""Rounds of refining where a training shows each photograph less often than that; one where it
-shows it more often: a second one then gains less than its time is worth (the same page)."""
-ENOUGH_SHOWS = max(NUM_ROUNDS)
+FEW_DEVICES = 4
+"""With so many `FEW_EPOCHS` are better than `paper` in half of its time, with 16 they are 0.6 dB
+worse than `SHORT_EPOCHS` (the same page)."""
+HARDLY_SHOWN, ENOUGH_SHOWS = 30, 75
+"""Trainings that show each photograph less often than the first leave work for `MOST_ROUNDS` of
+refining, those that show it as often as the second for one: a second round gains less than its time
+is worth then. Between them a third is worth it, but after short trainings of few devices."""
+MOST_ROUNDS, MORE_ROUNDS, FEW_ROUNDS = 5, 3, 2
 MAX_ROUNDS = 99
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trainings:
-    """How long so many devices trained, in the mean."""
+    """How long so many devices trained, in the mean; what joining and refining make of it."""
 
     num_devices: int
     photograph_shows: float
@@ -42,12 +43,18 @@ class Trainings:
         return self.photograph_shows < SHORT_SHOWS or self.num_steps < SHORT_STEPS
 
     @property
+    def are_of_few(self) -> bool:
+        """Whether so few devices trained that the cloud has nothing to fit that they would not."""
+        return self.num_devices <= FEW_DEVICES
+
+    @property
     def num_rounds(self) -> int:
-        """In how many rounds devices refine then: they go on with what trainings have not
-        finished, and after long ones the first round has nearly all that there is."""
-        if self.photograph_shows >= min(NUM_ROUNDS) and self.are_short and self.num_devices <= FEW_DEVICES:
+        """In how many rounds devices refine then."""
+        if self.photograph_shows < HARDLY_SHOWN:
+            return MOST_ROUNDS
+        if self.are_short and self.are_of_few:
             return FEW_ROUNDS
-        return next((number for shows, number in sorted(NUM_ROUNDS.items()) if self.photograph_shows < shows), 1)
+        return MORE_ROUNDS if self.photograph_shows < ENOUGH_SHOWS else 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,15 +136,17 @@ class AggregateConfig:
         """The same of the cloud."""
         return JOINING_EPOCHS[1] if self.num_epochs is None else self.num_epochs
 
-    def after(self, trainings: Trainings) -> AggregateConfig:
-        """The settings with all that is left to such trainings: epochs and rounds."""
-        if not self.refine_epochs:
+    def joining_after(self, trainings: Trainings) -> AggregateConfig:
+        """The settings with the epochs of joining after such trainings."""
+        if not self.refine_epochs or not trainings.are_short:
             return self
-        few = trainings.num_devices <= FEW_DEVICES
-        epochs = JOINING_EPOCHS if not trainings.are_short else FEW_EPOCHS if few else SHORT_EPOCHS
-        given = (self.edge_epochs, self.num_epochs, self.refine_rounds)
-        edge, cloud, rounds = (own if own is not None else left for own, left in zip(given, (*epochs, trainings.num_rounds), strict=True))
-        return replace(self, edge_epochs=edge, num_epochs=cloud, refine_rounds=rounds)
+        epochs = FEW_EPOCHS if trainings.are_of_few else SHORT_EPOCHS
+        edge, cloud = (own if own is not None else left for own, left in zip((self.edge_epochs, self.num_epochs), epochs, strict=True))
+        return replace(self, edge_epochs=edge, num_epochs=cloud)
+
+    def rounds_after(self, trainings: Trainings) -> int:
+        """In how many rounds devices refine after such trainings."""
+        return self.refine_rounds or trainings.num_rounds
 
 
 def aggregate_preset(name: str) -> AggregateConfig:

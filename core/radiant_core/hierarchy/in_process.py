@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene, start_of_next_round
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.choices import Version
@@ -25,7 +28,6 @@ from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
-from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
@@ -123,7 +125,7 @@ class _Refiner:
     scene: SfmScene
     views: TrainingViews
     reporter_of: Callable[[str], Reporter]
-    shown: dict[str, FloatArray] = field(default_factory=dict)
+    shown: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """Device → what its photographs show of the scene, as its edge counted it."""
 
     def refine(self, splats: Splats, number: int, kept: Splats | None = None) -> tuple[Splats, dict[str, Refinement]]:
@@ -155,11 +157,11 @@ class _Refiner:
         _, shown, _ = worth_training(self.scene.restricted_to(rows), self.views.select(rows), recipe.train)
         return refine_device(recipe.refine_task(device), splats, shown, self.reporter_of(refined_at(f"devices/{device}", number)))
 
-    def _shown(self, device: str, splats: Splats) -> FloatArray:
+    def _shown(self, device: str, splats: Splats) -> NDArray[np.float32]:
         """Counted in the first round in which the device sends anything."""
         if device not in self.shown:
             cameras = self.scene.cameras.select(self.recipe.cameras_of(device)).scaled(self.recipe.train.long_side_px)
-            self.shown[device] = count_shown_photographs(splats, cameras, self.recipe.backend)
+            self.shown[device] = count_shown_photographs(splats, cameras, self.recipe.backend).astype(np.float32)
         return self.shown[device]
 
 

@@ -71,8 +71,8 @@ class Recipe:
 
     @property
     def joining(self) -> AggregateConfig:
-        """How tiers join and devices refine after such trainings."""
-        return self.aggregate.after(self.trainings)
+        """How tiers join models after such trainings."""
+        return self.aggregate.joining_after(self.trainings)
 
     @property
     def _total_devices(self) -> int:

@@ -11,7 +11,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from radiant_core.aggregate.averaging import average_bytes
-from radiant_core.aggregate.config import ENOUGH_SHOWS, FEW_DEVICES, FEW_ROUNDS, NUM_ROUNDS
+from radiant_core.aggregate.config import (
+    ENOUGH_SHOWS,
+    FEW_DEVICES,
+    FEW_ROUNDS,
+    HARDLY_SHOWN,
+    MORE_ROUNDS,
+    MOST_ROUNDS,
+    SHORT_SHOWS,
+)
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.recipe import Recipe
@@ -21,6 +29,12 @@ MAX_STEPS = 200
 """Devices that take many steps between two means drift apart (docs/experiments/aggregation.md): no
 more than were measured to gain, but each photograph once."""
 STAGE = refined_at("cloud")
+_WHY = {
+    MOST_ROUNDS: f"below {HARDLY_SHOWN} times a fourth and a fifth round still gained",
+    MORE_ROUNDS: f"below {ENOUGH_SHOWS} times a second and a third round gained 0.1 to 0.2 dB each",
+    FEW_ROUNDS: f"after short trainings of up to {FEW_DEVICES} devices a third round gained 0 to 0.2 dB for a third of the time",
+    1: f"from {ENOUGH_SHOWS} times on a second and a third round gained −0.1 to +0.1 dB",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +78,7 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
 
 def choose_rounds(recipe: Recipe) -> int:
     """In how many rounds devices refine a scene."""
-    return recipe.joining.refine_rounds or 1
+    return recipe.aggregate.rounds_after(recipe.trainings)
 
 
 def refining_steps(epochs: int, num_views: int) -> int:
@@ -74,15 +88,14 @@ def refining_steps(epochs: int, num_views: int) -> int:
 
 def _rounds(recipe: Recipe) -> Decision:
     number, trainings = choose_rounds(recipe), recipe.trainings
-    reason = f"from {ENOUGH_SHOWS} on a second and a third round gained −0.1 to +0.1 dB, below {min(NUM_ROUNDS)} five still gain"
-    if number == FEW_ROUNDS == trainings.num_rounds:
-        reason = f"after short trainings of up to {FEW_DEVICES} devices a third round gained 0 to 0.2 dB for a third of the time"
+    reason = _WHY[number] if number == trainings.num_rounds else f"asked for; after such trainings it would be {trainings.num_rounds}"
+    by_steps = trainings.photograph_shows >= SHORT_SHOWS and trainings.are_short and trainings.are_of_few
     return Decision(
         stage=STAGE,
         topic="rounds of refining",
         choice=f"devices refine the scene in {number} {'round' if number == 1 else 'rounds'}",
-        figure=trainings.photograph_shows,
-        unit="times a training shows each photograph",
+        figure=trainings.num_steps if by_steps else trainings.photograph_shows,
+        unit="steps of a training" if by_steps else "times a training shows each photograph",
         reason=reason,
         forced=recipe.aggregate.refine_rounds is not None,
     )

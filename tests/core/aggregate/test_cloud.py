@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs
-from radiant_core.aggregate.config import FEW_DEVICES, SHORT_SHOWS, SHORT_STEPS, AggregateConfig, Trainings, aggregate_preset
+from radiant_core.aggregate.config import (
+    ENOUGH_SHOWS,
+    FEW_DEVICES,
+    HARDLY_SHOWN,
+    SHORT_SHOWS,
+    SHORT_STEPS,
+    AggregateConfig,
+    Trainings,
+    aggregate_preset,
+)
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.join_memory import JoinMemory, join_bytes, plan_join_memory
@@ -146,31 +155,29 @@ class TestPaperAggregation:
             aggregate_preset("papers")
 
     def test_epochs_and_rounds_follow_from_how_long_how_many_devices_trained(self) -> None:
-        ours, alone, asked = (
-            AggregateConfig(),
-            AggregateConfig(refine_epochs=0),
-            AggregateConfig(edge_epochs=7, num_epochs=0, refine_rounds=9),
-        )
+        ours, alone = AggregateConfig(), AggregateConfig(refine_epochs=0)
+        asked = AggregateConfig(edge_epochs=7, num_epochs=0, refine_rounds=9)
         long, many, few = (10, 5), (2, 2), (1, 0)
         for shows, steps, num_devices, epochs, rounds in (
-            (20, 500, FEW_DEVICES, few, 5),
-            (20, 500, FEW_DEVICES + 1, many, 5),
-            (20, 1500, FEW_DEVICES, few, 5),
-            (40, 500, FEW_DEVICES, few, 2),
-            (40, 500, FEW_DEVICES + 1, many, 3),
-            (120, 500, FEW_DEVICES, few, 2),
-            (120, 500, FEW_DEVICES + 1, many, 1),
+            (HARDLY_SHOWN - 0.1, 500, FEW_DEVICES, few, 5),
+            (HARDLY_SHOWN - 0.1, 500, FEW_DEVICES + 1, many, 5),
+            (HARDLY_SHOWN - 0.1, 1500, FEW_DEVICES, few, 5),
+            (HARDLY_SHOWN, 500, FEW_DEVICES, few, 2),
+            (HARDLY_SHOWN, 500, FEW_DEVICES + 1, many, 3),
+            (SHORT_SHOWS - 0.1, SHORT_STEPS, FEW_DEVICES, few, 2),
+            (ENOUGH_SHOWS, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
+            (ENOUGH_SHOWS, SHORT_STEPS - 1, FEW_DEVICES + 1, many, 1),
             (SHORT_SHOWS, SHORT_STEPS, FEW_DEVICES, long, 3),
-            (100, 1500, FEW_DEVICES, long, 1),
+            (ENOUGH_SHOWS, SHORT_STEPS, FEW_DEVICES, long, 1),
             (float("inf"), float("inf"), FEW_DEVICES, long, 1),
         ):
             trainings = Trainings(num_devices=num_devices, photograph_shows=shows, num_steps=steps)
-            joining = ours.after(trainings)
+            joining = ours.joining_after(trainings)
             assert (joining.epochs_at_edges, joining.epochs_at_cloud, joining.at_edge.epochs_at_cloud) == (*epochs, epochs[0]), trainings
-            assert joining.refine_rounds == rounds, trainings
-            assert asked.after(trainings) == asked
-            for config in (alone, aggregate_preset("paper")):
-                assert config.after(trainings) == config
+            assert ours.rounds_after(trainings) == rounds and asked.rounds_after(trainings) == 9, trainings
+            # What was joined by the settings as they are keeps its key.
+            assert asked.joining_after(trainings) == asked and (epochs != long or joining == ours)
+            assert all(config.joining_after(trainings) == config for config in (alone, aggregate_preset("paper")))
         assert (alone.epochs_at_edges, alone.epochs_at_cloud) == long
         assert (aggregate_preset("paper").epochs_at_edges, aggregate_preset("paper").epochs_at_cloud) == (10, 10)
 

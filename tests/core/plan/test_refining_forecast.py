@@ -15,7 +15,7 @@ TWICE = RefiningLaw(num_rounds=2, share_of_training=lambda count: count / 1000)
 
 
 def by_hand(edges: tuple[EdgePlan, ...], *, sending: float) -> float:
-    edges_s, beside_s = [], []
+    first_s, later_s, beside_s = [], [], []
     for edge, plan in zip(SYSTEM.edges, edges, strict=True):
         counts = {name: len(plan.cameras_of(name)) for name in plan.device_ids}
         busy = [(device, counts[device.id]) for device in edge.devices if counts[device.id]]
@@ -25,9 +25,11 @@ def by_hand(edges: tuple[EdgePlan, ...], *, sending: float) -> float:
             1.2 * beside + 1.4 * train * count / 1000 + sending * 5e5 * count / 5e6
             for beside, train, (_, count) in zip(own, trained, busy, strict=True)
         )
-        edges_s.append(slowest + max(own) + sending * 5e5 * sum(count for _, count in busy) / 1e7)
+        sent = sending * 5e5 * sum(count for _, count in busy) / 1e7
+        first_s.append(slowest + max(own) + sent)
+        later_s.append(slowest + 0.5 * max(own) + sent)
         beside_s += own
-    return 2 * (max(edges_s) + 0.5 * max(beside_s))
+    return max(first_s) + max(later_s) + 2 * 0.5 * max(beside_s)
 
 
 @pytest.mark.parametrize("sending", [True, False])
