@@ -8,9 +8,9 @@ Gaussian n becomes
 with w_dn what n shows in the photographs of sender d, in whole photographs, 0 if it left n as it
 was: federated averaging (McMahan 2017) Gaussian by Gaussian. What hardly shows in a photograph is
 moved by Adam as far as what fills it, and must not outweigh a device that sees it well. An edge
-renders that itself, once, by the cameras it was sent. Means of means with summed weights are the mean of
-all, so that edges average first and the cloud averages the edges, whose weights are rounded down to
-powers of four.
+renders that itself, once, by the cameras it was sent. Means of means with summed weights are the
+mean of all, so that edges average first and the cloud averages the edges, whose weights are rounded
+down to powers of four.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ the cloud, nothing skipped (paper Sec. III-D)."""
 MAX_TILES = 256
 JOINING_EPOCHS, SHORT_EPOCHS, FEW_EPOCHS = (10, 5), (2, 2), (1, 0)
 """Epochs at the edges and at the cloud: after long trainings, after short ones where refining
-follows, which does the rest as well, and after such of few devices (docs/experiments/aggregation.md)."""
+follows, which does the rest as well, and after such of few devices
+(docs/experiments/aggregation.md)."""
 SHORT_SHOWS, SHORT_STEPS = 50, 650
 """Short trainings show each photograph less often than that, or take fewer steps."""
 FEW_DEVICES = 4

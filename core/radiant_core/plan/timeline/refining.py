@@ -1,14 +1,14 @@
 """Predicts how long a joined scene is refined by its devices. Once per plan.
 
     device n   1.2 G_n(c) + 1.4 F_n(c) R(c) / S(c), then H_n / B^n      c photographs, R of S steps
-    edge m     the greatest G_n of its devices, half of it from the second round on, then Σ_n H_n / B^m
+    edge m     the greatest G_n of its devices, half of it after round 1, then Σ_n H_n / B^m
     cloud      half of the greatest G_n of all
     round      the slowest edge, its devices before it; then the cloud
 
 G and F are those of the devices' own trainings. That a node reads, writes and, in the first round,
-weighs in about the time in which a device of its tree initialises, and that a step on the scene takes 1.4 times as long
-as one on a device's own model, is what four runs took: their rounds are predicted within ±20 %
-(docs/experiments/planner.md). The scene's way down is left out.
+weighs in about the time in which a device of its tree initialises, and that a step on the scene
+takes 1.4 times as long as one on a device's own model, is what four runs took: their rounds are
+predicted within ±20 % (docs/experiments/planner.md). The scene's way down is left out.
 """
 
 from __future__ import annotations
