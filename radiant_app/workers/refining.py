@@ -76,10 +76,10 @@ def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Seq
 
     def admitted() -> Iterator[Refinement]:
         for name, each in _receive(folder, task, scene, refused, reporter):
-            cameras = correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]).scaled(task.long_side_px)
             if number := counted_in[name]:
                 shown = _load_shown(Path(refined_at(str(folder.parent), number)) / counted_file(name), scene)
             else:
+                cameras = correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]).scaled(task.long_side_px)
                 shown = _count_shown(folder / counted_file(name), scene, cameras, task)
             kept = admit_refinement(each, scene, shown)
             if len(kept.rows) < MIN_ADMITTED * len(each.rows):
