@@ -23,6 +23,7 @@ from radiant_app.commands.profiling import STAGE, DeviceSample, EdgeSample, Meas
 from radiant_app.commands.steps import require_file_to_be, require_run, training_part
 from radiant_app.config.run_config import ExecutionOptions
 from radiant_app.events import Listener, StageDone, StageStarted
+from radiant_app.executors.fork_server import keep_servers
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
@@ -99,7 +100,8 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
             listen=listen,
             clock=clock,
         )
-        measured = nodes.measure(request.time_s)
+        with keep_servers():
+            measured = nodes.measure(request.time_s)
         seconds = clock() - begun_s
         listen(StageDone(stage=STAGE, seconds=seconds))
     what = "the sample town" if request.source is None else f"{len(training.cameras)} photographs"

@@ -7,10 +7,11 @@
     own frames (c)  structure from motion of a few counts            → seconds beside G
 
 The two devices have the c photographs on either side of the middle of the scene's long side. Nodes
-run `num_workers` at a time with their share of the cores, as in a run: side by side they are slower
-than alone. Where the time does not allow all the steps that a run takes, all trainings get the same
-smaller number and their seconds are multiplied: every schedule of a preset follows the share of its
-steps, and density control gets as many rounds.
+run `num_workers` at a time with their share of the cores, and are forked, as in a run: side by side
+they are slower than alone, and a process that starts anew takes 4 s longer. Where the time does not
+allow all the steps that a run takes, all trainings get the same smaller number and their seconds
+are multiplied: every schedule of a preset follows the share of its steps, and density control gets
+as many rounds.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.events import Event, Listener, StageProgress, Warned
-from radiant_app.executors.local import LocalExecutor, worker_command
+from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import deal_files
 from radiant_app.workers.sources import sfm_task
@@ -313,7 +314,8 @@ class Measuring:
             save_task(folder, task)
             stage = str(folder.relative_to(self.work))
             nodes[stage] = NodeTask(kind=kind, stage=stage, folder=folder, key=stage)
-        executor = LocalExecutor(num_workers=self.num_workers, clock=self.clock, command=self._command)
+        threads = self.num_threads or max(1, (os.cpu_count() or 1) // self.num_workers)
+        executor = LocalExecutor(num_workers=self.num_workers, clock=self.clock, num_threads=threads)
         expected_s = self.left_s.pop(0) if self.left_s else 0.0
         begun_s = self._elapsed_s
 
@@ -329,7 +331,3 @@ class Measuring:
     def _report_progress(self, node_left_s: float) -> None:
         done = self._elapsed_s
         self.listen(StageProgress(stage=STAGE, done=done, total=done + node_left_s + sum(self.left_s), note=self.note))
-
-    def _command(self, task: NodeTask) -> list[str]:
-        threads = self.num_threads or max(1, (os.cpu_count() or 1) // self.num_workers)
-        return ["env", f"OMP_NUM_THREADS={threads}", *worker_command(task)]

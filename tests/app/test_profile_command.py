@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, Task, cho
 from radiant_app.commands.steps import training_part
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted
+from radiant_app.executors import fork_server, local
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import load_profile
 from radiant_app.files.run_folder import Manifest, recorded_config
@@ -113,6 +114,28 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     warnings = planned_with(tmp_path, scene, "long_side_px", 48)
     assert warnings == "none"
     assert "profile 'mine.toml', are of preset default, 24 steps at 48 px" in planned_with(tmp_path, scene, "long_side_px", 96)
+
+
+def test_nodes_are_forked_as_in_a_run_with_the_threads_that_were_asked_for(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that starts anew takes seconds longer, and a run starts none."""
+    asked: list[tuple[Sequence[str], str, int]] = []
+
+    def refuse(names: Sequence[str], environment: Mapping[str, str]) -> None:
+        asked.append((names, environment["OMP_NUM_THREADS"], fork_server._kept.num_runs))
+        raise StageFailed("asked")
+
+    monkeypatch.setattr(local, "open_server", refuse)
+    kept = fork_server._kept.num_runs
+    for workers, threads, expected in ((1, 3, "3"), (64, None, "1")):
+        with pytest.raises(StageFailed, match="asked"):
+            profile(
+                ProfileRequest(out=tmp_path / "mine.toml", source=scene, overrides=QUICK, num_workers=workers, num_threads=threads),
+                lambda event: None,
+            )
+        assert asked.pop() == (local.IMPORTED, expected, kept + 1)
+    assert fork_server._kept.num_runs == kept
 
 
 def test_photographs_alone_are_reconstructed_by_a_task_that_its_worker_accepts(
