@@ -94,6 +94,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "short axes in the loss": {"thickness_weight": 0.05},
     "spread of depth in the loss": {"depth_spread_weight": 1.0},
     "any number of Gaussians": {"density.pixels_per_splat": None},
+    "one Gaussian per 80 pixels": {"density.pixels_per_splat": 80},
     "all photographs": {"skip_images": "none"},
     "dense points": {"dense_points": "always"},
     "any number of steps": {"max_epochs": None},

@@ -22,6 +22,9 @@ MIN_PLANNED = 4_000
 FEW_PHOTOGRAPHS = 36
 """With fewer than these to train on, leaving Gaussians out at random gains on photographs left
 out (docs/experiments/training.md)."""
+PIXELS_PER_SPLAT, PIXELS_OF_FEW = 80, 40
+"""Training pixels for each Gaussian that growth may reach, and the same where Gaussians are left
+out at random: few photographs show a place less often, and what they do not fix is held back."""
 MIN_STEPS = 1_500
 """Few photographs never shorten a run below this."""
 
@@ -108,10 +111,10 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
 
 def fit_to_views(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """What is "auto", decided by the photographs that are trained on."""
-    config, decisions = _fit_size(config, views)
-    config, length = _fit_length(config, len(views))
     config, dropping = _fit_dropping(config, len(views))
-    return config, (*decisions, *length, *dropping)
+    config, size = _fit_size(config, views)
+    config, length = _fit_length(config, len(views))
+    return config, (*size, *length, *dropping)
 
 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
@@ -119,8 +122,11 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
     density = config.density
     if isinstance(density, NoDensification) or density.kind == "adc" or density.pixels_per_splat is None:
         return config, ()
+    per_splat = density.pixels_per_splat
+    if per_splat == "auto":
+        per_splat = PIXELS_OF_FEW if config.drop_gaussians == "always" else PIXELS_PER_SPLAT
     num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
-    most = max(MIN_PLANNED, num_pixels // density.pixels_per_splat)
+    most = max(MIN_PLANNED, num_pixels // per_splat)
     if most >= config.max_num_splats:
         return config, ()
     decision = Decision(
@@ -129,7 +135,7 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
         choice=f"growth is planned to {most:,} instead of {config.max_num_splats:,}",
         figure=num_pixels / 1e6,
         unit="million pixels of training photographs",
-        reason=f"more than one Gaussian per {density.pixels_per_splat} pixels cost time and gained nothing on photographs left out",
+        reason=f"more than one Gaussian per {per_splat} pixels cost time and gained little or nothing on photographs left out",
     )
     return replace(config, max_num_splats=most), (decision,)
 

@@ -3,15 +3,17 @@ is asked for is left alone."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
-from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
-from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_views
+from radiant_core.train.needs import FEW_PHOTOGRAPHS, MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_views
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above
 
@@ -65,6 +67,27 @@ class TestSize:
         _, views = scene_of(50, size_wh=(160, 120))
         config, decisions = fit_to_views(TrainConfig(density=density, max_epochs=None), views)
         assert config.max_num_splats == 50 * 160 * 120 // 80 and [d.topic for d in decisions] == ["number of Gaussians"]
+
+    @pytest.mark.parametrize("density", [Adc(kind="planned"), Mcmc()])
+    def test_where_gaussians_are_left_out_at_random_there_may_be_more(self, density) -> None:
+        pixels = 160 * 120
+        wishes = {"always": (40, 50), "none": (80, 50), "auto": (40, FEW_PHOTOGRAPHS - 1)}
+        for wish, (per_splat, count) in wishes.items():
+            views = scene_of(count, size_wh=(160, 120))[1]
+            config, decisions = fit_to_views(TrainConfig(density=density, max_epochs=None, drop_gaussians=wish), views)
+            assert config.max_num_splats == count * pixels // per_splat, wish
+            assert f"one Gaussian per {per_splat} pixels" in decisions[0].reason
+            asked = replace(density, pixels_per_splat=60)
+            asked_for = TrainConfig(density=asked, max_epochs=None, drop_gaussians=wish)
+            assert fit_to_views(asked_for, views)[0].max_num_splats == count * pixels // 60
+
+    def test_the_number_of_pixels_can_be_set(self) -> None:
+        for text, value in (("auto", "auto"), ("60", 60), ("none", None)):
+            density = with_settings(train_preset("default"), {"density.pixels_per_splat": text}).density
+            assert density.pixels_per_splat == value  # type: ignore[union-attr]
+        for text in ("0", "few"):
+            with pytest.raises(BadInput, match="pixels_per_splat"):
+                with_settings(train_preset("default"), {"density.pixels_per_splat": text})
 
     def test_a_floor_a_switch_and_policies_without_a_limit_to_reach(self) -> None:
         _, views = scene_of(2)

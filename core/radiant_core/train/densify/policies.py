@@ -58,16 +58,17 @@ class Adc:
     """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code
     of 3DGS passes 20 but clears the radii before it looks at them, so that nothing is pruned by
     this rule; None is what it does."""
-    pixels_per_splat: int | None = 80
-    """Training pixels for each Gaussian that planned growth may reach
-    (docs/experiments/training.md); None: any number."""
+    pixels_per_splat: int | Literal["auto"] | None = "auto"
+    """Training pixels for each Gaussian that planned growth may reach; auto: 80, or 40 where
+    Gaussians are left out at random (docs/experiments/training.md); None: any number."""
 
     def __post_init__(self) -> None:
         require_one_of(self, "kind", ("adc", "planned"))
         require_one_of(self, "gradient", ("mean", "absolute"))
         require_at_least(self, 0, ("from_step", "until_step", "min_gradient", "min_absolute"))
         require_at_least(self, 1, ("every", "reset_opacity_every"))
-        require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
+        if self.pixels_per_splat != "auto":
+            require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
         require_positive_or_none(self, ("prune_radius_px",))
         if not 0 <= self.min_opacity < 1:
             raise BadInput(f"min_opacity is {self.min_opacity}, expected at least 0 and less than 1.")
@@ -94,13 +95,15 @@ class Mcmc:
     """Relocation and growth end before this step."""
     every: int = 100
     """Steps between two rounds; not scaled."""
-    pixels_per_splat: int | None = 80
-    """Training pixels for each Gaussian that growth may reach; None: any number."""
+    pixels_per_splat: int | Literal["auto"] | None = "auto"
+    """Training pixels for each Gaussian that growth may reach; auto: as of planned growth; None: any
+    number."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, ("from_step", "until_step"))
         require_at_least(self, 1, ("every",))
-        require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
+        if self.pixels_per_splat != "auto":
+            require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
 
 
 Densification = Annotated[NoDensification | Adc | Mcmc, Discriminator("kind")]
