@@ -96,8 +96,8 @@ class Mcmc:
     every: int = 100
     """Steps between two rounds; not scaled."""
     pixels_per_splat: int | Literal["auto"] | None = "auto"
-    """Training pixels for each Gaussian that growth may reach; auto: as of planned growth; None: any
-    number."""
+    """Training pixels for each Gaussian that growth may reach; auto: as of planned growth; None:
+    any number."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, ("from_step", "until_step"))
