@@ -73,7 +73,7 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
         num_steps = 0
         if trained_s:
             num_dealt = dealer.photographs.num_dealt(own.rsplit("/", 1)[-1])
-            num_steps = refining_steps(dealer.recipe.aggregate.refine_epochs, num_dealt)
+            num_steps = refining_steps(dealer.recipe.refining_epochs, num_dealt)
         beside_s = (process_s - trained_s) * (1.0 if node.tier == "device" else larger)
         beside_s += sum(_render_s(dealer, child, scene) for child in node.children) if node.tier == "edge" else 0.0
         expected[node.id] = beside_s + trained_s * larger * num_steps / max(1, summary.get("num_steps", 0))

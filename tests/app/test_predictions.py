@@ -179,6 +179,8 @@ def test_the_law_has_the_rounds_and_steps_of_a_run() -> None:
     assert long.share_of_training(13) == pytest.approx(104 / 1500) and short.share_of_training(100) == pytest.approx(200 / 1500)
     fixed = refining_law_of(train, aggregate, 52, 4, fixed=True)
     assert fixed.share_of_training(5) == pytest.approx(40 / 1500) and fixed.num_rounds == long.num_rounds
+    # 500 steps of four devices with five photographs each: five epochs.
+    assert refining_law_of(replace(train, num_steps=500), aggregate, 20, 4).share_of_training(5) == pytest.approx(25 / 500)
     for nothing in (refining_law_of(train, AggregateConfig(refine_epochs=0), 52, 4), refining_law_of(train, aggregate, 0, 4)):
         assert nothing.num_rounds == 0 and nothing.share_of_training(5) == 0
 

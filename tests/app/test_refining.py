@@ -80,7 +80,7 @@ def test_refining_is_expected_to_take_as_long_as_its_share_of_what_was_measured(
     owners = [node.id.removesuffix("/refine") for node in devices]
     seconds = {owners[0]: 26.0, owners[1]: 32.0, "edges/edge-1": 7.0, "cloud": 3.0}
     expected = expected_times(refining, manifest_of(refining, seconds))
-    epochs = refining.dealer.recipe.aggregate.refine_epochs
+    epochs = refining.dealer.recipe.refining_epochs
     dealt = [refining.dealer.photographs.num_dealt(Path(owner).name) for owner in owners]
     # 20 of a process's seconds trained, 0.1 s a step on half the scene's Gaussians.
     times = [spent_s - 20 + 2 * 0.1 * refining_steps(epochs, count) for spent_s, count in zip((26.0, 32.0), dealt, strict=False)]

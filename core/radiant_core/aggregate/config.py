@@ -26,6 +26,9 @@ HARDLY_SHOWN, ENOUGH_SHOWS = 30, 75
 refining, those that show it as often as the second for one: a second round gains less than its time
 is worth then. Between them a third is worth it, but after short trainings of few devices."""
 MOST_ROUNDS, MORE_ROUNDS, FEW_ROUNDS = 5, 3, 2
+ROUND_EPOCHS, ROUND_EPOCHS_OF_FEW = 8, 5
+"""Epochs of a round, and the same where few devices have shown few photographs often in few steps:
+more change nothing there (the same page)."""
 MAX_ROUNDS = 99
 
 
@@ -47,6 +50,16 @@ class Trainings:
     def are_of_few(self) -> bool:
         """Whether so few devices trained that the cloud has nothing to fit that they would not."""
         return self.num_devices <= FEW_DEVICES
+
+    @property
+    def are_of_few_photographs(self) -> bool:
+        """Whether few devices trained in few steps, which were many for each photograph."""
+        return self.are_short and self.are_of_few and self.photograph_shows >= SHORT_SHOWS
+
+    @property
+    def num_epochs(self) -> int:
+        """How often a device shows each of its photographs to the scene in a round then."""
+        return ROUND_EPOCHS_OF_FEW if self.are_of_few_photographs else ROUND_EPOCHS
 
     @property
     def num_rounds(self) -> int:
@@ -72,9 +85,10 @@ class AggregateConfig:
     joined after short trainings; whether memory keeps them from it is not known yet then."""
     edge_epochs: int | None = None
     """The same of an edge, whose model teaches the cloud (paper Sec. IV-B: 10)."""
-    refine_epochs: int = 8
+    refine_epochs: int | None = None
     """How often a device shows each of its photographs to the joined scene in a round, at most (see
-    `hierarchy.refining_plan.MAX_STEPS`); 0: not at all."""
+    `hierarchy.refining_plan.MAX_STEPS`); 0: not at all. None: by how long devices trained
+    (`Trainings.num_epochs`)."""
     refine_rounds: int | None = None
     """How often devices refine the scene, each time from somewhat beyond the mean of what all of
     them made of it before; the scene travels down and what changed in it up in each. None: by how
@@ -107,14 +121,14 @@ class AggregateConfig:
             )
         if not 0 <= self.faint_opacity < 1:
             raise BadInput(f"faint_opacity is {self.faint_opacity}, expected at least 0 and less than 1.")
-        if self.refine_epochs < 0:
+        if self.refine_epochs is not None and self.refine_epochs < 0:
             raise BadInput(f"refine_epochs is {self.refine_epochs}, expected 0 (the scene is not refined) or more.")
         if self.refine_rounds is not None and not 1 <= self.refine_rounds <= MAX_ROUNDS:
             raise BadInput(f"refine_rounds is {self.refine_rounds}, expected 1 to {MAX_ROUNDS}: set refine_epochs to 0 to refine nothing.")
         limits = (self.num_epochs, 0), (self.edge_epochs, 1), (self.max_num_steps, 1)
         if any(number is not None and number < least for number, least in limits):
             raise BadInput("edge_epochs and max_num_steps of the aggregation must be at least 1, num_epochs at least 0.")
-        if self.num_epochs == 0 and (self.preset == "paper" or not self.refine_epochs):
+        if self.num_epochs == 0 and (self.preset == "paper" or not self.refines):
             raise BadInput("0 epochs at the cloud leave the models to the devices that refine them: give 1 or more, or refine_epochs.")
 
     @property
@@ -139,11 +153,20 @@ class AggregateConfig:
 
     def joining_after(self, trainings: Trainings) -> AggregateConfig:
         """The settings with the epochs of joining after such trainings."""
-        if not self.refine_epochs or not trainings.are_short:
+        if not self.refines or not trainings.are_short:
             return self
         epochs = FEW_EPOCHS if trainings.are_of_few else SHORT_EPOCHS
         edge, cloud = (own if own is not None else left for own, left in zip((self.edge_epochs, self.num_epochs), epochs, strict=True))
         return replace(self, edge_epochs=edge, num_epochs=cloud)
+
+    @property
+    def refines(self) -> bool:
+        """Whether devices are to refine what was joined."""
+        return self.refine_epochs != 0
+
+    def refining_epochs_after(self, trainings: Trainings) -> int:
+        """How often a device shows each of its photographs in a round after such trainings."""
+        return trainings.num_epochs if self.refine_epochs is None else self.refine_epochs
 
     def rounds_after(self, trainings: Trainings) -> int:
         """In how many rounds devices refine after such trainings."""

@@ -75,6 +75,11 @@ class Recipe:
         return self.aggregate.joining_after(self.trainings)
 
     @property
+    def refining_epochs(self) -> int:
+        """How often a device shows each of its photographs to the scene in a round."""
+        return self.aggregate.refining_epochs_after(self.trainings)
+
+    @property
     def _total_devices(self) -> int:
         return self.num_devices or devices_with_photographs(self.edge_plans)
 
@@ -115,7 +120,7 @@ class Recipe:
             train=self.train,
             backend=self.backend,
             checkpoint_every_s=self.checkpoint_every_s,
-            epochs=self.aggregate.refine_epochs,
+            epochs=self.refining_epochs,
             max_num_steps=self.aggregate.max_num_steps,
             upload=self.upload,
             memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),

@@ -18,7 +18,6 @@ from radiant_core.aggregate.config import (
     HARDLY_SHOWN,
     MORE_ROUNDS,
     MOST_ROUNDS,
-    SHORT_SHOWS,
 )
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.decisions import Decision
@@ -57,7 +56,7 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
     Returns:
         The devices by edge, and a decision wherever the settings ask for more.
     """
-    if not recipe.aggregate.refine_epochs:
+    if not recipe.aggregate.refines:
         return RefiningPlan(devices={})
     degree = recipe.train.sh_degree
     needed, of_edge = (average_bytes(num_splats, degree, renders=renders) for renders in (False, True))
@@ -89,11 +88,11 @@ def refining_steps(epochs: int, num_views: int) -> int:
 def _rounds(recipe: Recipe) -> Decision:
     number, trainings = choose_rounds(recipe), recipe.trainings
     reason = _WHY[number] if number == trainings.num_rounds else f"asked for; after such trainings it would be {trainings.num_rounds}"
-    by_steps = trainings.photograph_shows >= SHORT_SHOWS and trainings.are_short and trainings.are_of_few
+    by_steps = trainings.are_of_few_photographs
     return Decision(
         stage=STAGE,
         topic="rounds of refining",
-        choice=f"devices refine the scene in {number} {'round' if number == 1 else 'rounds'}",
+        choice=f"devices refine the scene in {number} {'round' if number == 1 else 'rounds'} of {recipe.refining_epochs} epochs",
         figure=trainings.num_steps if by_steps else trainings.photograph_shows,
         unit="steps of a training" if by_steps else "times a training shows each photograph",
         reason=reason,

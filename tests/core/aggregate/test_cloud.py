@@ -165,6 +165,7 @@ class TestPaperAggregation:
             (HARDLY_SHOWN, 500, FEW_DEVICES, few, 2),
             (HARDLY_SHOWN, 500, FEW_DEVICES + 1, many, 3),
             (SHORT_SHOWS - 0.1, SHORT_STEPS, FEW_DEVICES, few, 2),
+            (SHORT_SHOWS, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
             (ENOUGH_SHOWS, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
             (ENOUGH_SHOWS, SHORT_STEPS - 1, FEW_DEVICES + 1, many, 1),
             (SHORT_SHOWS, SHORT_STEPS, FEW_DEVICES, long, 3),
@@ -175,6 +176,11 @@ class TestPaperAggregation:
             joining = ours.joining_after(trainings)
             assert (joining.epochs_at_edges, joining.epochs_at_cloud, joining.at_edge.epochs_at_cloud) == (*epochs, epochs[0]), trainings
             assert ours.rounds_after(trainings) == rounds and asked.rounds_after(trainings) == 9, trainings
+            # Few steps over few photographs leave less to fit.
+            of_few = epochs == few and shows >= SHORT_SHOWS
+            assert ours.refining_epochs_after(trainings) == (5 if of_few else 8), trainings
+            assert replace(ours, refine_epochs=3).refining_epochs_after(trainings) == 3
+            assert alone.refining_epochs_after(trainings) == 0 and ours.refines and not alone.refines
             # What was joined by the settings as they are keeps its key.
             assert asked.joining_after(trainings) == asked and (epochs != long or joining == ours)
             assert all(config.joining_after(trainings) == config for config in (alone, aggregate_preset("paper")))
