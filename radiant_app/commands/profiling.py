@@ -36,6 +36,7 @@ from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.messages import CloudTask, DeviceTask, EdgeTask, Renderer
+from radiant_core.hierarchy.recipe import training_among
 from radiant_core.io.messages import save_task
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json
@@ -154,7 +155,8 @@ class Measuring:
         pilot, seconds = self._device(counts[-1], steps), self._elapsed_s
         rounds = -(-NUM_MODELS // self.num_workers)
         step_s = rounds * pilot.train_s / self.train.num_steps
-        start_s = max(0.0, seconds - step_s * steps)
+        # Not of what else has passed: importing what nodes are forked from is done once.
+        start_s = rounds * max(0.0, pilot.init_s)
         num_joins = 2 * len(joined) + 2
         free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + num_joins))
         num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
@@ -203,11 +205,12 @@ class Measuring:
     def _device(self, count: int, num_steps: int) -> DeviceSample:
         """Train on two neighbouring strips of so many photographs."""
         tasks: dict[Path, Task] = {}
+        train = training_among(NUM_MODELS, shorten_training(self.train, num_steps))
         for index, rows in enumerate(self._shares(count)):
             folder = self._folder(f"devices/{count}-{num_steps}-{index}")
             own = self.scene.restricted_to(rows)
             deal_files(self.images, own.cameras.names, folder / "photos")
-            tasks[folder] = DeviceTask(train=shorten_training(self.train, num_steps), backend=self.backend, upload=UPLOAD, scene=own)
+            tasks[folder] = DeviceTask(train=train, backend=self.backend, upload=UPLOAD, scene=own)
         seconds = self._run("device", tasks)
         summaries = [read_json(folder / "summary.json", ("train_s", "model_bytes")) for folder in tasks]
         train_s, model_bytes = (float(np.mean([summary[name] for summary in summaries])) for name in ("train_s", "model_bytes"))

@@ -33,6 +33,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
+from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
@@ -86,7 +87,13 @@ def in_this_process(self: Measuring, kind: str, tasks: Mapping[Path, Task]) -> l
 
 
 def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Measuring, "_run", in_this_process)
+    tasks: list[DeviceTask] = []
+
+    def keep(self: Measuring, kind: str, given: Mapping[Path, Task]) -> list[float]:
+        tasks.extend(task for task in given.values() if isinstance(task, DeviceTask))
+        return in_this_process(self, kind, given)
+
+    monkeypatch.setattr(Measuring, "_run", keep)
     events: list[Event] = []
     request = ProfileRequest(
         out=tmp_path / "mine.toml", source=scene, overrides=QUICK, time_s=1.0, num_workers=1, num_threads=1, machine="mine\n"
@@ -103,6 +110,8 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     assert 92 * 100 < made.model_bytes.curve(5) <= 92 * 600 * 1.3
     assert made.aggregate_s is not None and made.aggregate_alone_s is not None and made.merge_s is not None
     assert "epochs of retraining at edges" in made.source
+    # A device of a run leaves out no Gaussians at random, and so has fewer of them.
+    assert {task.train.drop_gaussians for task in tasks} == {"none"}
     rows = {row["quantity"]: row for row in result["check"]}
     assert {"start-up", "training", "device", "model"} <= rows.keys()
     assert all(row["error"] == pytest.approx(row["predicted"] / row["measured"] - 1) for row in rows.values())

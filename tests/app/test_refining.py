@@ -185,8 +185,15 @@ def test_a_second_round_is_for_trainings_that_left_something_to_fit(refining: Re
     ):
         decision = plan_refining(each, refining.plan.devices, 1000).decisions[-1]
         assert (decision.topic, decision.forced) == ("rounds of refining", forced) and f" {number} round" in decision.choice
+        epochs = 5 if each is by_steps else 8
+        assert f" of at most {epochs} epochs" in decision.choice
+        devices = (Path(node.id).parent.name for node in nodes_of(refining, "device"))
+        assert {each.refine_task(device).epochs for device in devices} == {epochs}
         assert why in decision.reason and ("steps" in decision.unit) == (each is by_steps)
         assert decision.figure == pytest.approx(SHORT_STEPS - 1 if each is by_steps else each.train.num_steps * 4 / photographs)
+    once = replace(by_steps, aggregate=replace(by_steps.aggregate, refine_epochs=1))
+    decision = plan_refining(once, refining.plan.devices, 1000).decisions[-1]
+    assert decision.forced and decision.choice.endswith("2 rounds of at most 1 epoch")
     none = replace(often, aggregate=replace(often.aggregate, refine_epochs=0))
     assert plan_refining(none, refining.plan.devices, 1000).decisions == ()
 

@@ -27,8 +27,9 @@ refining, those that show it as often as the second for one: a second round gain
 is worth then. Between them a third is worth it, but after short trainings of few devices."""
 MOST_ROUNDS, MORE_ROUNDS, FEW_ROUNDS = 5, 3, 2
 ROUND_EPOCHS, ROUND_EPOCHS_OF_FEW = 8, 5
-"""Epochs of a round, and the same where few devices have shown few photographs often in few steps:
-more change nothing there (the same page)."""
+OFTEN_SHOWN = 100
+"""Epochs of a round, and the same where few devices have shown each photograph so often in few
+steps: more change nothing there (the same page; from 117 times on, and up to 43 they do)."""
 MAX_ROUNDS = 99
 
 
@@ -54,7 +55,7 @@ class Trainings:
     @property
     def are_of_few_photographs(self) -> bool:
         """Whether few devices trained in few steps, which were many for each photograph."""
-        return self.are_short and self.are_of_few and self.photograph_shows >= SHORT_SHOWS
+        return self.are_short and self.are_of_few and self.photograph_shows >= OFTEN_SHOWN
 
     @property
     def num_epochs(self) -> int:

@@ -25,6 +25,14 @@ def devices_with_photographs(edge_plans: Sequence[EdgePlan]) -> int:
     return sum(len(plan.cameras_of(device)) > 0 for plan in edge_plans for device in plan.device_ids)
 
 
+def training_among(num_devices: int, train: TrainConfig) -> TrainConfig:
+    """The training of one of so many devices whose models are joined."""
+    if train.drop_gaussians != "auto" or num_devices < 2:
+        return train
+    # What a device lacks photographs of its neighbours know (docs/experiments/training.md).
+    return replace(train, drop_gaussians="none")
+
+
 def trainings_of(train: TrainConfig, num_photographs: int, num_devices: int) -> Trainings:
     """How long devices train that share so many photographs; without any, as long as may be."""
     if not num_photographs:
@@ -96,10 +104,7 @@ class Recipe:
 
     def training_of(self, device: str) -> TrainConfig:
         """The training of a device, as long as its photographs ask for."""
-        train = self.train
-        if train.drop_gaussians == "auto" and (self.num_devices or devices_with_photographs(self.edge_plans)) > 1:
-            # What a device lacks photographs of its neighbours know (docs/experiments/training.md).
-            train = replace(train, drop_gaussians="none")
+        train = training_among(self._total_devices, self.train)
         if (law := self.step_law) is None:
             return train
         return replace(train, num_steps=law.steps(len(self.cameras_of(device))), max_epochs=None)

@@ -18,6 +18,7 @@ from radiant_core.aggregate.config import (
     HARDLY_SHOWN,
     MORE_ROUNDS,
     MOST_ROUNDS,
+    SHORT_SHOWS,
 )
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.decisions import Decision
@@ -88,16 +89,21 @@ def refining_steps(epochs: int, num_views: int) -> int:
 def _rounds(recipe: Recipe) -> Decision:
     number, trainings = choose_rounds(recipe), recipe.trainings
     reason = _WHY[number] if number == trainings.num_rounds else f"asked for; after such trainings it would be {trainings.num_rounds}"
-    by_steps = trainings.are_of_few_photographs
+    by_steps = trainings.photograph_shows >= SHORT_SHOWS and trainings.are_short and trainings.are_of_few
+    epochs, asked = recipe.refining_epochs, recipe.aggregate
     return Decision(
         stage=STAGE,
         topic="rounds of refining",
-        choice=f"devices refine the scene in {number} {'round' if number == 1 else 'rounds'} of {recipe.refining_epochs} epochs",
+        choice=f"devices refine the scene in {_counted(number, 'round')} of at most {_counted(epochs, 'epoch')}",
         figure=trainings.num_steps if by_steps else trainings.photograph_shows,
         unit="steps of a training" if by_steps else "times a training shows each photograph",
         reason=reason,
-        forced=recipe.aggregate.refine_rounds is not None,
+        forced=asked.refine_rounds is not None or asked.refine_epochs is not None,
     )
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _too_large(choice: str, needed_bytes: float, where: str, limit_bytes: float) -> Decision:

@@ -25,6 +25,10 @@ out (docs/experiments/training.md)."""
 PIXELS_PER_SPLAT, PIXELS_OF_FEW = 80, 40
 """Training pixels for each Gaussian that growth may reach, and the same where Gaussians are left
 out at random: few photographs show a place less often, and what they do not fix is held back."""
+_WHY_NO_MORE = {
+    PIXELS_PER_SPLAT: "cost time and gained nothing on photographs left out",
+    PIXELS_OF_FEW: "gain on some sets of few photographs and lose on others, for up to twice the time",
+}
 MIN_STEPS = 1_500
 """Few photographs never shorten a run below this."""
 
@@ -135,7 +139,7 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
         choice=f"growth is planned to {most:,} instead of {config.max_num_splats:,}",
         figure=num_pixels / 1e6,
         unit="million pixels of training photographs",
-        reason=f"more than one Gaussian per {per_splat} pixels cost time and gained little or nothing on photographs left out",
+        reason=f"more than one Gaussian per {per_splat} pixels {_WHY_NO_MORE.get(per_splat, 'were not asked for')}",
     )
     return replace(config, max_num_splats=most), (decision,)
 

@@ -13,6 +13,7 @@ from radiant_core.aggregate.config import (
     ENOUGH_SHOWS,
     FEW_DEVICES,
     HARDLY_SHOWN,
+    OFTEN_SHOWN,
     SHORT_SHOWS,
     SHORT_STEPS,
     AggregateConfig,
@@ -167,6 +168,9 @@ class TestPaperAggregation:
             (SHORT_SHOWS - 0.1, SHORT_STEPS, FEW_DEVICES, few, 2),
             (SHORT_SHOWS, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
             (ENOUGH_SHOWS, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
+            (OFTEN_SHOWN, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
+            (OFTEN_SHOWN, SHORT_STEPS, FEW_DEVICES, long, 1),
+            (OFTEN_SHOWN, SHORT_STEPS - 1, FEW_DEVICES + 1, many, 1),
             (ENOUGH_SHOWS, SHORT_STEPS - 1, FEW_DEVICES + 1, many, 1),
             (SHORT_SHOWS, SHORT_STEPS, FEW_DEVICES, long, 3),
             (ENOUGH_SHOWS, SHORT_STEPS, FEW_DEVICES, long, 1),
@@ -177,7 +181,7 @@ class TestPaperAggregation:
             assert (joining.epochs_at_edges, joining.epochs_at_cloud, joining.at_edge.epochs_at_cloud) == (*epochs, epochs[0]), trainings
             assert ours.rounds_after(trainings) == rounds and asked.rounds_after(trainings) == 9, trainings
             # Few steps over few photographs leave less to fit.
-            of_few = epochs == few and shows >= SHORT_SHOWS
+            of_few = epochs == few and shows >= OFTEN_SHOWN
             assert ours.refining_epochs_after(trainings) == (5 if of_few else 8), trainings
             assert replace(ours, refine_epochs=3).refining_epochs_after(trainings) == 3
             assert alone.refining_epochs_after(trainings) == 0 and ours.refines and not alone.refines

@@ -67,8 +67,7 @@ class Adc:
         require_one_of(self, "gradient", ("mean", "absolute"))
         require_at_least(self, 0, ("from_step", "until_step", "min_gradient", "min_absolute"))
         require_at_least(self, 1, ("every", "reset_opacity_every"))
-        if self.pixels_per_splat != "auto":
-            require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
+        _require_pixels(self.pixels_per_splat)
         require_positive_or_none(self, ("prune_radius_px",))
         if not 0 <= self.min_opacity < 1:
             raise BadInput(f"min_opacity is {self.min_opacity}, expected at least 0 and less than 1.")
@@ -102,8 +101,13 @@ class Mcmc:
     def __post_init__(self) -> None:
         require_at_least(self, 0, ("from_step", "until_step"))
         require_at_least(self, 1, ("every",))
-        if self.pixels_per_splat != "auto":
-            require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
+        _require_pixels(self.pixels_per_splat)
+
+
+def _require_pixels(pixels_per_splat: object) -> None:
+    is_number = isinstance(pixels_per_splat, int) and pixels_per_splat >= 1
+    if not is_number and pixels_per_splat not in ("auto", None):
+        raise BadInput(f"pixels_per_splat is {pixels_per_splat!r}, expected 'auto', at least 1, or None for no limit.")
 
 
 Densification = Annotated[NoDensification | Adc | Mcmc, Discriminator("kind")]
