@@ -202,7 +202,7 @@ def test_no_text_is_another_choice_or_leaves_a_folder(task: Any) -> None:
     record = message_record(task)
     for path, value in parts_of(record):
         if isinstance(value, str):
-            for wrong in ("../x", "cuda; rm", "", 1):
+            for wrong in ("../x", "cuda; rm", "", -1):
                 refusal(task, edited(record, path, lambda part, key, wrong=wrong: part.__setitem__(key, wrong)))
 
 
