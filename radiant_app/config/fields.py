@@ -84,8 +84,9 @@ class ConfigField:
             checked = adapter.validate_strings(value.strip(), strict=False) if kind is None else adapter.validate_python(value)
         except ValidationError as error:
             from radiant_core.io.strict import problem_sentence
+            from radiant_core.train.config import what_was_expected
 
-            typed = f"--set '{self.path}={value}': {error.errors()[0]['msg'].lower()}."
+            typed = f"--set '{self.path}={value}': {what_was_expected(error)}."
             raise BadInput(typed if kind is None else problem_sentence(error, kind, self.path)) from error
         return checked if checked is None or not self.is_path else Path(checked).expanduser()
 

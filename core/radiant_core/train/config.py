@@ -246,7 +246,12 @@ def parse_setting(path: str, value: Any) -> Any:
     try:
         return adapter.validate_strings(value) if isinstance(value, str) else adapter.validate_python(value)
     except ValidationError as error:
-        raise BadInput(f"{path} is {value!r}: {error.errors()[0]['msg'].lower()}.") from error
+        raise BadInput(f"{path} is {value!r}: {what_was_expected(error)}.") from error
+
+
+def what_was_expected(error: ValidationError) -> str:
+    """What a value should have been, one of each kind that its setting may be."""
+    return ", or ".join(dict.fromkeys(wrong["msg"].lower() for wrong in error.errors()))
 
 
 def with_settings(config: TrainConfig, settings: Mapping[str, Any]) -> TrainConfig:
