@@ -348,6 +348,9 @@ class RunConfig:
         if self.frames != "shared" and self.sfm.placed_by_hand:
             reason = "--up, --north, --distance, --height and --gcp place one scene"
             raise BadInput(f"{reason}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
+        if (asked := self.train.settings.get("cross_validate", "none")) != "none":
+            reason = "is for a model that stands alone, by `radiant train`, and devices of a run are planned for one training each"
+            raise BadInput(f"train.cross_validate is {asked}, which {reason}: leave it out.")
         for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.sfm.gcp, self.plan.file, self.evaluate.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")

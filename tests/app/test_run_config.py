@@ -186,6 +186,11 @@ def test_a_value_out_of_range_is_refused_before_the_run_begins() -> None:
             config_of({"source": Path("photos"), "out": Path("run"), **values})
 
 
+def test_devices_of_a_run_are_planned_for_one_training_each() -> None:
+    with pytest.raises(BadInput, match=r"cross_validate is always, which is for a model that stands alone, by `radiant train`"):
+        config_of({"source": Path("photos"), "out": Path("run"), "train.cross_validate": "always"})
+
+
 def test_a_plan_made_before_capture_and_a_method_exclude_each_other() -> None:
     where: dict[str, Any] = {"source": Path("photos"), "out": Path("run"), "plan.file": Path("plan.json")}
     with pytest.raises(BadInput, match="--plan keeps to a plan"):

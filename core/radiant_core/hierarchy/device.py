@@ -11,12 +11,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.decisions import density_decision, fill_decision, shapes_decision, sky_decision
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
-from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
+from radiant_core.hierarchy.reporter import Machine, OneOfSeveral, Reporter, fit_options
 from radiant_core.light.canonical import canonical_validation, canonical_views
+from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend
 from radiant_core.render.gsplat_backend import free_vram_bytes
 from radiant_core.render.rasterize import resolve_backend
@@ -25,12 +29,13 @@ from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.dense.seeding import seed_densely
+from radiant_core.train.few import Score, choose_for_few, is_asked, max_trials, score_apart
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.needs import fit_to_views
 from radiant_core.train.results import TrainResult
-from radiant_core.train.trainer import FitOptions, fit_splats
+from radiant_core.train.trainer import FitOptions, NoCheckpoints, fit_splats
 from radiant_core.train.views import TrainingViews
 from radiant_core.train.worth import worth_training
 
@@ -93,9 +98,12 @@ def prepare_training(
         statistics_bytes = plan.statistics_bytes
     scene, views, decisions = worth_training(task.scene, views, config)
     _decide(reporter, decisions)
-    config, decisions = fit_to_views(config, views)
-    _decide(reporter, decisions)
     views, lights, decisions = canonical_views(scene, views, config.light)
+    _decide(reporter, decisions)
+    several = max_trials(config) if is_asked(config, len(views)) else 0
+    config, decisions = choose_for_few(config, views, _trials(task, scene, views, reporter, machine))
+    _decide(reporter, decisions)
+    config, decisions = fit_to_views(config, views)
     _decide(reporter, decisions)
     if validation is not None and lights is not None:
         validation = canonical_validation(lights, scene, validation)
@@ -107,9 +115,26 @@ def prepare_training(
     initial, num_filled = first_splats(scene, views, config, dense)
     reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=config.fill_in))
     bare = FitOptions(backend=task.backend, validation=validation)
-    options = fit_options(task.backend, reporter, machine, lambda: training_key(initial, views, config, bare))
+    heard = OneOfSeveral(reporter=reporter, number=several, total=several + 1) if several else reporter
+    options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))
     options = replace(options, validation=validation, statistics_bytes=statistics_bytes)
     return PreparedTraining(task=task, scene=scene, views=views, config=config, initial=initial, options=options)
+
+
+def _trials(task: DeviceTask, scene: SfmScene, views: TrainingViews, reporter: Reporter, machine: Machine) -> Score:
+    """Trainings of a task without some of its views, which are in one light, scored on these."""
+    total = max_trials(task.train) + 1
+    machine = replace(machine, checkpoints=lambda key: NoCheckpoints())
+
+    def score(candidate: TrainConfig, held: NDArray[np.bool_], number: int) -> FloatArray:
+        apart, rest = np.flatnonzero(held), np.flatnonzero(~held)
+        config = replace(candidate, light="none", skip_images="none")
+        heard = OneOfSeveral(reporter=reporter, number=number, total=total)
+        own = replace(task, scene=scene.restricted_to(rest), train=config)
+        result = fit_prepared(prepare_training(own, views.select(rest), heard, machine), heard)
+        return score_apart(result.splats, views.select(apart), task.backend)
+
+    return score
 
 
 def _within_cuda(config: TrainConfig, cameras: Cameras, backend: Backend, stage: str) -> tuple[TrainConfig, Sequence[Decision]]:

@@ -56,6 +56,32 @@ class Recorder:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OneOfSeveral:
+    """Hears one of several trainings of a node: how far it is counts, what it decides does not."""
+
+    reporter: Reporter
+    number: int
+    """From 0."""
+    total: int
+
+    @property
+    def stage(self) -> str:
+        """Name of the node."""
+        return self.reporter.stage
+
+    def decide(self, decision: Decision) -> None:
+        """Of this training alone."""
+
+    def warn(self, message: str) -> None:
+        """Of this training alone."""
+
+    def progress(self, done: float, total: float, note: str = "") -> None:
+        """How far the node is, as if all trainings were as long."""
+        note = f"training {self.number + 1} of {self.total} at most, {note}"
+        self.reporter.progress(self.number * total + done, self.total * total, note)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Machine:
     """What a node may use where it runs; no bit depends on it, unless memory is short."""
 

@@ -70,6 +70,10 @@ class TrainConfig:
     (`drop.py`); auto: where photographs are few."""
     drop_share: float = 0.2
     """Share of them that the last steps of a run leave out; none at its start."""
+    cross_validate: Literal["none", "auto", "always"] = "none"
+    """Whether trainings without some of the photographs choose, where they are "auto", if Gaussians
+    are left out and how many there may be, in six to eight times the time (`few.py`); auto: below
+    25 photographs. Of a model that stands alone."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the cameras' extent."""
     means_lr_end: float = 0.01
@@ -150,6 +154,9 @@ class TrainConfig:
         require_one_of(self, "adam", ("visible", "dense"))
         require_one_of(self, "light", ("auto", "none", "always"))
         require_one_of(self, "drop_gaussians", ("none", "auto", "always"))
+        require_one_of(self, "cross_validate", ("none", "auto", "always"))
+        if self.cross_validate == "always" and self.budget_s is not None:
+            raise BadInput("cross_validate is always, which takes several trainings, beside a budget of time: leave one of them out.")
         require_one_of(self, "background", ("black", "random"))
         require_one_of(self, "skip_images", ("none", "auto"))
         require_one_of(self, "dense_points", ("none", "always"))

@@ -115,7 +115,7 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
 
 def fit_to_views(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """What is "auto", decided by the photographs that are trained on."""
-    config, dropping = _fit_dropping(config, len(views))
+    config, dropping = fit_dropping(config, len(views))
     config, size = _fit_size(config, views)
     config, length = _fit_length(config, len(views))
     return config, (*size, *length, *dropping)
@@ -123,16 +123,10 @@ def fit_to_views(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig
 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """Where growth has a limit to reach, at most one Gaussian per `pixels_per_splat` pixels."""
-    density = config.density
-    if isinstance(density, NoDensification) or density.kind == "adc" or density.pixels_per_splat is None:
-        return config, ()
-    per_splat = density.pixels_per_splat
-    if per_splat == "auto":
-        per_splat = PIXELS_OF_FEW if config.drop_gaussians == "always" else PIXELS_PER_SPLAT
-    num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
-    most = max(MIN_PLANNED, num_pixels // per_splat)
+    per_splat, most = pixels_per_splat(config), most_splats(config, views)
     if most >= config.max_num_splats:
         return config, ()
+    num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
     decision = Decision(
         stage="train",
         topic="number of Gaussians",
@@ -142,6 +136,26 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
         reason=f"more than one Gaussian per {per_splat} pixels {_WHY_NO_MORE.get(per_splat, 'were not asked for')}",
     )
     return replace(config, max_num_splats=most), (decision,)
+
+
+def pixels_per_splat(config: TrainConfig) -> int | None:
+    """Training pixels for each Gaussian that growth may reach, where leaving Gaussians out is
+    decided; None: growth has no such limit."""
+    density = config.density
+    if isinstance(density, NoDensification) or density.kind == "adc":
+        return None
+    if density.pixels_per_splat == "auto":
+        return PIXELS_OF_FEW if config.drop_gaussians == "always" else PIXELS_PER_SPLAT
+    return density.pixels_per_splat
+
+
+def most_splats(config: TrainConfig, views: TrainingViews) -> int:
+    """How many Gaussians growth may reach with these photographs."""
+    per_splat = pixels_per_splat(config)
+    if per_splat is None:
+        return config.max_num_splats
+    num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
+    return min(config.max_num_splats, max(MIN_PLANNED, num_pixels // per_splat))
 
 
 def step_law_of(config: TrainConfig, num_photographs: int, num_devices: int) -> StepLaw:
@@ -170,7 +184,7 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
     return replace(config, num_steps=most), (decision,)
 
 
-def _fit_dropping(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
+def fit_dropping(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """Whether steps leave Gaussians out, where that is "auto"."""
     if config.drop_gaussians != "auto":
         return config, ()
@@ -181,7 +195,8 @@ def _fit_dropping(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tup
         choice=f"up to {config.drop_share:.0%} at each step" if few else "none",
         figure=float(num_views),
         unit="training photographs",
-        reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out, above it costs",
+        reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out"
+        + (" in most sets; train.cross_validate=always asks this one" if few else ", above it costs"),
         changes_nothing=not few,
     )
     return replace(config, drop_gaussians="always" if few else "none"), (decision,)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
-from radiant_core.train.config import train_preset
+from radiant_core.train.config import train_preset, with_settings
 from radiant_core.train.memory import MIN_SPLATS
+from radiant_core.train.needs import PIXELS_OF_FEW
 from radiant_core.train.shapes import ShapeCounts
 from radiant_core.train.views import TrainingViews
 from tests.core.hierarchy.grounds import TRAIN
@@ -28,7 +30,12 @@ LIMIT_BYTES = 140e6
 @pytest.fixture(scope="module")
 def given() -> tuple[DeviceTask, TrainingViews]:
     """A device's task and its four photographs of a made-up ground."""
-    truth, cameras = ground_splats(), cameras_above([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    return task_above([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+
+
+def task_above(places: list[tuple[float, float]]) -> tuple[DeviceTask, TrainingViews]:
+    """A device's task and its photographs of a made-up ground from above these places."""
+    truth, cameras = ground_splats(), cameras_above(places)
     scene = SfmScene(
         cameras=cameras,
         points=truth.means.astype(float),
@@ -58,8 +65,8 @@ def test_a_device_trains_the_same_model_each_time_and_names_itself_in_its_decisi
     assert [decision.topic for decision in reporter.decisions][:5] == [
         "repeated photographs",
         "blurred photographs",
-        "Gaussians left out at random",
         "light",
+        "Gaussians left out at random",
         "sky",
     ]
     assert model.summary["num_steps"] == TRAIN.num_steps and model.summary["num_photographs"] == 4
@@ -109,3 +116,44 @@ def test_a_preset_without_limits_of_shape_says_what_it_left_out() -> None:
     assert decision.choice.endswith("7 that no pixel shows are left out")
     assert decision.reason == "an opacity below 1/255 is never drawn"
     assert "10 times the second axis, 0.333 of the distance" in shapes_decision("train", train_preset("default"), ShapeCounts()).reason
+
+
+class Watching(Recorder):
+    """Keeps how far a node was, as a share, and its notes."""
+
+    shares: ClassVar[list[float]] = []
+    notes: ClassVar[list[str]] = []
+
+    def progress(self, done: float, total: float, note: str = "") -> None:
+        """Keep it."""
+        self.shares.append(done / total)
+        self.notes.append(note)
+
+
+def test_a_device_with_few_photographs_asks_them_and_trains_what_they_say() -> None:
+    task, views = task_above([(x, y) for x in (-1.5, -0.5, 0.5, 1.5) for y in (-1, 1)])
+    asked = replace(task, train=with_settings(TRAIN, {"cross_validate": "always", "density.kind": "planned", "num_steps": 30}))
+    watching = Watching(stage="devices/a-1")
+    model = train_device(asked, views, watching)
+    (decision,) = (own for own in watching.decisions if own.topic == "what few photographs gain by")
+    assert decision.stage == "devices/a-1" and "4 trainings without them: leaving Gaussians out the other way" in decision.reason
+    assert [own.topic for own in watching.decisions].count("light") == 1 and not watching.warnings
+    assert watching.shares == sorted(watching.shares) and watching.shares[-1] == 1
+    assert watching.notes[0].startswith("training 1 of 9 at most") and watching.notes[-1].startswith("training 9 of 9 at most")
+    # Growth cannot reach 4,000 Gaussians here, so that only leaving them out is open.
+    drops = "always" if "left out at each step" in decision.choice else "none"
+    settings = {"cross_validate": "none", "drop_gaussians": drops, "density.pixels_per_splat": PIXELS_OF_FEW}
+    plain = train_device(replace(asked, train=with_settings(asked.train, settings)), views, Recorder())
+    for name, array in model.splats.arrays().items():
+        np.testing.assert_array_equal(array, plain.splats.arrays()[name], err_msg=name)
+
+
+def test_a_photograph_that_is_noise_is_asked_and_the_training_goes_on() -> None:
+    task, views = task_above([(x, y) for x in (-1.5, -0.5, 0.5, 1.5) for y in (-1, 1)])
+    noise = np.random.default_rng(0).integers(0, 256, views.images[0].shape).astype(np.uint8)
+    spoilt = TrainingViews(cameras=views.cameras, images=(noise, *views.images[1:]))
+    asked = replace(task, train=with_settings(TRAIN, {"cross_validate": "always"}))
+    recorder = Recorder()
+    assert np.isfinite(train_device(asked, spoilt, recorder).splats.means).all()
+    (decision,) = (own for own in recorder.decisions if own.topic == "what few photographs gain by")
+    assert decision.figure is not None and np.isfinite(decision.figure)

@@ -1,0 +1,190 @@
+"""What few photographs gain by: which trainings are asked, and what is taken of their answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.color_correction import correct_colors
+from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.numerics import FloatArray
+from radiant_core.render.rendered_view import render_views
+from radiant_core.train.config import TrainConfig, train_preset, with_settings
+from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
+from radiant_core.train.few import EVERY, FEW, FEWEST, MIN_GAIN_DB, Score, choose_for_few, is_asked, max_trials, score_apart
+from radiant_core.train.needs import FEW_PHOTOGRAPHS, PIXELS_OF_FEW, fit_to_views
+from radiant_core.train.views import TrainingViews
+from tests.core.scenes import cameras_above, ground_splats
+
+ASKED = replace(train_preset("default"), cross_validate="auto", density=Adc(kind="planned"))
+SIZE_WH = (160, 120)
+
+
+def photographs(num_views: int, size_wh: tuple[int, int] = SIZE_WH) -> TrainingViews:
+    """Grey photographs of that size."""
+    cameras = cameras_above([(0.1 * view, 0.0) for view in range(num_views)], size_wh=size_wh)
+    return TrainingViews(cameras=cameras, images=tuple(np.full((*size_wh[::-1], 3), 99, np.uint8) for _ in range(num_views)))
+
+
+class Trainings:
+    """Scores candidates by a table of (left out at random, pixels per Gaussian) → dB."""
+
+    def __init__(self, table: Mapping[tuple[str, int | None], float]) -> None:
+        self.table = table
+        self.asked: list[tuple[str, int | None]] = []
+        self.apart: list[NDArray[np.bool_]] = []
+
+    def __call__(self, config: TrainConfig, held: NDArray[np.bool_], number: int) -> FloatArray:
+        """The figure of the table, a little different for each photograph apart."""
+        assert config.cross_validate == "none" and number == len(self.asked)
+        key = config.drop_gaussians, getattr(config.density, "pixels_per_splat", None)
+        self.asked.append(key)
+        self.apart.append(held)
+        return self.table[key] + np.linspace(-3, 3, held.sum())
+
+    @property
+    def candidates(self) -> list[tuple[str, int | None]]:
+        """What was asked, once each, in order."""
+        return list(dict.fromkeys(self.asked))
+
+
+def chosen(
+    table: Mapping[tuple[str, int | None], float], config: TrainConfig = ASKED, num_views: int = 20
+) -> tuple[tuple[Any, Any], Trainings]:
+    """What is open, as it was chosen, and the trainings that were asked."""
+    trainings = Trainings(table)
+    config, _ = choose_for_few(config, photographs(num_views), trainings)
+    assert config.cross_validate == "none"
+    return (config.drop_gaussians, getattr(config.density, "pixels_per_splat", None)), trainings
+
+
+class TestChoice:
+    def test_more_gaussians_are_taken_where_they_gain_and_fewer_are_not_asked_for_then(self) -> None:
+        choice, trainings = chosen({("always", 40): 20.0, ("always", 20): 20.5, ("none", 20): 20.55})
+        assert choice == ("always", 20)
+        assert trainings.candidates == [("always", 40), ("always", 20), ("none", 20)]
+
+    def test_fewer_where_more_lose_and_none_left_out_where_that_gains(self) -> None:
+        choice, trainings = chosen({("always", 40): 20.0, ("always", 20): 19.0, ("always", 80): 20.2, ("none", 80): 20.4})
+        assert choice == ("none", 80)
+        assert trainings.candidates == [("always", 40), ("always", 20), ("always", 80), ("none", 80)]
+
+    def test_what_gains_less_than_the_least_or_is_no_number_changes_nothing(self) -> None:
+        less = 20.0 + MIN_GAIN_DB - 0.01
+        table = {("always", 40): 20.0, ("always", 20): less, ("always", 80): float("nan"), ("none", 40): less}
+        trainings = Trainings(table)
+        config, (decision,) = choose_for_few(ASKED, photographs(20), trainings)
+        assert (config.drop_gaussians, config.density.pixels_per_splat) == ("always", 40)  # type: ignore[union-attr]
+        assert decision.changes_nothing and decision.figure == 0.0 and "as their number says" in decision.choice
+        assert "8 trainings" in decision.reason and "nan" in decision.reason
+
+    def test_the_decision_tells_what_every_candidate_gained_over_what_it_would_have_replaced(self) -> None:
+        table = {("always", 40): 20.0, ("always", 20): 20.5, ("none", 20): 20.7}
+        _, (decision,) = choose_for_few(ASKED, photographs(20), Trainings(table))
+        assert decision.figure == pytest.approx(0.7) and not decision.changes_nothing and not decision.forced
+        assert "twice the Gaussians +0.50 dB, leaving Gaussians out the other way +0.20 dB" in decision.reason
+        assert decision.choice == "none left out, at most one per 20 pixels" and "5 of 20" in decision.unit
+
+    def test_what_the_user_set_is_not_asked(self) -> None:
+        fixed = with_settings(ASKED, {"drop_gaussians": "none"})
+        choice, trainings = chosen({("none", 80): 20.0, ("none", 40): 21.0}, fixed)
+        assert choice == ("none", 40) and trainings.candidates == [("none", 80), ("none", 40)]
+        fixed = with_settings(ASKED, {"density.pixels_per_splat": 60})
+        choice, trainings = chosen({("always", 60): 20.0, ("none", 60): 21.0}, fixed)
+        assert choice == ("none", 60) and len(trainings.asked) == 4 == max_trials(fixed)
+
+    @pytest.mark.parametrize("density", [NoDensification(), Adc(kind="adc")])
+    def test_without_a_limit_of_growth_only_leaving_out_is_open(self, density) -> None:
+        config = replace(ASKED, density=density)
+        pixels = getattr(density, "pixels_per_splat", None)
+        choice, trainings = chosen({("always", pixels): 20.0, ("none", pixels): 21.0}, config)
+        assert choice == ("none", pixels) and len(trainings.asked) == max_trials(config) == 4
+
+    def test_mcmc_has_the_same_limit(self) -> None:
+        choice, _ = chosen({("always", 40): 20.0, ("always", 20): 21.0, ("none", 20): 19.0}, replace(ASKED, density=Mcmc()))
+        assert choice == ("always", 20)
+
+    def test_a_limit_that_growth_cannot_reach_is_not_tried_twice(self) -> None:
+        bound = 20 * SIZE_WH[0] * SIZE_WH[1] // PIXELS_OF_FEW
+        _, trainings = chosen({("always", 40): 20.0, ("always", 80): 19.0, ("none", 40): 19.0}, replace(ASKED, max_num_splats=bound))
+        assert ("always", 20) not in trainings.candidates
+        small = Trainings({("always", 40): 20.0, ("none", 40): 19.0})
+        choose_for_few(ASKED, photographs(20, (32, 24)), small)
+        assert small.candidates == [("always", 40), ("none", 40)]
+
+    def test_what_is_chosen_is_what_a_training_keeps(self) -> None:
+        views = photographs(20)
+        config, _ = choose_for_few(ASKED, views, Trainings({("always", 40): 20.0, ("always", 20): 21.0, ("none", 20): 19.0}))
+        settled, decisions = fit_to_views(config, views)
+        assert settled.max_num_splats == 20 * SIZE_WH[0] * SIZE_WH[1] // 20
+        assert "Gaussians left out at random" not in [decision.topic for decision in decisions]
+
+
+class TestAsked:
+    def test_few_photographs_alone_and_any_number_where_it_is_set(self) -> None:
+        assert is_asked(ASKED, FEW - 1) and not is_asked(ASKED, FEW) and is_asked(replace(ASKED, cross_validate="always"), FEW_PHOTOGRAPHS)
+        assert not is_asked(replace(ASKED, cross_validate="none"), FEW - 1)
+        assert is_asked(ASKED, FEWEST) and not is_asked(replace(ASKED, cross_validate="always"), FEWEST - 1)
+        closed = with_settings(ASKED, {"drop_gaussians": "none", "density.pixels_per_splat": 60})
+        assert not is_asked(closed, FEW - 1) and max_trials(closed) == 0
+
+    def test_it_is_no_part_of_a_budget_of_time_and_off_by_default(self) -> None:
+        assert not is_asked(replace(ASKED, budget_s=9.0), FEW - 1)
+        with pytest.raises(BadInput, match="leave one of them out"):
+            replace(ASKED, cross_validate="always", budget_s=9.0)
+        assert {train_preset(name).cross_validate for name in ("draft", "default", "standard", "paper")} == {"none"}
+
+    def test_nothing_is_trained_where_nothing_is_asked(self) -> None:
+        def no_score(config: TrainConfig, held: NDArray[np.bool_], number: int) -> FloatArray:
+            raise AssertionError("nothing is to be trained")
+
+        score: Score = no_score
+        views = photographs(FEW)
+        assert choose_for_few(ASKED, views, score) == (ASKED, ())
+
+    @pytest.mark.parametrize("num_views", [FEWEST, 7, 8, 13, 20, FEW - 1])
+    def test_each_part_leaves_something_to_train_on_and_no_photograph_is_in_two(self, num_views: int) -> None:
+        _, trainings = chosen({("always", 40): 20.0, ("always", 20): 19.0, ("always", 80): 19.0, ("none", 40): 19.0}, num_views=num_views)
+        first, second = trainings.apart[:2]
+        assert first.any() and second.any() and not (first & second).any() and (~first & ~second).sum() >= num_views / 2
+        assert first.sum() == -(-num_views // EVERY)
+
+
+class TestScore:
+    @pytest.fixture
+    def shown(self) -> Callable[[float], TrainingViews]:
+        cameras = cameras_above([(-1, -1), (1, 1)])
+        renders = [view.image for view in render_views(ground_splats(), cameras)]
+
+        def brighter(gain: float) -> TrainingViews:
+            return TrainingViews(cameras=cameras, images=tuple(np.clip(255 * gain * image, 0, 255).astype(np.uint8) for image in renders))
+
+        return brighter
+
+    def test_light_does_not_count_and_another_picture_does(self, shown: Callable[[float], TrainingViews]) -> None:
+        model = ground_splats()
+        same, darker = score_apart(model, shown(1.0), "native"), score_apart(model, shown(0.7), "native")
+        assert same.shape == (2,) and (np.abs(same - darker) < 3).all() and (same > 40).all()
+        other = replace(model, sh0=-model.sh0)
+        assert (score_apart(other, shown(1.0), "native") < same - 10).all()
+        (expected,) = (
+            psnr_db(correct_colors(view.image, image / 255), image / 255)
+            for view, image in zip(render_views(model, shown(0.7).cameras.select(np.array([0]))), shown(0.7).images[:1], strict=True)
+        )
+        assert darker[0] == pytest.approx(expected)
+
+    def test_what_a_mask_leaves_counts_and_a_photograph_without_any_does_not(self, shown: Callable[[float], TrainingViews]) -> None:
+        views = shown(1.0)
+        spoilt = views.images[0].copy()
+        spoilt[:, : spoilt.shape[1] // 2] = 255
+        weights = [np.full(spoilt.shape[:2], 255, np.uint8), np.zeros(spoilt.shape[:2], np.uint8)]
+        weights[0][:, : spoilt.shape[1] // 2] = 0
+        masked = TrainingViews(cameras=views.cameras, images=(spoilt, views.images[1]), weights=tuple(weights))
+        (figure,) = score_apart(ground_splats(), masked, "native")
+        assert figure > 40
