@@ -4,6 +4,7 @@
     OUT/pictures/{photographs,renders,differences}/  held-out photographs beside their renders
     OUT/sfm/                                         where the source is no scene yet
     OUT/checkpoints/ done.json                       while it trains; once the model is whole
+    OUT/trials.json                                  scores of --set train.cross_validate
 
 With --out MODEL.ply the model alone is written, of a source that has a scene: nothing is scored,
 and a kill starts again from nothing.
@@ -24,6 +25,7 @@ from radiant_app.commands.steps import require_file_to_be
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 from radiant_app.files.run_folder import Manifest, open_folder
+from radiant_app.files.score_file import SCORES, ScoreFile
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
@@ -50,6 +52,7 @@ from radiant_core.sfm.world_frame.placement import AUTO, Placement
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import CheckpointFolder
 from radiant_core.train.config import NEVER, Preset, TrainConfig, train_preset
+from radiant_core.train.few import NoKeptScores
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_training_views
 from radiant_core.train.results import TrainResult
@@ -61,7 +64,7 @@ MIN_VALIDATED = 100
 """Fewer photographs are worth more in training than for choosing (experiments/training.md)."""
 STEPS_OF_A_TIME = 10_000_000
 """Limit of steps where a time ends the training."""
-KEPT = ("sfm/done.json", f"{CHECKPOINTS}/*.json", "done.json")
+KEPT = ("sfm/done.json", SCORES, f"{CHECKPOINTS}/*.json", "done.json")
 """What is worth resuming after an error."""
 
 
@@ -95,6 +98,11 @@ class TrainRequest:
             if value is not None and not 0 < value < np.inf:
                 raise BadInput(f"{name} is {value}, expected a positive number of {unit}.")
         Placement(up=self.up or AUTO, distance=self.distance, height_m=self.height_m)
+        if self.time_s is not None and self.overrides.settings.get("cross_validate") == "always":
+            raise BadInput(
+                "--time is how long one training takes, and --set train.cross_validate=always asks for up to eight before it: "
+                "leave one of them out."
+            )
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -235,7 +243,9 @@ def _prepare(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _St
     training = scene.restricted_to(np.flatnonzero(~held_out & ~validated))
     task = DeviceTask(scene=training, train=config, backend=backend, memory_bytes=request.memory_bytes)
     validation = views_of(validated) if validate else None
-    return prepare_training(task, views_of(~held_out & ~validated), stage.reporter, Machine(base_bytes=base_bytes), validation)
+    kept_scores = ScoreFile(request.out / SCORES, stage.reporter.warn) if request.out.is_dir() else NoKeptScores()
+    machine = Machine(base_bytes=base_bytes, kept_scores=kept_scores)
+    return prepare_training(task, views_of(~held_out & ~validated), stage.reporter, machine, validation)
 
 
 def _validation_decision(request: TrainRequest, num_training: int, num_validated: int) -> Decision:

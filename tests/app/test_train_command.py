@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from radiant_app.commands.evaluate import EvaluateRequest, evaluate
 from radiant_app.commands.steps import sfm
 from radiant_app.commands.train import TrainRequest, train
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
+from radiant_app.files.score_file import SCORES
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.dealing import deal_files
@@ -25,6 +27,7 @@ from radiant_app.workers.nodes import run_node
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.hierarchy import device
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model
@@ -35,8 +38,9 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.train.checkpoint import CheckpointFolder
 from radiant_core.train.config import train_preset
+from radiant_core.train.few import TOPIC
 from radiant_core.train.needs import Overrides
-from radiant_core.train.results import TrainState
+from radiant_core.train.results import TrainResult, TrainState
 
 QUICK = Overrides(num_steps=40, long_side_px=96)
 
@@ -193,6 +197,39 @@ def test_time_ends_the_training_whatever_the_preset_says(scene: Path, tmp_path: 
     decisions = read_json(tmp_path / "out" / "manifest.json")["decisions"]
     assert [d["figure"] for d in decisions if d["topic"] == "budget"] == [1.0]
     assert "num_steps" not in {d["topic"] for d in decisions}
+
+
+def test_a_killed_choice_among_settings_goes_on_where_it_was(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asking = replace(QUICK, settings={"cross_validate": "always"})
+    request, trained = TrainRequest(source=scene, out=tmp_path / "whole", overrides=asking), []
+    fit = device.fit_splats
+
+    def count(*given: Any) -> TrainResult:
+        if len(trained) == 2 and "stopped" in kinds:
+            kinds.clear()
+            raise KeyboardInterrupt
+        trained.append(given)
+        return fit(*given)
+
+    kinds: set[str] = set()
+    monkeypatch.setattr(device, "fit_splats", count)
+    train(request)
+    num_trainings = len(trained)
+    (decision,) = (own for own in read_json(request.out / "manifest.json")["decisions"] if own["topic"] == TOPIC)
+    assert f"{num_trainings - 1} trainings without them" in decision["reason"] and num_trainings >= 5
+    stopped = replace(request, out=tmp_path / "stopped")
+    kinds.add("stopped")
+    trained.clear()
+    with pytest.raises(KeyboardInterrupt):
+        train(stopped)
+    assert len(read_json(stopped.out / SCORES)) == 2
+    train(stopped, resume=True)
+    assert len(trained) == num_trainings, "no trial was taken twice"
+    assert (stopped.out / "scene.ply").read_bytes() == (request.out / "scene.ply").read_bytes()
+    train(stopped, resume=True)
+    assert len(trained) == num_trainings
+    with pytest.raises(BadInput, match=r"--time is how long one training takes, and --set train.cross_validate=always"):
+        replace(request, time_s=9.0)
 
 
 def test_validation_photographs_are_neither_trained_on_nor_scored(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """What a device does: fit Gaussians to its photographs (paper Sec. III-A). Once per device.
 
-    scene, photographs ─ leave out what adds nothing ─ settle size and limits
-                       ─ first Gaussians ─ fit → DeviceModel
+    scene, photographs ─ leave out what adds nothing ─ one light ─ settle size and limits, where
+                         asked for by trials ─ first Gaussians ─ fit → DeviceModel
 
 The only place that prepares a training: device nodes, `radiant train` and the benchmarks call it.
 """
@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.decisions import density_decision, fill_decision, shapes_decision, sky_decision
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
 from radiant_core.hierarchy.reporter import Machine, OneOfSeveral, Reporter, fit_options
+from radiant_core.io.run_store import content_key
 from radiant_core.light.canonical import canonical_validation, canonical_views
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend
@@ -29,7 +29,7 @@ from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.dense.seeding import seed_densely
-from radiant_core.train.few import Score, choose_for_few, is_asked, max_trials, score_apart
+from radiant_core.train.few import Trial, choose_for_few, score_apart
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
@@ -87,7 +87,8 @@ def train_device(
 def prepare_training(
     task: DeviceTask, views: TrainingViews, reporter: Reporter, machine: Machine = Machine(), validation: TrainingViews | None = None
 ) -> PreparedTraining:
-    """Everything up to the first step of `train_device`, with the decisions taken on the way."""
+    """Everything up to the first step of `train_device`, trials included where the settings ask for
+    them, with the decisions taken on the way."""
     config, statistics_bytes = task.train, STATISTICS_BUDGET_BYTES
     if task.memory_bytes is not None:
         cameras = views.cameras if validation is None else concatenate_cameras([views.cameras, validation.cameras])
@@ -100,9 +101,12 @@ def prepare_training(
     _decide(reporter, decisions)
     views, lights, decisions = canonical_views(scene, views, config.light)
     _decide(reporter, decisions)
-    several = max_trials(config) if is_asked(config, len(views)) else 0
-    config, decisions = choose_for_few(config, views, _trials(task, scene, views, reporter, machine))
-    _decide(reporter, decisions)
+    trials = _Trials(task=task, scene=scene, views=views, reporter=reporter, machine=machine, statistics_bytes=statistics_bytes)
+    choice = choose_for_few(config, views, trials.score)
+    config, heard = choice.config, reporter
+    _decide(reporter, choice.decisions)
+    if choice.num_trials:
+        heard = OneOfSeveral(reporter=reporter, number=choice.num_trials, total=choice.num_trials + 1, name="the model itself")
     config, decisions = fit_to_views(config, views)
     _decide(reporter, decisions)
     if validation is not None and lights is not None:
@@ -115,26 +119,39 @@ def prepare_training(
     initial, num_filled = first_splats(scene, views, config, dense)
     reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=config.fill_in))
     bare = FitOptions(backend=task.backend, validation=validation)
-    heard = OneOfSeveral(reporter=reporter, number=several, total=several + 1) if several else reporter
     options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))
     options = replace(options, validation=validation, statistics_bytes=statistics_bytes)
     return PreparedTraining(task=task, scene=scene, views=views, config=config, initial=initial, options=options)
 
 
-def _trials(task: DeviceTask, scene: SfmScene, views: TrainingViews, reporter: Reporter, machine: Machine) -> Score:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Trials:
     """Trainings of a task without some of its views, which are in one light, scored on these."""
-    total = max_trials(task.train) + 1
-    machine = replace(machine, checkpoints=lambda key: NoCheckpoints())
 
-    def score(candidate: TrainConfig, held: NDArray[np.bool_], number: int) -> FloatArray:
-        apart, rest = np.flatnonzero(held), np.flatnonzero(~held)
-        config = replace(candidate, light="none", skip_images="none")
-        heard = OneOfSeveral(reporter=reporter, number=number, total=total)
-        own = replace(task, scene=scene.restricted_to(rest), train=config)
-        result = fit_prepared(prepare_training(own, views.select(rest), heard, machine), heard)
-        return score_apart(result.splats, views.select(apart), task.backend)
+    task: DeviceTask
+    scene: SfmScene
+    views: TrainingViews
+    reporter: Reporter
+    machine: Machine
+    statistics_bytes: int
 
-    return score
+    def score(self, trial: Trial) -> FloatArray:
+        """PSNR in dB of the views apart (K,), by a training or as it was kept."""
+        apart, rest = self.views.select(np.flatnonzero(trial.held)), np.flatnonzero(~trial.held)
+        name = f"trial {trial.number + 1} of {trial.most} at most"
+        heard = OneOfSeveral(reporter=self.reporter, number=trial.number, total=trial.most + 1, name=name)
+        # Views are in one light and worth training already; what memory allows the configuration has.
+        config = replace(trial.config, light="none", skip_images="none")
+        task = replace(self.task, scene=self.scene.restricted_to(rest), train=config, memory_bytes=None)
+        machine = replace(self.machine, checkpoints=lambda key: NoCheckpoints())
+        prepared = prepare_training(task, self.views.select(rest), heard, machine)
+        key = content_key(prepared.key, training_key(prepared.initial, apart, config, FitOptions(backend=task.backend)))
+        if (kept := self.machine.kept_scores.find(key)) is not None:
+            return kept
+        result = fit_prepared(replace(prepared, options=replace(prepared.options, statistics_bytes=self.statistics_bytes)), heard)
+        figures = score_apart(result.splats, apart, task.backend)
+        self.machine.kept_scores.keep(key, figures)
+        return figures
 
 
 def _within_cuda(config: TrainConfig, cameras: Cameras, backend: Backend, stage: str) -> tuple[TrainConfig, Sequence[Decision]]:

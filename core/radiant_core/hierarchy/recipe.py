@@ -27,10 +27,11 @@ def devices_with_photographs(edge_plans: Sequence[EdgePlan]) -> int:
 
 def training_among(num_devices: int, train: TrainConfig) -> TrainConfig:
     """The training of one of so many devices whose models are joined."""
-    if train.drop_gaussians != "auto" or num_devices < 2:
+    if num_devices < 2:
         return train
     # What a device lacks photographs of its neighbours know (docs/experiments/training.md).
-    return replace(train, drop_gaussians="none")
+    drop_gaussians = "none" if train.drop_gaussians == "auto" else train.drop_gaussians
+    return replace(train, drop_gaussians=drop_gaussians, cross_validate="none")
 
 
 def trainings_of(train: TrainConfig, num_photographs: int, num_devices: int) -> Trainings:

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from radiant_core.decisions import Decision
 from radiant_core.render.contract import Backend
+from radiant_core.train.few import KeptScores, NoKeptScores
 from radiant_core.train.results import TrainProgress
 from radiant_core.train.trainer import Checkpoints, FitOptions, NoCheckpoints
 
@@ -63,6 +64,8 @@ class OneOfSeveral:
     number: int
     """From 0."""
     total: int
+    name: str
+    """What its progress and warnings call it."""
 
     @property
     def stage(self) -> str:
@@ -73,12 +76,12 @@ class OneOfSeveral:
         """Of this training alone."""
 
     def warn(self, message: str) -> None:
-        """Of this training alone."""
+        """With the training's name before it."""
+        self.reporter.warn(f"{self.name}: {message}")
 
     def progress(self, done: float, total: float, note: str = "") -> None:
         """How far the node is, as if all trainings were as long."""
-        note = f"training {self.number + 1} of {self.total} at most, {note}"
-        self.reporter.progress(self.number * total + done, self.total * total, note)
+        self.reporter.progress(self.number * total + done, self.total * total, f"{self.name}, {note}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +94,8 @@ class Machine:
     """What the process may still take."""
     checkpoints: Callable[[Callable[[], str]], Checkpoints] = lambda key: NoCheckpoints()
     """Where the state of a training with that key is saved against interruption."""
+    kept_scores: KeptScores = field(default_factory=NoKeptScores)
+    """Where scores of trials are kept against interruption."""
     scratch: Path | None = None
     """Folder for pictures that need not stay in memory; None: they do."""
     clock: Callable[[], float] = time.monotonic

@@ -37,8 +37,11 @@ def missing_for_gsplat() -> str | None:
 
 
 def free_vram_bytes(backend: str) -> int | None:
-    """What the CUDA device has free for `backend`; None for a backend that does not use it."""
-    return torch.cuda.mem_get_info()[0] if backend == "gsplat" else None
+    """What the CUDA device has free for `backend`, with what this process has reserved and does not
+    use; None for a backend that does not use it."""
+    if backend != "gsplat":
+        return None
+    return torch.cuda.mem_get_info()[0] + torch.cuda.memory_reserved() - torch.cuda.memory_allocated()
 
 
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:

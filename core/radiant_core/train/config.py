@@ -72,8 +72,8 @@ class TrainConfig:
     """Share of them that the last steps of a run leave out; none at its start."""
     cross_validate: Literal["none", "auto", "always"] = "none"
     """Whether trainings without some of the photographs choose, where they are "auto", if Gaussians
-    are left out and how many there may be, in six to eight times the time (`few.py`); auto: below
-    25 photographs. Of a model that stands alone."""
+    are left out and how many there may be: up to eight trainings more (`few.py`); auto: below 25
+    photographs. For a model that stands alone."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the cameras' extent."""
     means_lr_end: float = 0.01

@@ -133,9 +133,15 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
         choice=f"growth is planned to {most:,} instead of {config.max_num_splats:,}",
         figure=num_pixels / 1e6,
         unit="million pixels of training photographs",
-        reason=f"more than one Gaussian per {per_splat} pixels {_WHY_NO_MORE.get(per_splat, 'were not asked for')}",
+        reason=f"more than one Gaussian per {per_splat} pixels {_why_no_more(config, per_splat)}",
     )
     return replace(config, max_num_splats=most), (decision,)
+
+
+def _why_no_more(config: TrainConfig, per_splat: int | None) -> str:
+    if per_splat is None or getattr(config.density, "pixels_per_splat", None) != "auto":
+        return "were neither set nor chosen"
+    return _WHY_NO_MORE[per_splat]
 
 
 def pixels_per_splat(config: TrainConfig) -> int | None:
@@ -195,8 +201,7 @@ def fit_dropping(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tupl
         choice=f"up to {config.drop_share:.0%} at each step" if few else "none",
         figure=float(num_views),
         unit="training photographs",
-        reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out"
-        + (" in most sets; train.cross_validate=always asks this one" if few else ", above it costs"),
+        reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out, above it costs",
         changes_nothing=not few,
     )
     return replace(config, drop_gaussians="always" if few else "none"), (decision,)

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import Frame
+from radiant_core.hierarchy import device
 from radiant_core.hierarchy.decisions import shapes_decision
 from radiant_core.hierarchy.device import prepare_training, train_device
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Recorder
+from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
-from radiant_core.train.config import train_preset, with_settings
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig, train_preset, with_settings
+from radiant_core.train.few import KeptScores
 from radiant_core.train.memory import MIN_SPLATS
 from radiant_core.train.needs import PIXELS_OF_FEW
+from radiant_core.train.results import TrainResult
 from radiant_core.train.shapes import ShapeCounts
+from radiant_core.train.trainer import Checkpoints, FitOptions, NoCheckpoints, fit_splats
 from radiant_core.train.views import TrainingViews
 from tests.core.hierarchy.grounds import TRAIN
 from tests.core.scenes import cameras_above, ground_splats
@@ -118,11 +123,12 @@ def test_a_preset_without_limits_of_shape_says_what_it_left_out() -> None:
     assert "10 times the second axis, 0.333 of the distance" in shapes_decision("train", train_preset("default"), ShapeCounts()).reason
 
 
+@dataclass(frozen=True, kw_only=True)
 class Watching(Recorder):
     """Keeps how far a node was, as a share, and its notes."""
 
-    shares: ClassVar[list[float]] = []
-    notes: ClassVar[list[str]] = []
+    shares: list[float] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def progress(self, done: float, total: float, note: str = "") -> None:
         """Keep it."""
@@ -130,30 +136,109 @@ class Watching(Recorder):
         self.notes.append(note)
 
 
-def test_a_device_with_few_photographs_asks_them_and_trains_what_they_say() -> None:
-    task, views = task_above([(x, y) for x in (-1.5, -0.5, 0.5, 1.5) for y in (-1, 1)])
-    asked = replace(task, train=with_settings(TRAIN, {"cross_validate": "always", "density.kind": "planned", "num_steps": 30}))
-    watching = Watching(stage="devices/a-1")
-    model = train_device(asked, views, watching)
-    (decision,) = (own for own in watching.decisions if own.topic == "what few photographs gain by")
-    assert decision.stage == "devices/a-1" and "4 trainings without them: leaving Gaussians out the other way" in decision.reason
-    assert [own.topic for own in watching.decisions].count("light") == 1 and not watching.warnings
-    assert watching.shares == sorted(watching.shares) and watching.shares[-1] == 1
-    assert watching.notes[0].startswith("training 1 of 9 at most") and watching.notes[-1].startswith("training 9 of 9 at most")
-    # Growth cannot reach 4,000 Gaussians here, so that only leaving them out is open.
-    drops = "always" if "left out at each step" in decision.choice else "none"
-    settings = {"cross_validate": "none", "drop_gaussians": drops, "density.pixels_per_splat": PIXELS_OF_FEW}
-    plain = train_device(replace(asked, train=with_settings(asked.train, settings)), views, Recorder())
-    for name, array in model.splats.arrays().items():
-        np.testing.assert_array_equal(array, plain.splats.arrays()[name], err_msg=name)
+@dataclass
+class InMemory(KeptScores):
+    """Scores of trials by their key."""
+
+    scores: dict[str, FloatArray] = field(default_factory=dict)
+
+    def find(self, key: str) -> FloatArray | None:
+        """As kept."""
+        return self.scores.get(key)
+
+    def keep(self, key: str, figures: FloatArray) -> None:
+        """Keep it."""
+        self.scores[key] = figures
 
 
-def test_a_photograph_that_is_noise_is_asked_and_the_training_goes_on() -> None:
-    task, views = task_above([(x, y) for x in (-1.5, -0.5, 0.5, 1.5) for y in (-1, 1)])
-    noise = np.random.default_rng(0).integers(0, 256, views.images[0].shape).astype(np.uint8)
-    spoilt = TrainingViews(cameras=views.cameras, images=(noise, *views.images[1:]))
-    asked = replace(task, train=with_settings(TRAIN, {"cross_validate": "always"}))
-    recorder = Recorder()
-    assert np.isfinite(train_device(asked, spoilt, recorder).splats.means).all()
-    (decision,) = (own for own in recorder.decisions if own.topic == "what few photographs gain by")
-    assert decision.figure is not None and np.isfinite(decision.figure)
+class Unused(Checkpoints):
+    """Saves nothing, and is not what a trial is given."""
+
+
+EIGHT = [(x, y) for x in (-1.5, -0.5, 0.5, 1.5) for y in (-1.0, 1.0)]
+ASKING = with_settings(TRAIN, {"cross_validate": "always", "density.kind": "planned", "num_steps": 30})
+CHOICE = "what few photographs gain by"
+
+
+class TestTrials:
+    """Eight photographs, of which growth cannot reach 4,000 Gaussians: only leaving out is open."""
+
+    @pytest.fixture
+    def trained(self, monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[str, ...], TrainConfig, FitOptions]]:
+        """Names of the photographs, settings and options of every training in turn."""
+        calls: list[tuple[tuple[str, ...], TrainConfig, FitOptions]] = []
+
+        def fit(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> TrainResult:
+            calls.append((views.cameras.names, config, options))
+            return fit_splats(initial, views, config, options)
+
+        monkeypatch.setattr(device, "fit_splats", fit)
+        return calls
+
+    def test_a_model_is_trained_as_its_photographs_say_and_is_the_one_of_those_settings(self, trained) -> None:
+        task, views = task_above(EIGHT)
+        watching = Watching(stage="devices/a-1")
+        model = train_device(replace(task, train=ASKING), views, watching, Machine(checkpoints=lambda key: Unused()))
+        (decision,) = (own for own in watching.decisions if own.topic == CHOICE)
+        assert decision.stage == "devices/a-1" and decision.reason.startswith("4 trainings without them")
+        assert watching.shares == sorted(watching.shares) and watching.shares[-1] == 1
+        assert watching.notes[0].startswith("trial 1 of 4 at most") and watching.notes[-1].startswith("the model itself")
+        names = sorted(views.cameras.names)
+        without = [set(names) - set(shown) for shown, _, _ in trained]
+        assert without == [{names[0]}, {names[4]}, {names[0]}, {names[4]}, set()]
+        assert [config.drop_gaussians for _, config, _ in trained[:4]] == ["always", "always", "none", "none"]
+        assert {config.light for _, config, _ in trained[:4]} == {"none"} and trained[4][1].light == "auto"
+        assert all(isinstance(options.checkpoints, NoCheckpoints) for _, _, options in trained[:4])
+        assert not isinstance(trained[4][2].checkpoints, NoCheckpoints)
+        drops = "always" if "left out at each step" in decision.choice else "none"
+        settings = {"cross_validate": "none", "drop_gaussians": drops, "density.pixels_per_splat": PIXELS_OF_FEW}
+        plain = train_device(replace(task, train=with_settings(ASKING, settings)), views, Recorder())
+        for name, array in model.splats.arrays().items():
+            np.testing.assert_array_equal(array, plain.splats.arrays()[name], err_msg=name)
+
+    def test_kept_scores_are_not_taken_again_unless_a_photograph_changed(self, trained) -> None:
+        task, views = task_above(EIGHT)
+        asked, kept = replace(task, train=ASKING), InMemory()
+        keys = {prepare_training(asked, views, Recorder(), Machine(kept_scores=kept)).key for _ in range(2)}
+        assert len(trained) == len(kept.scores) == 4 and len(keys) == 1
+        darker = TrainingViews(cameras=views.cameras, images=(views.images[0] // 2, *views.images[1:]))
+        prepare_training(asked, darker, Recorder(), Machine(kept_scores=kept))
+        assert len(trained) == 8, "each trial trained on it or was scored on it"
+
+    def test_a_limit_of_memory_holds_in_trials(self, trained) -> None:
+        task, views = task_above(EIGHT)
+        limited = replace(task, train=ASKING, memory_bytes=LIMIT_BYTES)
+        prepared = prepare_training(limited, views, Recorder())
+        assert {options.statistics_bytes for _, _, options in trained} == {prepared.options.statistics_bytes}
+        assert max(config.max_num_splats for _, config, _ in trained) <= prepared.config.max_num_splats
+
+    def test_a_trial_that_diverges_ends_nothing(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        task, views = task_above(EIGHT)
+
+        def fit(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> TrainResult:
+            if config.drop_gaussians == "none":
+                raise StageFailed("training: 20 steps in a row could not be taken.")
+            return fit_splats(initial, views, config, options)
+
+        monkeypatch.setattr(device, "fit_splats", fit)
+        recorder = Recorder()
+        assert len(train_device(replace(task, train=ASKING), views, recorder).splats)
+        (decision,) = (own for own in recorder.decisions if own.topic == CHOICE)
+        assert "failed (training: 20 steps" in decision.reason and decision.choice.endswith("as their number says")
+
+    def test_what_a_trial_warns_of_is_heard_with_its_name(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        task, views = task_above(EIGHT)
+        rolled_back = lambda *given: replace(fit_splats(*given), num_rolled_back=3)  # noqa: E731
+        monkeypatch.setattr(device, "fit_splats", rolled_back)
+        recorder = Recorder()
+        prepare_training(replace(task, train=ASKING), views, recorder)
+        assert len(recorder.warnings) == 4 and recorder.warnings[2].startswith("trial 3 of 4 at most: 3 of 30 steps")
+
+    def test_a_photograph_that_is_noise_is_asked_and_the_training_goes_on(self) -> None:
+        task, views = task_above(EIGHT)
+        noise = np.random.default_rng(0).integers(0, 256, views.images[0].shape).astype(np.uint8)
+        spoilt = TrainingViews(cameras=views.cameras, images=(noise, *views.images[1:]))
+        recorder = Recorder()
+        assert np.isfinite(train_device(replace(task, train=ASKING), spoilt, recorder).splats.means).all()
+        (decision,) = (own for own in recorder.decisions if own.topic == CHOICE)
+        assert decision.figure is not None and np.isfinite(decision.figure)

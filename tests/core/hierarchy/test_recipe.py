@@ -142,3 +142,6 @@ def test_gaussians_are_left_out_at_random_by_a_device_alone_never_where_models_a
     alone = replace(several, edge_plans=(replace(first, device_of_camera=np.zeros_like(first.device_of_camera)),))
     assert several.training_of("a-1").drop_gaussians == "none"
     assert alone.training_of("a-1").drop_gaussians == "auto"
+    asking = replace(several, train=replace(several.train, cross_validate="auto", drop_gaussians="always"))
+    joined = asking.training_of("a-1")
+    assert joined.cross_validate == "none" and joined.drop_gaussians == "always"
