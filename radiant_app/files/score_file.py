@@ -1,4 +1,7 @@
-"""`ScoreFile`: scores of trials in trials.json, so that a killed choice among settings goes on. Once per trial."""
+"""`ScoreFile`: scores of trials in trials.json, so that a killed choice among settings goes on.
+
+Once per trial.
+"""
 
 from __future__ import annotations
 

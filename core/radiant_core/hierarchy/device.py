@@ -140,7 +140,7 @@ class _Trials:
         apart, rest = self.views.select(np.flatnonzero(trial.held)), np.flatnonzero(~trial.held)
         name = f"trial {trial.number + 1} of {trial.most} at most"
         heard = OneOfSeveral(reporter=self.reporter, number=trial.number, total=trial.most + 1, name=name)
-        # Views are in one light and worth training already; what memory allows the configuration has.
+        # Views are in one light and worth training already, and memory has limited the Gaussians.
         config = replace(trial.config, light="none", skip_images="none")
         task = replace(self.task, scene=self.scene.restricted_to(rest), train=config, memory_bytes=None)
         machine = replace(self.machine, checkpoints=lambda key: NoCheckpoints())

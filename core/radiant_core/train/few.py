@@ -79,7 +79,7 @@ class NoKeptScores(KeptScores):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Choice:
-    """The settings as photographs chose them, what was decided, and how many trainings that took."""
+    """The settings as photographs chose them, what was decided, how many trainings that took."""
 
     config: TrainConfig
     decisions: tuple[Decision, ...] = ()
