@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
 
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import read_json, write_json
@@ -17,6 +19,7 @@ from radiant_core.train.few import KeptScores
 
 SCORES = "trials.json"
 """Key of a trial → PSNR in dB of the photographs that it was trained without."""
+_SCORES = TypeAdapter(dict[str, Annotated[list[Annotated[float, Field(strict=True, allow_inf_nan=False)]], Field(min_length=1)]])
 
 
 class ScoreFile(KeptScores):
@@ -25,26 +28,26 @@ class ScoreFile(KeptScores):
 
     def __init__(self, path: Path, warn: Callable[[str], None] = lambda message: None) -> None:
         self._path, self._warn = path, warn
+        self._scores = self._read()
 
     def find(self, key: str) -> FloatArray | None:
-        """The score of that trial, if there is one that is whole."""
-        figures = self._read().get(key)
-        try:
-            scores = np.array(figures, np.float64)
-        except (TypeError, ValueError):
-            return None
-        return scores if scores.ndim == 1 and len(scores) and np.isfinite(scores).all() else None
+        """The score of that trial, if there is one."""
+        figures = self._scores.get(key)
+        return None if figures is None else np.array(figures)
 
     def keep(self, key: str, figures: FloatArray) -> None:
         """Write the file anew with this score."""
+        self._scores[key] = [float(figure) for figure in figures]
         try:
-            write_json(self._path, {**self._read(), key: [float(figure) for figure in figures]})
+            write_json(self._path, self._scores)
         except BadInput as error:
             self._warn(f"the score of a trial was not kept: {str(error).rstrip('.')}. Training goes on")
 
-    def _read(self) -> dict[str, object]:
-        try:
-            scores = read_json(self._path)
-        except BadInput:
+    def _read(self) -> dict[str, list[float]]:
+        if not self._path.exists():
             return {}
-        return scores if isinstance(scores, dict) else {}
+        try:
+            return _SCORES.validate_python(read_json(self._path))
+        except (BadInput, ValidationError):
+            self._warn(f"{self._path} is damaged and is written anew: its trials are taken again")
+            return {}

@@ -146,7 +146,7 @@ class _Trials:
         machine = replace(self.machine, checkpoints=lambda key: NoCheckpoints())
         prepared = prepare_training(task, self.views.select(rest), heard, machine)
         key = content_key(prepared.key, training_key(prepared.initial, apart, config, FitOptions(backend=task.backend)))
-        if (kept := self.machine.kept_scores.find(key)) is not None:
+        if (kept := self.machine.kept_scores.find(key)) is not None and len(kept) == len(apart):
             return kept
         result = fit_prepared(replace(prepared, options=replace(prepared.options, statistics_bytes=self.statistics_bytes)), heard)
         figures = score_apart(result.splats, apart, task.backend)

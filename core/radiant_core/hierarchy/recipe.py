@@ -26,7 +26,8 @@ def devices_with_photographs(edge_plans: Sequence[EdgePlan]) -> int:
 
 
 def training_among(num_devices: int, train: TrainConfig) -> TrainConfig:
-    """The training of one of so many devices whose models are joined."""
+    """The training of one of so many devices whose models are joined: what is for models that stand
+    alone is off."""
     if num_devices < 2:
         return train
     # What a device lacks photographs of its neighbours know (docs/experiments/training.md).

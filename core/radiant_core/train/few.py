@@ -4,18 +4,19 @@ per training, where `TrainConfig.cross_validate` asks for it.
     photographs ─ two parts apart in turn ─ a model of the rest for each candidate
                 ─ PSNR of those apart, colours corrected ─→ the candidate that is kept
 
-Gaussians left out at random, and how many there may be, gain a decibel on one set of 20 photographs
-and lose half of one on another (docs/experiments/training.md). Short trainings do not tell, so each
-is as long as the one whose model is kept; its last state is scored.
+Gaussians left out at random, and how many there may be, gain half a decibel on one set of 20
+photographs and lose as much on another (docs/experiments/training.md). Short trainings do not tell,
+so each takes as many steps as the one whose model is kept; its last state is scored.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from radiant_core.decisions import Decision
@@ -29,7 +30,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import Adc, Mcmc
-from radiant_core.train.needs import fit_dropping, most_splats, pixels_per_splat
+from radiant_core.train.needs import fit_dropping, most_splats, most_steps, pixels_per_splat
 from radiant_core.train.views import TrainingViews
 
 FEW = 25
@@ -38,6 +39,9 @@ FEWEST = 6
 """With fewer than these nothing is asked: what is left of them is another set."""
 EVERY, PARTS = 8, (0, 4)
 """Photographs apart: every eighth by name, from the first and from the fifth."""
+MIN_SHOWN = 0.1
+"""Share of a photograph's pixels that masks must leave for it to be apart: of a few pixels the
+correction of colours explains all."""
 MIN_GAIN_DB = 0.1
 """A candidate that gains less, in the mean over the photographs apart, is not taken: two trainings
 that differ in their seed alone differ by 0.1 to 0.2 dB (docs/experiments/training.md)."""
@@ -105,38 +109,69 @@ def choose_for_few(config: TrainConfig, views: TrainingViews, score: Score) -> C
     asked, plain = config.cross_validate, replace(config, cross_validate="none")
     if asked == "none":
         return Choice(config=config)
-    rest = views.select(np.flatnonzero(~_parts(views)[0])) if len(views) >= FEWEST else views
-    start = _by_number(plain, len(views))
-    most = len(PARTS) * (1 + sum(challenge(plain, start, start, rest) is not None for challenge in _CHALLENGES))
-    if why_not := _why_not(config, views, most):
+    if why_not := _why_not(config, len(views)):
         return Choice(config=plain, decisions=(_not_asked(asked, len(views), why_not),))
     parts = _parts(views)
-    best, first, tried = start, _ask(start, parts, score, 0, most), []
-    if isinstance(first, str):
-        decision = _not_asked(asked, len(views), f"a training without some of them failed: {first}")
-        return Choice(config=plain, decisions=(decision,), num_trials=len(PARTS))
-    figures = first
-    for challenge in _CHALLENGES:
-        candidate = challenge(plain, start, best, rest)
-        if candidate is None:
+    start = _by_number(plain, len(views))
+    twice, half = (_resized(start, factor, views, parts) if _grows_by_pixels(plain) else None for factor in (2.0, 0.5))
+    num_candidates = 1 + sum(own is not None for own in (twice, half)) + (plain.drop_gaussians == "auto")
+    if why_not := _why_not_these(parts, num_candidates):
+        return Choice(config=plain, decisions=(_not_asked(asked, len(views), why_not),))
+    trials = _Trials(score=score, parts=parts, num_steps=most_steps(plain, len(views)), most=len(parts) * num_candidates)
+    best, first = start, trials.ask(start)
+    if first is None:
+        decision = _not_asked(asked, len(views), f"a training without some of them {trials.failure}")
+        return Choice(config=plain, decisions=(decision,), num_trials=trials.taken)
+    figures, tried = first, []
+    challenges: tuple[Callable[[TrainConfig], TrainConfig | None], ...] = (
+        lambda best: twice,
+        lambda best: half if best == start else None,
+        lambda best: _dropping_the_other_way(best) if plain.drop_gaussians == "auto" else None,
+    )
+    for challenge in challenges:
+        if (candidate := challenge(best)) is None:
             continue
-        own = _ask(candidate, parts, score, len(PARTS) * (1 + len(tried)), most)
-        gain = float("nan") if isinstance(own, str) else float((own - figures).mean())
-        tried.append(f"{_words(candidate, views)} {f'failed ({own})' if isinstance(own, str) else f'{gain:+.2f} dB'}")
+        own = trials.ask(candidate)
+        gain = float("nan") if own is None else float((own - figures).mean())
+        tried.append(f"{_words(candidate, views)} {trials.failure if own is None else f'{gain:+.2f} dB'}")
         # NaN is no gain.
-        if not isinstance(own, str) and gain >= MIN_GAIN_DB:
+        if own is not None and gain >= MIN_GAIN_DB:
             best, figures = candidate, own
-    num_trials = len(PARTS) * (1 + len(tried))
     decision = Decision(
         stage="train",
         topic=TOPIC,
         choice=_words(best, views) if best != start else f"{_words(best, views)}, as their number says",
         figure=float((figures - first).mean()),
         unit=f"dB over what the number of photographs says, on {len(first)} of {len(views)} in turn",
-        reason=f"{num_trials} trainings without them, each candidate against the best before: {', '.join(tried)}; "
+        reason=f"{trials.taken} trainings without them, each candidate against the best before: {', '.join(tried)}; "
         f"from {MIN_GAIN_DB:g} dB on one is taken",
     )
-    return Choice(config=best, decisions=(decision,), num_trials=num_trials)
+    return Choice(config=best if best != start else plain, decisions=(decision,), num_trials=trials.taken)
+
+
+@dataclass(kw_only=True)
+class _Trials:
+    """Trainings of candidates, counted."""
+
+    score: Score
+    parts: Sequence[NDArray[np.bool_]]
+    num_steps: int
+    most: int
+    taken: int = 0
+    failure: str = ""
+    """Why the last one failed, if it did."""
+
+    def ask(self, candidate: TrainConfig) -> FloatArray | None:
+        """The figures of a candidate on all parts; None where a training of it failed."""
+        config, figures = replace(candidate, num_steps=self.num_steps, max_epochs=None), []
+        for held in self.parts:
+            self.taken += 1
+            try:
+                figures.append(self.score(Trial(config=config, held=held, number=self.taken - 1, most=self.most)))
+            except (RadiantError, MemoryError, torch.OutOfMemoryError) as error:
+                self.failure = f"failed ({str(error).split(';')[0].rstrip('.') or 'out of memory'})"
+                return None
+        return np.concatenate(figures)
 
 
 def score_apart(splats: Splats, views: TrainingViews, backend: Backend) -> FloatArray:
@@ -152,24 +187,29 @@ def _used(views: TrainingViews) -> list[NDArray[np.bool_] | None]:
 
 
 def _parts(views: TrainingViews) -> list[NDArray[np.bool_]]:
-    """The parts (V,) that are apart in turn, of photographs of which masks leave something."""
-    shown = [index for index, used in enumerate(_used(views)) if used is None or used.any()]
+    """The parts (V,) that are apart in turn, of photographs of which masks leave enough."""
+    shown = [index for index, used in enumerate(_used(views)) if used is None or used.mean() >= MIN_SHOWN]
     ordered = sorted(shown, key=views.cameras.names.__getitem__)
     masks = [np.zeros(len(views), bool) for _ in PARTS]
     for mask, first in zip(masks, PARTS, strict=True):
-        mask[ordered[first::EVERY]] = True
+        if len(shown) >= FEWEST:
+            mask[ordered[first::EVERY]] = True
     return masks
 
 
-def _why_not(config: TrainConfig, views: TrainingViews, most: int) -> str:
-    """Why photographs are not asked; empty where they are."""
-    if config.cross_validate == "auto" and len(views) >= FEW:
+def _why_not(config: TrainConfig, num_views: int) -> str:
+    """Why so many photographs are not asked; empty where they are."""
+    if config.cross_validate == "auto" and num_views >= FEW:
         return f"from {FEW} photographs on their number decides"
     if config.budget_s is not None:
         return "the training has a budget of time, which leaves none for others"
-    if len(views) < FEWEST or not all(part.any() for part in _parts(views)):
+    return ""
+
+
+def _why_not_these(parts: Sequence[NDArray[np.bool_]], num_candidates: int) -> str:
+    if not any(part.any() for part in parts):
         return f"without some of fewer than {FEWEST} photographs that show something the rest would be another set"
-    if most == len(PARTS):
+    if num_candidates == 1:
         return "nothing is open: whether Gaussians are left out and how many there may be are set, or no limit of growth would be reached"
     return ""
 
@@ -187,8 +227,9 @@ def _not_asked(asked: str, num_views: int, reason: str) -> Decision:
 
 
 def _grows_by_pixels(config: TrainConfig) -> bool:
-    density = config.density
-    return isinstance(density, Adc | Mcmc) and density.kind != "adc" and density.pixels_per_splat == "auto"
+    # Where dense points begin a model it does not grow.
+    open_ = getattr(config.density, "pixels_per_splat", None) == "auto" and config.dense_points == "none"
+    return open_ and pixels_per_splat(config) is not None
 
 
 def _by_number(config: TrainConfig, num_views: int) -> TrainConfig:
@@ -201,38 +242,16 @@ def _with_pixels(config: TrainConfig, pixels: int | None) -> TrainConfig:
     return replace(config, density=replace(config.density, pixels_per_splat=pixels))
 
 
-def _with_twice(config: TrainConfig, start: TrainConfig, best: TrainConfig, rest: TrainingViews) -> TrainConfig | None:
-    pixels = pixels_per_splat(best)
-    return _if_it_differs(best, max(1, pixels // 2), rest) if _grows_by_pixels(config) and pixels is not None else None
+def _resized(start: TrainConfig, factor: float, views: TrainingViews, parts: Sequence[NDArray[np.bool_]]) -> TrainConfig | None:
+    """With so many times the Gaussians; None where that is the same training, of all or in a
+    trial."""
+    candidate = _with_pixels(start, round((pixels_per_splat(start) or 1) / factor))
+    trained_on = (views, *(views.select(np.flatnonzero(~held)) for held in parts))
+    return candidate if all(most_splats(candidate, own) != most_splats(start, own) for own in trained_on) else None
 
 
-def _with_half(config: TrainConfig, start: TrainConfig, best: TrainConfig, rest: TrainingViews) -> TrainConfig | None:
-    pixels = pixels_per_splat(best)
-    return _if_it_differs(best, 2 * pixels, rest) if _grows_by_pixels(config) and pixels is not None and best == start else None
-
-
-def _dropping_the_other_way(config: TrainConfig, start: TrainConfig, best: TrainConfig, rest: TrainingViews) -> TrainConfig | None:
-    other: Literal["none", "always"] = "none" if best.drop_gaussians == "always" else "always"
-    return replace(best, drop_gaussians=other) if config.drop_gaussians == "auto" else None
-
-
-def _if_it_differs(best: TrainConfig, pixels: int, rest: TrainingViews) -> TrainConfig | None:
-    candidate = _with_pixels(best, pixels)
-    return None if most_splats(candidate, rest) == most_splats(best, rest) else candidate
-
-
-_CHALLENGES = (_with_twice, _with_half, _dropping_the_other_way)
-"""(what was asked for, by number, the best so far, the photographs of a trial) → what is tried
-against the best; None: nothing."""
-
-
-def _ask(candidate: TrainConfig, parts: Sequence[NDArray[np.bool_]], score: Score, first: int, most: int) -> FloatArray | str:
-    """The figures of a candidate on all parts, or why a training of it failed."""
-    try:
-        trials = (Trial(config=candidate, held=held, number=first + part, most=most) for part, held in enumerate(parts))
-        return np.concatenate([score(trial) for trial in trials])
-    except RadiantError as error:
-        return str(error).rstrip(".")
+def _dropping_the_other_way(best: TrainConfig) -> TrainConfig:
+    return replace(best, drop_gaussians="none" if best.drop_gaussians == "always" else "always")
 
 
 def _words(config: TrainConfig, views: TrainingViews) -> str:

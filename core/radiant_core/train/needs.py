@@ -140,7 +140,7 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
 
 def _why_no_more(config: TrainConfig, per_splat: int | None) -> str:
     if per_splat is None or getattr(config.density, "pixels_per_splat", None) != "auto":
-        return "were neither set nor chosen"
+        return "were not set, nor chosen by trials"
     return _WHY_NO_MORE[per_splat]
 
 
@@ -168,16 +168,17 @@ def step_law_of(config: TrainConfig, num_photographs: int, num_devices: int) -> 
     """The steps of devices of which one with the mean number of photographs trains as long as this
     configuration asks for."""
     mean = num_photographs / num_devices
-    return StepLaw(num_steps=min(config.num_steps, _most_steps(config, mean)), mean_photographs=mean)
+    return StepLaw(num_steps=most_steps(config, mean), mean_photographs=mean)
 
 
-def _most_steps(config: TrainConfig, num_views: float) -> int:
-    return config.num_steps if config.max_epochs is None else max(MIN_STEPS, round(config.max_epochs * num_views))
+def most_steps(config: TrainConfig, num_views: float) -> int:
+    """The steps of a training of so many photographs."""
+    return config.num_steps if config.max_epochs is None else min(config.num_steps, max(MIN_STEPS, round(config.max_epochs * num_views)))
 
 
 def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """At most `max_epochs` steps per photograph; schedules are scaled to them."""
-    if config.num_steps <= (most := _most_steps(config, num_views)):
+    if config.num_steps == (most := most_steps(config, num_views)):
         return config, ()
     decision = Decision(
         stage="train",

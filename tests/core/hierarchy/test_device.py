@@ -204,6 +204,10 @@ class TestTrials:
         darker = TrainingViews(cameras=views.cameras, images=(views.images[0] // 2, *views.images[1:]))
         prepare_training(asked, darker, Recorder(), Machine(kept_scores=kept))
         assert len(trained) == 8, "each trial trained on it or was scored on it"
+        first = next(iter(kept.scores))
+        kept.scores[first] = np.array([20.0, 20.0])
+        prepare_training(asked, views, Recorder(), Machine(kept_scores=kept))
+        assert len(trained) == 9 and len(kept.scores[first]) == 1, "a score of other photographs is none"
 
     def test_a_limit_of_memory_holds_in_trials(self, trained) -> None:
         task, views = task_above(EIGHT)

@@ -40,6 +40,7 @@ class Trainings:
         self.asked: list[tuple[str, int | None]] = []
         self.apart: list[NDArray[np.bool_]] = []
         self.most = 0
+        self.lengths: set[int] = set()
 
     def __call__(self, trial: Trial) -> FloatArray:
         """The figure of the table, a little different for each photograph apart."""
@@ -48,9 +49,10 @@ class Trainings:
         self.asked.append(key)
         self.apart.append(trial.held)
         self.most = trial.most
+        self.lengths.add(fit_to_views(trial.config, photographs(int((~trial.held).sum())))[0].num_steps)
         figure = self.table[key]
         if figure is None:
-            raise StageFailed("training: 20 steps in a row could not be taken.")
+            raise StageFailed("training: 20 steps in a row could not be taken; lower the learning rates.")
         return figure + np.linspace(-3, 3, trial.held.sum())
 
     @property
@@ -90,7 +92,7 @@ class TestChoice:
         table = {("always", 40): 20.0, ("always", 20): less, ("always", 80): float("nan"), ("none", 40): less}
         choice = choose_for_few(ASKED, photographs(20), Trainings(table))
         (decision,) = choice.decisions
-        assert (choice.config.drop_gaussians, choice.config.density.pixels_per_splat) == ("always", 40)  # type: ignore[union-attr]
+        assert choice.config == replace(ASKED, cross_validate="none") and choice.num_trials == 8
         assert decision.figure == 0.0 and "as their number says" in decision.choice
         assert not decision.changes_nothing, "who asked for eight trainings reads what they said"
         assert "8 trainings" in decision.reason and "nan" in decision.reason
@@ -99,6 +101,7 @@ class TestChoice:
         table = {("always", 40): 20.0, ("always", 20): None, ("always", 80): 19.0, ("none", 40): 20.5}
         choice = choose_for_few(ASKED, photographs(20), lenient := Trainings(table))
         (decision,) = choice.decisions
+        assert choice.num_trials == len(lenient.asked) == 7 and "7 trainings" in decision.reason
         assert choice.config.drop_gaussians == "none" and decision.figure == pytest.approx(0.5)
         assert "failed (training: 20 steps in a row could not be taken)" in decision.reason
         assert lenient.candidates == [("always", 40), ("always", 20), ("always", 80), ("none", 40)]
@@ -107,7 +110,7 @@ class TestChoice:
         trainings = Trainings({("always", 40): None})
         choice = choose_for_few(ASKED, photographs(20), trainings)
         (decision,) = choice.decisions
-        assert choice.config == replace(ASKED, cross_validate="none") and len(trainings.asked) == 1
+        assert choice.config == replace(ASKED, cross_validate="none") and choice.num_trials == len(trainings.asked) == 1
         assert decision.choice == "photographs are not asked" and "20 steps in a row" in decision.reason and not decision.changes_nothing
 
     def test_the_decision_tells_what_every_candidate_gained_over_what_it_would_have_replaced(self) -> None:
@@ -117,6 +120,16 @@ class TestChoice:
         twice = "up to 20% of the Gaussians left out at each step and growth to 19,200"
         assert f"{twice} +0.50 dB, none left out and growth to 19,200 +0.20 dB" in decision.reason
         assert decision.choice == "none left out and growth to 19,200" and "5 of 20" in decision.unit
+
+    def test_trials_are_as_long_as_the_training_that_they_stand_for(self) -> None:
+        table = {("always", 40): 20.0, ("always", 20): 19.0, ("always", 80): 19.0, ("none", 40): 19.0}
+        for num_views in (FEWEST, 20, FEW - 1):
+            whole = fit_to_views(replace(ASKED, cross_validate="none"), photographs(num_views))[0].num_steps
+            assert chosen(table, num_views=num_views)[1].lengths == {whole}
+
+    def test_where_dense_points_begin_a_model_that_does_not_grow_its_size_is_not_asked(self) -> None:
+        trainings = Trainings({("always", "auto"): 20.0, ("none", "auto"): 19.0})  # type: ignore[dict-item]
+        assert choose_for_few(replace(ASKED, dense_points="always"), photographs(20), trainings).num_trials == trainings.most == 4
 
     def test_what_the_user_set_is_not_asked(self) -> None:
         fixed = with_settings(ASKED, {"drop_gaussians": "none"})
@@ -152,7 +165,7 @@ class TestChoice:
         settled, decisions = fit_to_views(choice.config, views)
         assert settled.max_num_splats == 20 * SIZE_WH[0] * SIZE_WH[1] // 20
         (size,) = (decision for decision in decisions if decision.topic == "number of Gaussians")
-        assert size.reason == "more than one Gaussian per 20 pixels were neither set nor chosen"
+        assert size.reason == "more than one Gaussian per 20 pixels were not set, nor chosen by trials"
 
 
 class TestAsked:
@@ -187,17 +200,20 @@ class TestAsked:
             replace(ASKED, cross_validate="always", budget_s=9.0)
         assert {train_preset(name).cross_validate for name in ("draft", "default", "standard", "paper")} == {"none"}
 
-    def test_photographs_that_a_mask_covers_are_never_apart(self) -> None:
+    def test_photographs_that_a_mask_covers_are_never_apart_nor_counted(self) -> None:
         views, covered = photographs(10), np.array([0, 4])
         weights = [np.full(SIZE_WH[::-1], 255, np.uint8) for _ in range(10)]
         for index in covered:
             weights[index] = np.zeros(SIZE_WH[::-1], np.uint8)
+            weights[index][:4, :4] = 255
         trainings = Trainings({("always", 40): 20.0, ("always", 20): 19.0, ("always", 80): 19.0, ("none", 40): 19.0})
         choose_for_few(ASKED, TrainingViews(cameras=views.cameras, images=views.images, weights=tuple(weights)), trainings)
         assert len(trainings.apart) == 8 and not any(part[covered].any() for part in trainings.apart)
-        nothing = TrainingViews(cameras=views.cameras, images=views.images, weights=tuple(np.zeros_like(own) for own in weights))
-        (decision,) = choose_for_few(ASKED, nothing, refuse).decisions
-        assert "that show something" in decision.reason
+        for num_covered in (10, 10 - FEWEST + 1):
+            hidden = tuple(own * (index >= num_covered) for index, own in enumerate(np.full((10, *SIZE_WH[::-1]), 255, np.uint8)))
+            few = TrainingViews(cameras=views.cameras, images=views.images, weights=tuple(own.astype(np.uint8) for own in hidden))
+            (decision,) = choose_for_few(ASKED, few, refuse).decisions
+            assert "that show something" in decision.reason
 
     @pytest.mark.parametrize("num_views", [FEWEST, 7, 8, 13, 20, FEW - 1])
     def test_each_part_leaves_something_to_train_on_and_no_photograph_is_in_two(self, num_views: int) -> None:
