@@ -32,7 +32,7 @@ from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
 from radiant_core.evaluate.lpips import MIN_SIDE_PX
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy.messages import DeviceTask, device_task
-from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
 from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_scene, save_cameras, save_splats
 from radiant_core.io.run_store import read_json, write_json
@@ -177,8 +177,8 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
 
 def few_photographs_warning(edge_plans: Sequence[EdgePlan]) -> str | None:
     """What joining costs where one owner's photographs are few for so many devices; else None."""
-    counts = [len(plan.cameras_of(device)) for plan in edge_plans for device in plan.device_ids]
-    num_photographs, num_devices = sum(counts), sum(count > 0 for count in counts)
+    num_photographs = sum(len(plan.camera_indices) for plan in edge_plans)
+    num_devices = devices_with_photographs(edge_plans)
     if num_devices < 2 or num_photographs >= FEW_PER_DEVICE * num_devices:
         return None
     return (
