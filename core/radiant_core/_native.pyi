@@ -119,6 +119,9 @@ def match_planes(
     num_threads: int = 1,
     instruction_set: str = "",
 ) -> NDArray[np.float32]: ...
+def sum_agreeing(
+    planes: Sequence[NDArray[np.float32]], costs: NDArray[np.float32], cameras: NDArray[np.float64], limits: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]: ...
 def encode_places(
     places: Tensor, table: Tensor, resolutions: Tensor, features: Tensor, num_threads: int = 1, instruction_set: str = ""
 ) -> None: ...

@@ -3,6 +3,7 @@
 
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <cmath>
@@ -12,6 +13,7 @@
 #include <tuple>
 #include <vector>
 
+#include "dense/agree.h"
 #include "dense/dense.h"
 
 namespace nb = nanobind;
@@ -23,6 +25,10 @@ using Grey = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::devi
 using Doubles = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Planes = nb::ndarray<const float, nb::ndim<4>, nb::c_contig, nb::device::cpu>;
 using Found = nb::ndarray<nb::numpy, float, nb::ndim<3>>;
+using OwnPlanes = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using Costs = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Sums = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
+using Counts = nb::ndarray<nb::numpy, std::int32_t, nb::ndim<1>>;
 
 constexpr std::size_t kMaxPixels = std::size_t{1} << 24;
 constexpr std::size_t kMaxReach = 16;
@@ -93,6 +99,42 @@ Found match_planes(const Grey& reference, const std::vector<Grey>& sources, cons
   return Found(data, {4, candidates.shape(2), candidates.shape(3)}, owner);
 }
 
+radiant::PlaneView plane_view(const OwnPlanes& planes, const double* camera) {
+  if (planes.shape(0) != 3) raise("planes have shape (" + std::to_string(planes.shape(0)) + ", R, C), expected (3, R, C)");
+  if (!(camera[0] > 0 && camera[1] > 0 && camera[5] > 0)) raise("a camera has a focal length or a step that is not positive");
+  radiant::PlaneView view{};
+  view.planes = planes.data();
+  view.rows = static_cast<std::int64_t>(planes.shape(1)), view.columns = static_cast<std::int64_t>(planes.shape(2));
+  view.focal_x = camera[0], view.focal_y = camera[1], view.center_x = camera[2], view.center_y = camera[3];
+  view.first = camera[4], view.step = camera[5];
+  for (int i = 0; i < 12; ++i) view.pose[i] = camera[6 + i];
+  return view;
+}
+
+std::tuple<Sums, Counts> sum_agreeing(const std::vector<OwnPlanes>& planes, const Costs& costs, const Doubles& cameras, const Doubles& limits) {
+  constexpr std::size_t kNumbers = 18;
+  if (planes.empty()) raise("planes is empty, expected those of the photograph and of its partners");
+  check_doubles(cameras, "cameras", kNumbers * planes.size());
+  check_doubles(limits, "limits", 3);
+  std::vector<radiant::PlaneView> views;
+  for (std::size_t index = 0; index < planes.size(); ++index) views.push_back(plane_view(planes[index], cameras.data() + kNumbers * index));
+  const radiant::PlaneView own = views.front();
+  views.erase(views.begin());
+  if (costs.shape(0) != planes[0].shape(1) || costs.shape(1) != planes[0].shape(2)) raise("costs has another shape than the planes of its photograph");
+  const std::size_t nodes = costs.size();
+  auto sums = std::make_unique<double[]>(3 * nodes);
+  auto counts = std::make_unique<std::int32_t[]>(nodes);
+  {
+    const nb::gil_scoped_release unlocked;
+    radiant::sum_agreeing(own, costs.data(), views, {limits.data()[0], limits.data()[1], limits.data()[2]}, sums.get(), counts.get());
+  }
+  double* of_points = sums.release();
+  nb::capsule own_points(of_points, [](void* pointer) noexcept { delete[] static_cast<double*>(pointer); });
+  std::int32_t* of_nodes = counts.release();
+  nb::capsule own_nodes(of_nodes, [](void* pointer) noexcept { delete[] static_cast<std::int32_t*>(pointer); });
+  return {Sums(of_points, {nodes, 3}, own_points), Counts(of_nodes, {nodes}, own_nodes)};
+}
+
 }  // namespace
 
 void bind_dense(nb::module_& module) {
@@ -103,4 +145,10 @@ void bind_dense(nb::module_& module) {
              "candidates (Q,3,R,C): first planes, w at the node and its slopes. camera: fx, fy, cx, cy, first node, step.\n"
              "limits: least and most w, least cosine of a plane's normal and the line of sight, change of w for a pixel in a source.\n"
              "passes: pairs of reach in nodes and amplitude in pixels. Raises ValueError for wrong shapes and values not finite.");
+  module.def("sum_agreeing", &sum_agreeing, "planes"_a, "costs"_a, "cameras"_a, "limits"_a,
+             "Sums (R C,3) of each node's point and those of the partners that agree with it, and how many do (R C,).\n\n"
+             "planes: (3,R,C) of the photograph, then of its partners. costs (R,C) of the photograph's own.\n"
+             "cameras (V,18): fx, fy, cx, cy, first node, step and camera from world (3,4), pixels count from the middle of the first one.\n"
+             "limits: cost from which a plane is no match, pixels between a node and a partner's point, relative difference of depths.\n"
+             "Both are 0 where a node has no plane or costs too much. Raises ValueError for wrong shapes and values not finite.");
 }

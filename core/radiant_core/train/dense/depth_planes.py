@@ -43,23 +43,10 @@ class DepthPlanes:
     first: int
     step: int
 
-    def nodes(self) -> FloatArray:
-        """Pixels (R C,2) of the nodes."""
-        rows, columns = self.costs.shape
-        column, row = np.meshgrid(np.arange(columns), np.arange(rows))
-        return self.first + self.step * np.stack([column.ravel(), row.ravel()], axis=1).astype(np.float64)
-
-    def inverse_depths_at(self, pixels: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Inverse depths (N,) at pixels (N,2) by the planes of the nearest nodes, and which nodes
-        have one (N,): false outside the lattice too."""
-        rows, columns = self.costs.shape
-        with np.errstate(invalid="ignore"):
-            at = np.rint((pixels - self.first) / self.step)
-            inside = (at >= 0).all(axis=1) & (at[:, 0] < columns) & (at[:, 1] < rows)
-        at = np.where(inside[:, None], at, 0).astype(np.int64)
-        away = np.where(inside[:, None], pixels - (self.first + self.step * at), 0.0)
-        w, a, b = self.planes[:, at[:, 1], at[:, 0]].astype(np.float64)
-        return w + a * away[:, 0] + b * away[:, 1], inside & (w > 0)
+    def pixels_of(self, nodes: NDArray[np.int64]) -> FloatArray:
+        """Pixels (N,2) of some of the R C nodes, which count along the rows."""
+        rows, columns = np.divmod(nodes, self.costs.shape[1])
+        return self.first + self.step * np.column_stack([columns, rows]).astype(np.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_core import _native
 from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
 from radiant_core.train.dense.depth_planes import DepthPlanes, pixel_matrix
@@ -57,39 +58,25 @@ def agreed_points(
     own = maps[index]
     if own is None:
         return no_points()
-    pixels = own.nodes()
-    w, a, b = own.planes.reshape(3, -1).astype(np.float64)
-    costs = own.costs.ravel().astype(np.float64)
-    tried = np.flatnonzero((w > 0) & (costs < MAX_COST))
-    pixels, w, a, b, costs = pixels[tried], w[tried], a[tried], b[tried], costs[tried]
+    seen = [index, *(int(partner) for partner in partners if maps[int(partner)] is not None)]
+    planes = [lattice for at in seen if (lattice := maps[at]) is not None]
+    sums, agreeing = _native.sum_agreeing(
+        [np.ascontiguousarray(lattice.planes) for lattice in planes],
+        np.ascontiguousarray(own.costs),
+        np.stack([_numbers(lattice, cameras, at) for lattice, at in zip(planes, seen, strict=True)]),
+        np.array([MAX_COST, MAX_REPROJECTION_PX, MAX_DEPTH_DIFFERENCE]),
+    )
+    kept = np.flatnonzero(agreeing >= MIN_AGREEING)
+    pixels, (w, a, b) = own.pixels_of(kept), own.planes.reshape(3, -1)[:, kept].astype(np.float64)
     K, pose = pixel_matrix(cameras, index), cameras.cam_from_world[index]
-    points = _to_world(pixels, w, K, pose)
-    total, agreeing = points.copy(), np.zeros(len(points), np.int64)
-    for partner in partners:
-        other = maps[int(partner)]
-        if other is None:
-            continue
-        K_other, pose_other = pixel_matrix(cameras, int(partner)), cameras.cam_from_world[int(partner)]
-        seen_at, z = _to_image(points, K_other, pose_other)
-        w_other, found = other.inverse_depths_at(seen_at)
-        found &= z > 0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            theirs = _to_world(seen_at, np.where(found & (w_other > 0), w_other, 1.0), K_other, pose_other)
-            back, z_back = _to_image(theirs, K, pose)
-            near = (np.abs(z_back * w - 1) < MAX_DEPTH_DIFFERENCE) & (np.linalg.norm(back - pixels, axis=1) < MAX_REPROJECTION_PX)
-        near &= found & (w_other > 0)
-        total[near] += theirs[near]
-        agreeing += near
-    kept = agreeing >= MIN_AGREEING
-    points = total[kept] / (1 + agreeing[kept, None])
-    x, y = pixels[kept].astype(np.int64).T
+    x, y = pixels.astype(np.int64).T
     return DensePoints(
-        points=points,
-        normals=_normals(pixels[kept], np.stack([w, a, b])[:, kept], K, pose),
+        points=sums[kept] / (1 + agreeing[kept, None]),
+        normals=_normals(pixels, np.stack([w, a, b]), K, pose),
         colors=image[y, x],
-        pixels_m=1 / (w[kept] * K[0, 0]),
-        costs=costs[kept],
-        views=np.full(len(points), index),
+        pixels_m=1 / (w * K[0, 0]),
+        costs=own.costs.ravel()[kept].astype(np.float64),
+        views=np.full(len(kept), index),
     )
 
 
@@ -131,16 +118,10 @@ def _first_of_cells(points: DensePoints, cell_px: float) -> NDArray[np.int64]:
     return np.unique(key, return_index=True)[1]
 
 
-def _to_world(pixels: FloatArray, w: FloatArray, K: FloatArray, pose: FloatArray) -> FloatArray:
-    rays = np.column_stack([(pixels - K[:2, 2]) / np.diag(K)[:2], np.ones(len(pixels))])
-    return (rays / w[:, None] - pose[:3, 3]) @ pose[:3, :3]
-
-
-def _to_image(points: FloatArray, K: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pixels (N,2) and depths (N,) of points; where the depth is not positive, pixels are NaN."""
-    in_camera = points @ pose[:3, :3].T + pose[:3, 3]
-    z = np.where(in_camera[:, 2] > 0, in_camera[:, 2], np.nan)
-    return in_camera[:, :2] / z[:, None] * np.diag(K)[:2] + K[:2, 2], in_camera[:, 2]
+def _numbers(lattice: DepthPlanes, cameras: Cameras, index: int) -> FloatArray:
+    """What the native module takes of a camera and its lattice (18,)."""
+    K, pose = pixel_matrix(cameras, index), cameras.cam_from_world[index, :3]
+    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], lattice.first, lattice.step, *pose.ravel()], np.float64)
 
 
 def _normals(pixels: FloatArray, planes: FloatArray, K: FloatArray, pose: FloatArray) -> FloatArray:
