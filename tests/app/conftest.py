@@ -14,11 +14,12 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import run
+from radiant_core.hierarchy import refining_plan
 from radiant_core.sfm.config import SfmConfig
 from tests.app.blank_reports import blank_pictures
 from tests.app.pipeline_kit import TINY, Finished
 
-__all__ = ["blank_pictures", "finished", "hamlet", "hamlet_scene", "paper_models"]
+__all__ = ["blank_pictures", "finished", "hamlet", "hamlet_scene", "paper_models", "short_rounds"]
 
 
 @pytest.fixture(scope="session")
@@ -52,3 +53,10 @@ def hamlet_scene(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 def paper_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where tests of `radiant bench paper`, all by one layout and setting, keep what they have made."""
     return tmp_path_factory.mktemp("paper") / "out"
+
+
+@pytest.fixture
+def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Devices show each photograph once in a round of refining, not five to eight times: for tests
+    that ask what is made and kept, not how good it is."""
+    monkeypatch.setattr(refining_plan, "MAX_STEPS", 1)

@@ -33,6 +33,8 @@ WORKS = (
     NodeWork(stage="cloud", cpu_s=7.0),
 )
 
+pytestmark = pytest.mark.usefixtures("short_rounds")
+
 
 def device(name: str, speed: float | None, bytes_per_s: float) -> Device:
     return Device(id=name, init_s=NOTHING, train_s=NOTHING, model_bytes=NOTHING, uplink_bytes_per_s=bytes_per_s, speed=speed)

@@ -19,6 +19,8 @@ from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
 from tests.app.hamlet_views import add_off_path
 
+pytestmark = pytest.mark.usefixtures("short_rounds")
+
 
 @pytest.fixture(scope="module")
 def bench(hamlet_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> MethodBench:

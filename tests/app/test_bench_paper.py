@@ -24,6 +24,8 @@ from radiant_core.io.run_store import read_json
 from radiant_core.render.rendered_view import render_views
 from tests.app.alex_weights import write_alex_weights
 
+pytestmark = pytest.mark.usefixtures("short_rounds")
+
 
 def test_a_page_of_every_part_is_made_once_and_kept(hamlet_scene: Path, paper_models: Path) -> None:
     bench = PaperBench(scene=hamlet_scene, out=paper_models, long_side_px=48, num_steps=8, quick=True)
