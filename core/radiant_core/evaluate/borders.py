@@ -71,9 +71,11 @@ class EdgeBorders:
             powers = _powers(points_xy[rows], self.plan)
             own = powers.argmin(axis=1)
             gaps = np.full(powers.shape, np.inf)
-            np.divide(powers - powers.min(axis=1, keepdims=True), 2 * spacing[own], out=gaps, where=spacing[own] > 0)
-            distances[rows] = gaps.min(axis=1)
-            found = np.sort(np.stack([own, gaps.argmin(axis=1)], axis=1), axis=1)
+            least = np.take_along_axis(powers, own[:, None], axis=1)
+            np.divide(powers - least, 2 * spacing[own], out=gaps, where=spacing[own] > 0)
+            other = gaps.argmin(axis=1)
+            distances[rows] = np.take_along_axis(gaps, other[:, None], axis=1)[:, 0]
+            found = np.stack([np.minimum(own, other), np.maximum(own, other)], axis=1)
             pairs[rows] = np.where(np.isfinite(distances[rows])[:, None], found, -1)
         return NearestBorder(distance_m=distances, pair=pairs)
 

@@ -108,13 +108,15 @@ def border_errors(
         known = np.isfinite(places).all(axis=2) & (view.alpha >= OPAQUE)
         pixels = None if used is None else used[index]
         known = known if pixels is None else known & pixels
-        nearest = EdgeBorders(plan=plan).nearest(places[known])
-        owners = edge_owners(places[known], plan)
-        squared = ((view.image[known].astype(np.float64) - photograph[known]) ** 2).mean(axis=1)
-        side = int(sides[index])
-        in_band = (nearest.distance_m <= half_band_m) & (nearest.pair == side).any(axis=1)
-        for other in np.setdiff1d(nearest.pair[in_band], [side]):
-            at_border = in_band & (nearest.pair == other).any(axis=1)
+        row, column = np.nonzero(known)
+        of_known = places[row, column]
+        nearest, side = EdgeBorders(plan=plan).nearest(of_known), int(sides[index])
+        # Errors and owners of the band alone: most pixels are far from a border.
+        band = np.flatnonzero((nearest.distance_m <= half_band_m) & (nearest.pair == side).any(axis=1))
+        pair, owners, at = nearest.pair[band], edge_owners(of_known[band], plan), (row[band], column[band])
+        squared = ((view.image[at].astype(np.float64) - photograph[at]) ** 2).mean(axis=1)
+        for other in np.setdiff1d(pair, [side]):
+            at_border = (pair == other).any(axis=1)
             before, beyond = squared[at_border & (owners == side)], squared[at_border & (owners == other)]
             if min(len(before), len(beyond)) >= MIN_SHARE * known.size:
                 names = {"side": plan.edge_ids[side], "beyond": plan.edge_ids[other]}
