@@ -30,6 +30,7 @@ from radiant_core.hierarchy.joining import are_one_group
 from radiant_core.io.messages import load_task, save_task
 from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.records import load_cameras
+from radiant_core.light.captures import CAPTURES_NAME
 from radiant_core.sfm.given_poses import read_given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.train.config import train_preset
@@ -246,6 +247,7 @@ def assert_no_canary_elsewhere(run_folder: Path, source: Path, broken: dict[str,
     nodes = [path for kind in ("devices", "positions", "edges") for path in (run_folder / kind).glob("*")]
     nodes += [path for path in (run_folder / "cloud", run_folder / "planning") if path.is_dir()]
     parts_of = Parts()
+    assert {path.parent for path in run_folder.rglob(CAPTURES_NAME)} == {run_folder / "devices" / name for name in ("north-1", "south-1")}
     for name in ("north-1", "south-1"):
         device = run_folder / "devices" / name
         skipped = [path.name for path in broken[name]]
