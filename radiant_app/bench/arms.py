@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, deal_cell, deal_system, load_bench_scene, run_cell
 from radiant_app.bench.emulated_latency import NodeWork
 from radiant_app.bench.off_path import OffPath, OffPathFigures, figures_of, load_off_path
+from radiant_app.bench.options import HeldPart
 from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import CutBy
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
-from radiant_core.evaluate.image_error import psnr_db, ssim
+from radiant_core.evaluate.image_error import flip, psnr_db, ssim
 from radiant_core.evaluate.lpips import Lpips
 from radiant_core.evaluate.seam_error import SeamMasks, band_and_interior_psnr_db, seam_masks
 from radiant_core.evaluate.shown_pixels import select_strongest
@@ -105,6 +106,8 @@ class ArmRow:
     nodes: tuple[NodeWork, ...] = ()
     off_path: OffPathFigures | None = None
     """At views that were never flown, where there are some."""
+    flip: tuple[float | None, ...] = ()
+    """Per held-out photograph; empty in rows that were kept before it was measured."""
     num_parameters: int = 0
     """Of a field, which has no Gaussians."""
     rounds: tuple[Round, ...] = ()
@@ -148,6 +151,11 @@ class Arms:
     def num_steps(self) -> int:
         """Of a device's training."""
         return self.first.recipe.train.num_steps
+
+    def seen_from(self, off_path: Path) -> Arms:
+        """Also scored at the views of that folder; BadInput where they do not fit the scene."""
+        cameras = concatenate_cameras([self.scene.training.cameras, self.scene.held_out.cameras])
+        return replace(self, off_path=load_off_path(off_path, cameras, self.scene.long_side_px))
 
     def cell(self, layout: Layout, seed: int = 0, speeds: tuple[float, ...] = DEVICE_SPEEDS, placement: int = 0) -> Cell:
         """The scene dealt to a layout, with the first cell's settings but for the seed."""
@@ -251,6 +259,7 @@ class Arms:
             seed=cell.recipe.train.seed,
             psnr_db=tuple(psnr_db(image, photograph) for image, photograph in pairs),
             ssim=tuple(ssim(image, photograph) for image, photograph in pairs),
+            flip=tuple(flip(image, photograph) for image, photograph in pairs),
             num_gaussians=0 if made.splats is None else len(made.splats),
             cpu_s=made.cpu_s,
             training_px=made.training_px,
@@ -275,7 +284,8 @@ class Arms:
 def _row_of(record: dict[str, Any]) -> ArmRow:
     nodes = tuple(NodeWork(**node) for node in record.get("nodes", ()))
     rounds = tuple(Round(**one) for one in record.get("rounds", ()))
-    return ArmRow(**{**record, "psnr_db": tuple(record["psnr_db"]), "ssim": tuple(record["ssim"]), "nodes": nodes, "rounds": rounds})
+    figures = {name: tuple(record.get(name, ())) for name in ("psnr_db", "ssim", "flip")}
+    return ArmRow(**{**record, **figures, "nodes": nodes, "rounds": rounds})
 
 
 def _in_bytes(image: FloatArray) -> NDArray[np.uint8]:
@@ -283,19 +293,15 @@ def _in_bytes(image: FloatArray) -> NDArray[np.uint8]:
 
 
 def load_arms(
-    scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings, cut_by: CutBy = "auto", off_path: Path | None = None
+    scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings, cut_by: CutBy = "auto", part: HeldPart = "interleaved"
 ) -> Arms:
-    """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings,
-    also scored at the views of `off_path`; BadInput where the scene has too few photographs or is
-    not of a run, `out` is a file, or the views do not fit the scene."""
+    """Arms of a scene dealt to a layout or, without one, of a run under its own plan and settings;
+    BadInput where the scene has too few photographs or is not of a run, or `out` is a file."""
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file: name a folder for the page, its pictures and the models.")
     cache = ModelCache(folder=out / "models")
     if layout is None:
         first = run_cell(scene, cache)
     else:
-        first = deal_cell(load_bench_scene(scene, settings.train.long_side_px, cut_by), cache, settings, layout)
-    if off_path is None:
-        return Arms(out=out, first=first)
-    cameras = concatenate_cameras([first.scene.training.cameras, first.scene.held_out.cameras])
-    return Arms(out=out, first=first, off_path=load_off_path(off_path, cameras, first.scene.long_side_px))
+        first = deal_cell(load_bench_scene(scene, settings.train.long_side_px, cut_by, part), cache, settings, layout)
+    return Arms(out=out, first=first)

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from shapely import MultiPoint, Point
 
-from radiant_app.bench.options import OF_RUN
+from radiant_app.bench.hold_out import mask_of, name_of
+from radiant_app.bench.options import OF_RUN, HeldPart
 from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.run.cutting import Planned, choose_cut, plan_places
@@ -27,7 +28,6 @@ from radiant_core import __version__
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.choices import CutBy, PlanMethod, UploadFormat
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy.device import device_model, fit_prepared, prepare_training
 from radiant_core.hierarchy.messages import DeviceModel, DeviceSettings, DeviceTask, EdgeTask, device_task
 from radiant_core.hierarchy.recipe import Recipe
@@ -53,6 +53,8 @@ DEVICE_SPEEDS = (1.0, 0.6)
 """Speeds of an edge's devices, in turn: unequal, so that plans by time and number differ."""
 MAX_NUM_SPLATS = 200_000
 """Of a device's model."""
+MIN_TRAINED = 6
+"""Photographs that are left to train on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,15 +154,16 @@ class BenchScene:
         return TrainingViews(cameras=cameras, images=load_images(self.images, cameras))
 
 
-def load_bench_scene(source: Path, long_side_px: int, cut_by: CutBy = "auto") -> BenchScene:
+def load_bench_scene(source: Path, long_side_px: int, cut_by: CutBy = "auto", part: HeldPart = "interleaved") -> BenchScene:
     """A run, a folder of `radiant sfm` or a COLMAP project; BadInput if none can be held out."""
     scene, _, images = load_scored_scene(source)
-    held = held_out_mask(scene.cameras.names)
-    if held.sum() < 2 or (~held).sum() < 8:
-        raise BadInput(f"{source} has {len(scene.cameras)} placed photographs: at least 2 are held out and 8 trained on.")
+    held = mask_of(part, scene.cameras)
+    if held.sum() < 2 or (~held).sum() < MIN_TRAINED:
+        counts = f"{len(scene.cameras)} placed photographs, of which {held.sum()} are held out"
+        raise BadInput(f"{source} has {counts}: at least 2 are held out and {MIN_TRAINED} trained on.")
     resolved = source.resolve()
     return BenchScene(
-        name=resolved.parent.name if resolved.name in ("images", "sfm") else resolved.name,
+        name=name_of(resolved.parent.name if resolved.name in ("images", "sfm") else resolved.name, part),
         training=scene.restricted_to(np.flatnonzero(~held)),
         held_out=scene.restricted_to(np.flatnonzero(held)),
         images=images,

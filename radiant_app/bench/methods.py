@@ -32,10 +32,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from radiant_app.bench.arms import Arm, ArmRow, Made, load_arms
+from radiant_app.bench.arms import Arm, ArmRow, Arms, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
 from radiant_app.bench.emulated_latency import NodeClock, NodeWork, joining_s
+from radiant_app.bench.hold_out import parts_of
 from radiant_app.bench.off_path import off_path_metrics
+from radiant_app.bench.options import HoldOut
 from radiant_app.bench.rivals import FIELD_STEPS, RIVALS, FieldSettings, rival_arms
 from radiant_app.report.progress import track_items
 from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
@@ -88,6 +90,9 @@ class MethodBench:
     """What devices and edges send."""
     cut_by: CutBy = "auto"
     """What regions and strips are cut by, as in a run."""
+    hold_out: HoldOut = "interleaved"
+    """What no model sees. both: every method makes one model without the split, and one without the
+    line."""
     off_path: Path | None = None
     """Views that were never flown, as the generator writes them, at which models are scored too."""
     max_gaussians: int | None = None
@@ -107,16 +112,21 @@ class MethodBench:
 def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
     """All rows; per scene and method, means with the paired difference to the paper's preset."""
     settings = bench_settings(bench.long_side_px, bench.num_steps, bench.upload)
-    arms = load_arms(bench.scene, bench.out, bench.layout, settings, bench.cut_by, bench.off_path)
-    cells = [arms.first]
-    if bench.layout is not None:
-        spread = [(placement, seed) for placement in range(bench.num_placements) for seed in range(bench.num_seeds)]
-        cells += [arms.cell(bench.layout, seed, placement=placement) for placement, seed in spread[1:]]
+    of_parts = [load_arms(bench.scene, bench.out, bench.layout, settings, bench.cut_by, part) for part in parts_of(bench.hold_out)]
+    if bench.off_path is not None:
+        of_parts = [arms.seen_from(bench.off_path) for arms in of_parts]
     chosen = [arm for name, arm in METHODS.items() if not bench.methods or name in bench.methods or name == "centralised"]
     chosen += [arm for name, arm in rival_arms(FieldSettings(num_steps=bench.field_steps)).items() if name in bench.methods]
-    jobs = track_items([(cell, arm) for cell in cells for arm in chosen], "bench methods")
-    rows = [arms.row(cell, arm, bench.max_gaussians) for cell, arm in jobs]
-    return rows, _metrics(arms.scene.name, rows)
+    jobs = track_items([(arms, cell, arm) for arms in of_parts for cell in _cells(arms, bench) for arm in chosen], "bench methods")
+    rows = [arms.row(cell, arm, bench.max_gaussians) for arms, cell, arm in jobs]
+    return rows, [metric for arms in of_parts for metric in _metrics(arms.scene.name, rows)]
+
+
+def _cells(arms: Arms, bench: MethodBench) -> list[Cell]:
+    if bench.layout is None:
+        return [arms.first]
+    spread = [(placement, seed) for placement in range(bench.num_placements) for seed in range(bench.num_seeds)]
+    return [arms.first, *(arms.cell(bench.layout, seed, placement=placement) for placement, seed in spread[1:])]
 
 
 def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
@@ -370,7 +380,8 @@ def curves_of(rows: Sequence[ArmRow]) -> dict[str, list[CurvePoint]]:
     curves: dict[str, list[CurvePoint]] = {}
     for row in (row for row in rows if row.num_gaussians):
         point = CurvePoint(cpu_s=max(row.cpu_s, 0.1), num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
-        curves.setdefault(row.arm, []).append(point)
+        name = row.arm if len({each.scene for each in rows}) == 1 else f"{row.scene}: {row.arm}"
+        curves.setdefault(name, []).append(point)
     return curves
 
 
@@ -388,6 +399,8 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
         key = f"methods.{scene}.{method.replace(' ', '_')}"
         psnr = float(np.mean([row.psnr_db for row in group]))
         metrics.append(Metric(key=f"{key}.psnr_db", value=psnr, unit="dB", direction="higher"))
+        if flips := [value for row in group for value in row.flip if value is not None]:
+            metrics.append(Metric(key=f"{key}.flip", value=float(np.mean(flips)), unit="1", direction="lower"))
         for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("num_parameters", "1"), ("training_px", "px")):
             value = float(np.mean([getattr(row, name) for row in group]))
             metrics.append(Metric(key=f"{key}.{name}", value=value, unit=unit, direction="info"))

@@ -11,8 +11,10 @@ from radiant_core.choices import CutBy, LpipsNetwork
 from radiant_core.errors import BadInput
 
 BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper"]
-HoldOut = Literal["interleaved", "line"]
+HeldPart = Literal["interleaved", "line"]
 """interleaved: every eighth photograph; line: a whole line of the flight, the middle one first."""
+HoldOut = Literal["interleaved", "line", "both"]
+"""both: models without the ones and models without the others, beside each other."""
 _ON_MODELS: tuple[BenchName, ...] = ("train", "methods", "paper")
 ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "scene": ("sfm", *_ON_MODELS),
@@ -22,7 +24,7 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "num_seeds": _ON_MODELS,
     "num_splits": ("train",),
     "num_photographs": ("train",),
-    "hold_out": ("train",),
+    "hold_out": ("train", "methods"),
     "off_path": ("train", "methods"),
     "long_side_px": _ON_MODELS,
     "num_steps": ("methods", "paper"),
@@ -55,7 +57,7 @@ _FLAGS = {
 }
 OF_RUN = "run"
 """The layout of a cell that has the plan, the settings and the seed of the run `scene`."""
-_OF_A_LAYOUT = ("quick", "num_seeds", "num_placements", "long_side_px", "num_steps", "cut_by")
+_OF_A_LAYOUT = ("quick", "num_seeds", "num_placements", "long_side_px", "num_steps", "cut_by", "hold_out")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +81,7 @@ class BenchOptions:
     num_photographs: int | None = None
     """Photographs to train on, evenly chosen; None for all."""
     hold_out: HoldOut = "interleaved"
-    """What a split holds out: every eighth photograph, or a whole flight line."""
+    """What a split holds out: every eighth photograph, a whole flight line, or either in turn."""
     off_path: Path | None = None
     """Views that were never flown, as the generator writes them."""
     long_side_px: int | None = None

@@ -91,13 +91,14 @@ def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
         num_steps=options.num_steps or (60 if options.quick else 500),
         cut_by=options.cut_by,
         max_gaussians=options.max_gaussians,
+        hold_out=options.hold_out,
         off_path=options.off_path,
         field_steps=options.field_steps or (QUICK_FIELD_STEPS if options.quick else FIELD_STEPS),
     )
     rows, metrics = bench_methods(bench)
     typer.echo(methods_table(rows))
     dealt = "the plan and settings of its run" if bench.layout is None else f"{bench.layout}, {bench.long_side_px} px"
-    detail = f"{rows[0].scene}, {dealt}; CPU time after the devices' trainings"
+    detail = f"{', '.join(dict.fromkeys(row.scene for row in rows))}, {dealt}; CPU time after the devices' trainings"
     _draw(options.plot, curves_of(rows), "Joining: quality against time and size", detail)
     return metrics
 

@@ -8,9 +8,10 @@ full budget is stated with the 95 % bounds of a bootstrap over images and seeds.
 out other photographs, each with its own models, so that a single photograph weighs less; the
 bootstrap draws from the images of all splits, and with one seed it does not cover how a split's
 model varies. `hold_out="line"` leaves out a whole line of the flight instead of every eighth
-photograph, and `off_path` names views that were never flown: both ask how a model looks away from
-its photographs. `ablations`: the first preset with one part switched off at a time, at the first
-budget, paired. With a folder for its rows an interrupted benchmark resumes.
+photograph, "both" the one beside the other, and `off_path` names views that were never flown: how
+does a model look away from its photographs? `ablations`: the first preset with one part switched
+off at a time, at the first budget, paired. With a folder for its rows an interrupted benchmark
+resumes.
 """
 
 from __future__ import annotations
@@ -18,15 +19,17 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from radiant_app.bench.hold_out import mask_of, name_of, parts_of
 from radiant_app.bench.off_path import OffPath, OffPathFigures, figures_of, load_off_path, off_path_metrics
-from radiant_app.bench.options import BenchOptions, HoldOut
+from radiant_app.bench.options import BenchOptions, HeldPart, HoldOut
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import terminal_display, track_items
@@ -37,11 +40,9 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
 from radiant_core.evaluate.color_correction import correct_colors
-from radiant_core.evaluate.flight_lines import held_out_line
-from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.evaluate.image_error import flip, psnr_db
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.metric import Metric
-from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy.device import PreparedTraining, fit_prepared, prepare_training
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Recorder
@@ -142,7 +143,8 @@ class TrainedRow:
     """One trained model: its variant and budget, its cost and its quality.
 
     Per held-out image psnr_db, of the render in the light that is predicted where the variant
-    models light, and psnr_cc_db after an affine correction of its colours to the photograph's.
+    models light, psnr_cc_db after an affine correction of its colours to the photograph's, and
+    FLIP where it is installed.
     """
 
     variant: str
@@ -153,8 +155,11 @@ class TrainedRow:
     num_gaussians: int
     psnr_db: tuple[float, ...]
     psnr_cc_db: tuple[float, ...]
+    flip: tuple[float | None, ...] = ()
+    """Empty in rows that were kept before it was measured."""
+    part: HeldPart = "interleaved"
     split: int = 0
-    """Which photographs were held out."""
+    """Which photographs were held out: number `split` of the `part`."""
     off_path: OffPathFigures | None = None
     """At views that were never flown, where there are some."""
 
@@ -181,6 +186,7 @@ class _Source:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Split:
     source: _Source
+    part: HeldPart
     first: int
     training: SfmScene
     held_out: SfmScene
@@ -188,8 +194,9 @@ class _Split:
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
-    """All rows, and the metrics `train.<scene>.<variant>.<budget>s.<…>` with the differences; the
-    scene is any source. Raises BadInput where nothing can be held out."""
+    """All rows, and the metrics `train.<scene>.<variant>.<budget>s.<…>` with the differences, of
+    <scene>-line for lines held out; the scene is any source. Raises BadInput where nothing can be.
+    """
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
         source = _load(bench.scene, Path(folder))
         splits = _splits(source, bench)
@@ -206,13 +213,21 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
             if budget_s in bench.budgets_s or preset != REFERENCE
         ]
         rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
-    metrics = _alignment_metrics(splits[0]) + [m for group in _groups(rows).values() for m in _row_metrics(source.name, group)]
+    metrics = _alignment_metrics(splits[0])
+    for part in parts_of(bench.hold_out):
+        metrics += _preset_metrics(bench, name_of(source.name, part), [row for row in rows if row.part == part])
+    return rows, metrics
+
+
+def _preset_metrics(bench: TrainBench, scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
+    """Of the rows of one part: each variant's figures, and its difference to the reference."""
+    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(scene, group)]
     for preset in bench.presets:
         for budget_s in bench.budgets_s if preset != REFERENCE and REFERENCE in bench.presets else ():
             for share, label in ((1.0, "equal_time"), (0.5, "half_time")):
-                key = f"train.{source.name}.{preset}.{budget_s:g}s.over_{REFERENCE}_at_{label}"
+                key = f"train.{scene}.{preset}.{budget_s:g}s.over_{REFERENCE}_at_{label}"
                 metrics += _difference_metrics(key, rows, (preset, share * budget_s), (REFERENCE, budget_s))
-    return rows, metrics
+    return metrics
 
 
 def bench_of(options: BenchOptions) -> TrainBench:
@@ -245,8 +260,9 @@ def curves_of(rows: Sequence[TrainedRow]) -> dict[str, list[CurvePoint]]:
     """The rows by variant, for a picture."""
     curves: dict[str, list[CurvePoint]] = {}
     for row in rows:
+        name = row.variant if len({each.part for each in rows}) == 1 else f"{row.part}: {row.variant}"
         point = CurvePoint(cpu_s=row.cpu_s, num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
-        curves.setdefault(row.variant, []).append(point)
+        curves.setdefault(name, []).append(point)
     return curves
 
 
@@ -258,12 +274,13 @@ def _ablations(bench: TrainBench, splits: Sequence[_Split]) -> tuple[list[Traine
     variants = {name: config for name, config in variants.items() if name == whole or config != base}
     jobs = [(split, name, config, budget_s, seed) for split in splits for seed in bench.seeds for name, config in variants.items()]
     rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
-    scene = splits[0].source.name
-    metrics = _alignment_metrics(splits[0]) + [metric for group in _groups(rows).values() for metric in _row_metrics(scene, group)]
-    for name in variants:
-        if name != whole:
+    metrics = _alignment_metrics(splits[0])
+    for part in parts_of(bench.hold_out):
+        scene, own = name_of(splits[0].source.name, part), [row for row in rows if row.part == part]
+        metrics += [metric for group in _groups(own).values() for metric in _row_metrics(scene, group)]
+        for name in (name for name in variants if name != whole):
             key = f"train.{scene}.{_key(name)}.{budget_s:g}s.over_{whole}"
-            metrics += _difference_metrics(key, rows, (name, budget_s), (whole, budget_s))
+            metrics += _difference_metrics(key, own, (name, budget_s), (whole, budget_s))
     return rows, metrics
 
 
@@ -288,32 +305,27 @@ def _load(source: Path, work: Path) -> _Source:
 
 
 def _splits(source: _Source, bench: TrainBench) -> list[_Split]:
-    for number, first in enumerate(bench.splits):
-        held = _held_out(source, first, bench.hold_out)
+    jobs = list(product(parts_of(bench.hold_out), bench.splits))
+    for part, first in jobs:
+        held = mask_of(part, source.scene.cameras, first)
         if held.all() or held.sum() < 2:
+            number = bench.splits.index(first)
             then = f": ask for {number} split{'s' * (number > 1)}" if number else ""
             raise BadInput(
                 f"{source.name} has {len(held)} placed photographs, of which split {number + 1} holds out {held.sum()}, "
                 f"but at least 2 are needed, and some to train on{then}."
             )
     views = None if bench.off_path is None else load_off_path(bench.off_path, source.scene.cameras, bench.long_side_px)
-    return [_split(source, first, bench, views) for first in bench.splits]
+    return [_split(source, part, first, bench, views) for part, first in jobs]
 
 
-def _held_out(source: _Source, first: int, hold_out: HoldOut) -> NDArray[np.bool_]:
-    cameras = source.scene.cameras
-    if hold_out == "line":
-        return held_out_line(cameras.names, cameras.centers, first)
-    return held_out_mask(cameras.names, first=first)
-
-
-def _split(source: _Source, first: int, bench: TrainBench, off_path: OffPath | None) -> _Split:
-    held = _held_out(source, first, bench.hold_out)
+def _split(source: _Source, part: HeldPart, first: int, bench: TrainBench, off_path: OffPath | None = None) -> _Split:
+    held = mask_of(part, source.scene.cameras, first)
     trained, most = np.flatnonzero(~held), bench.num_photographs
     if most is not None:
         trained = trained[np.unique(np.linspace(0, len(trained) - 1, min(most, len(trained))).astype(np.int64))]
     training, held_out = (source.scene.restricted_to(part) for part in (trained, np.flatnonzero(held)))
-    return _Split(source=source, first=first, training=training, held_out=held_out, off_path=off_path)
+    return _Split(source=source, part=part, first=first, training=training, held_out=held_out, off_path=off_path)
 
 
 def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
@@ -321,10 +333,10 @@ def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, bud
         return _train_row(split, variant, config, budget_s, seed)
     views = {} if split.off_path is None else {"off_path": split.off_path.key}
     key = content_key(__version__, {"scene": split.training.cameras.names, "config": asdict(config), **views})[:16]
-    record = out / "rows" / f"{split.source.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
+    record = out / "rows" / f"{name_of(split.source.name, split.part)}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
     if record.is_file():
         own = read_json(record)
-        figures = {name: tuple(own[name]) for name in ("psnr_db", "psnr_cc_db")}
+        figures = {name: tuple(own.get(name, ())) for name in ("psnr_db", "psnr_cc_db", "flip")}
         return TrainedRow(**{**own, **figures, "off_path": figures_of(own.get("off_path"))})
     row = _train_row(split, variant, config, budget_s, seed)
     record.parent.mkdir(parents=True, exist_ok=True)
@@ -351,8 +363,8 @@ def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float
     renders = [view.image for view in render_views(result.splats, scored)]
     if (light := _light(split, prepared, result, scored)) is not None:
         renders = [show_in_light(image, light.held_out, index, scored) for index, image in enumerate(renders)]
-    triples = zip(renders, photographs, used, strict=True)
-    figures = [_psnrs_db(image, photograph / 255, own) for image, photograph, own in triples]
+    triples = [(image, photograph / 255, own) for image, photograph, own in zip(renders, photographs, used, strict=True)]
+    figures = [_psnrs_db(*triple) for triple in triples]
     return TrainedRow(
         variant=variant,
         budget_s=budget_s,
@@ -362,6 +374,8 @@ def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float
         num_gaussians=len(result.splats),
         psnr_db=tuple(plain for plain, _ in figures),
         psnr_cc_db=tuple(corrected for _, corrected in figures),
+        flip=tuple(flip(*triple) for triple in triples),
+        part=split.part,
         split=split.first,
         off_path=None if split.off_path is None else split.off_path.score(result.splats),
     )
@@ -402,7 +416,9 @@ def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
     # Over images, as in the differences: splits may hold out different numbers.
     means |= {f"mean_{name}": float(_by_seed_and_image(rows, name).mean()) for name in ("psnr_db", "psnr_cc_db")}
     off_path = [row.off_path for row in rows if row.off_path is not None]
+    flips = [value for row in rows for value in row.flip if value is not None]
     return [
+        *([Metric(key=f"{key}.flip", value=float(np.mean(flips)), unit="1", direction="lower")] if flips else ()),
         *(off_path_metrics(key, off_path) if off_path else ()),
         Metric(key=f"{key}.psnr_db", value=means["mean_psnr_db"], unit="dB", direction="higher"),
         Metric(key=f"{key}.psnr_cc_db", value=means["mean_psnr_cc_db"], unit="dB", direction="higher"),

@@ -23,7 +23,9 @@ def bench(
     seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train, methods, paper: models of each kind.")] = None,
     splits: Annotated[int, typer.Option(min=1, max=8, help="train: eighths of the photographs, or lines, held out in turn.")] = 1,
     photographs: Annotated[int | None, typer.Option(min=2, help="train: so many of the training photographs, evenly chosen.")] = None,
-    hold_out: Annotated[HoldOut, typer.Option(help="train: every eighth photograph, or a whole flight line.")] = "interleaved",
+    hold_out: Annotated[
+        HoldOut, typer.Option(help="train, methods: every eighth photograph, a flight line, or each in turn.")
+    ] = "interleaved",
     off_path: Annotated[Path | None, typer.Option(help="train, methods: folder of views never flown, scored as well.")] = None,
     long_side_px: LongSide = None,
     steps: Annotated[int | None, typer.Option(min=1, help="methods, paper: steps of a device, the mean of all; 500 without it.")] = None,

@@ -59,6 +59,18 @@ def test_every_method_is_scored_at_views_that_were_never_flown(bench: MethodBenc
     assert {"methods.scene.crop.off_path.haze", "methods.scene.centralised.off_path.lower.psnr_db"} <= {metric.key for metric in metrics}
 
 
+def test_a_flight_line_is_held_out_beside_the_interleaved_split(bench: MethodBench) -> None:
+    plain, _ = bench_methods(replace(bench, methods=("crop",)))
+    rows, metrics = bench_methods(replace(bench, methods=("crop",), hold_out="both"))
+    assert rows[:2] == plain and [(row.scene, row.arm) for row in rows[2:]] == [("scene-line", "centralised"), ("scene-line", "crop")]
+    assert [len(row.psnr_db) for row in rows] == [2, 2, 5, 5] and all(len(row.flip) == len(row.psnr_db) for row in rows)
+    assert bench_methods(replace(bench, methods=("crop",), hold_out="line"))[0] == rows[2:]
+    found = {metric.key: metric.value for metric in metrics}
+    assert found["methods.scene-line.crop.psnr_db"] == pytest.approx(rows[3].mean_psnr_db)
+    assert found["methods.scene.crop.psnr_db"] == pytest.approx(rows[1].mean_psnr_db)
+    assert "| scene-line | crop |" in methods_table(rows) and "scene-line: crop" in curves_of(rows)
+
+
 def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:
     every, _ = bench_methods(replace(bench, methods=("crop", "ours")))
     most = min(row.num_gaussians for row in every)
@@ -145,6 +157,7 @@ def test_the_command_prints_a_table_and_draws_a_picture(bench: MethodBench, tmp_
         ({"scene": bench.scene, "out": tmp_path, "presets": ("default",)}, "--preset"),
         ({"scene": bench.scene, "out": tmp_path, "max_gaussians": 0}, "expected at least 1"),
         ({"scene": bench.scene, "out": tmp_path, "layout": "run", "num_seeds": 2}, "leave out --seeds"),
+        ({"scene": bench.scene, "out": tmp_path, "layout": "run", "hold_out": "line"}, "leave out --hold-out"),
     ):
         with pytest.raises(BadInput, match=told):
             run_bench("methods", None, BenchOptions(**options))

@@ -61,7 +61,7 @@ def test_more_splits_hold_out_other_photographs_and_all_of_them_are_compared(pro
     bench = TrainBench(scene=project, budgets_s=(0.4,), splits=(0, 1), seeds=(0, 1), long_side_px=96)
     rows, metrics = bench_train(bench)
     assert {(row.split, row.seed) for row in rows if row.variant == "standard"} == set(product((0, 1), (0, 1)))
-    splits = [_split(_load(project, project), first, bench, None) for first in (0, 1)]
+    splits = [_split(_load(project, project), "interleaved", first, bench) for first in (0, 1)]
     names = [set(split.held_out.cameras.names) for split in splits]
     assert not names[0] & names[1] and all(not own & set(split.training.cameras.names) for own, split in zip(names, splits, strict=True))
     means = [
@@ -119,8 +119,8 @@ def test_masked_pixels_are_neither_trained_on_nor_scored(tmp_path: Path) -> None
     assert source.masks is None
     masks = _masks_of_the_left_half(tmp_path / "masks", project / "images")
     config = replace(train_preset("default"), long_side_px=96)
-    whole = _train_row(_split(source, 0, TrainBench(scene=project), None), "default", config, 0.3, 0)
-    masked = _train_row(_split(replace(source, masks=masks), 0, TrainBench(scene=project), None), "default", config, 0.3, 0)
+    whole = _train_row(_split(source, "interleaved", 0, TrainBench(scene=project)), "default", config, 0.3, 0)
+    masked = _train_row(_split(replace(source, masks=masks), "interleaved", 0, TrainBench(scene=project)), "default", config, 0.3, 0)
     assert np.isfinite(masked.psnr_db).all() and masked.psnr_db != whole.psnr_db
 
 
@@ -236,9 +236,25 @@ def test_a_whole_flight_line_is_held_out(tmp_path: Path) -> None:
     for path in (sample_scenes_folder() / "town" / "images").iterdir():
         (project / "images" / path.name).symlink_to(path)
     source = _load(project, tmp_path)
-    split = _split(source, 0, TrainBench(scene=project, hold_out="line"), None)
+    split = _split(source, "line", 0, TrainBench(scene=project))
     numbers = sorted(int(name[6:10]) for name in split.held_out.cameras.names)
     assert len(numbers) >= 4 and np.ptp(numbers) == len(numbers) - 1
     assert np.ptp(split.held_out.cameras.centers[:, 0]) > 5 * np.ptp(split.held_out.cameras.centers[:, 1])
     with pytest.raises(BadInput, match="ask for at most"):
-        _split(source, 50, TrainBench(scene=project, hold_out="line"), None)
+        _split(source, "line", 50, TrainBench(scene=project))
+
+
+def test_a_flight_line_is_reported_beside_the_interleaved_split(project: Path, tmp_path: Path) -> None:
+    bench = TrainBench(scene=project, presets=("default",), budgets_s=(0.4,), long_side_px=96, hold_out="both", out=tmp_path)
+    rows, metrics = bench_train(bench)
+    assert [(row.part, row.budget_s) for row in rows] == list(product(("interleaved", "line"), (0.2, 0.4)))
+    assert [len(row.psnr_db) for row in rows] == [2, 2, 5, 5] and all(len(row.flip) == len(row.psnr_db) for row in rows)
+    found = {metric.key: metric.value for metric in metrics}
+    for scene, row in (("hamlet", rows[1]), ("hamlet-line", rows[3])):
+        assert found[f"train.{scene}.default.0.4s.psnr_db"] == pytest.approx(row.mean_psnr_db)
+        if None not in row.flip:
+            assert found[f"train.{scene}.default.0.4s.flip"] == pytest.approx(np.mean(np.array(row.flip, float)))
+    assert set(curves_of(rows)) == {"interleaved: default", "line: default"}
+    assert bench_train(bench)[0] == rows
+    alone, _ = bench_train(replace(bench, hold_out="line"))
+    assert alone == rows[2:] and set(curves_of(alone)) == {"default"}
