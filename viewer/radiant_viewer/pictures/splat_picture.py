@@ -166,7 +166,7 @@ class Surroundings:
         return None if not 1 < ratio < np.inf else self.near * SHELL ** (int(np.log(ratio) / np.log(SHELL)) + 2)
 
     def seen(self, up_to: float | None) -> NDArray[np.bool_]:
-        """Mask (N,) of the Gaussians that are drawn where those `up_to` a distance are in the way."""
+        """Mask (N,) of what is drawn where surroundings `up_to` a distance are in the way."""
         return np.ones(len(self.distances), bool) if up_to is None else (self.distances <= self.near) | (self.distances > up_to)
 
 

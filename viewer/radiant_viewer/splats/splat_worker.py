@@ -53,8 +53,8 @@ class Parts:
         self._kept: OrderedDict[str, Drawer | None] = OrderedDict()
 
     def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, kept: str | None, eye: FloatArray) -> Drawer | None:
-        """The renderer of the weightiest Gaussians in the box that an eye (3,) is to see; None where
-        there are none."""
+        """The renderer of the weightiest Gaussians in the box that an eye (3,) is to see; None
+        without any."""
         if self._around is None:
             return None
         up_to = self._around.in_the_way(eye)
