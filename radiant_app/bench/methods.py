@@ -399,7 +399,8 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
         key = f"methods.{scene}.{method.replace(' ', '_')}"
         psnr = float(np.mean([row.psnr_db for row in group]))
         metrics.append(Metric(key=f"{key}.psnr_db", value=psnr, unit="dB", direction="higher"))
-        if flips := [value for row in group for value in row.flip if value is not None]:
+        flips = [value for row in group for value in row.flip if value is not None]
+        if len(flips) == sum(len(row.psnr_db) for row in group):
             metrics.append(Metric(key=f"{key}.flip", value=float(np.mean(flips)), unit="1", direction="lower"))
         for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("num_parameters", "1"), ("training_px", "px")):
             value = float(np.mean([getattr(row, name) for row in group]))

@@ -417,8 +417,9 @@ def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
     means |= {f"mean_{name}": float(_by_seed_and_image(rows, name).mean()) for name in ("psnr_db", "psnr_cc_db")}
     off_path = [row.off_path for row in rows if row.off_path is not None]
     flips = [value for row in rows for value in row.flip if value is not None]
+    has_flip = len(flips) == sum(len(row.psnr_db) for row in rows)
     return [
-        *([Metric(key=f"{key}.flip", value=float(np.mean(flips)), unit="1", direction="lower")] if flips else ()),
+        *([Metric(key=f"{key}.flip", value=float(np.mean(flips)), unit="1", direction="lower")] if has_flip else ()),
         *(off_path_metrics(key, off_path) if off_path else ()),
         Metric(key=f"{key}.psnr_db", value=means["mean_psnr_db"], unit="dB", direction="higher"),
         Metric(key=f"{key}.psnr_cc_db", value=means["mean_psnr_cc_db"], unit="dB", direction="higher"),

@@ -77,6 +77,7 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
     splats = _model(request)
     splats = splats if scene is None else _scene_alone(splats, scene, display)
+    from_views = request.keyframes is not None and not request.as_trained
     if is_film:
         if request.out.suffix.lower() == ".mp4":
             display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
@@ -84,12 +85,12 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             raise BadInput("the cameras are of different sizes, which no film can show: render single pictures into a folder.")
         size_wh = tuple(int(side) for side in cameras.sizes_wh[0] // 2 * 2)
         with MovieWriter(request.out, (size_wh[0], size_wh[1]), request.fps) as film, stage_bar(display, "render") as report:
-            for done, (name, image) in enumerate(_pictures(splats, cameras), 1):
+            for done, (name, image) in enumerate(_pictures(splats, cameras, from_views), 1):
                 film.add(np.ascontiguousarray(image[: size_wh[1], : size_wh[0]]))
                 report(done, len(cameras), name)
         return {"film": str(request.out), "frames": len(cameras), "seconds": round(len(cameras) / request.fps, 2)}
     with create_folder(request.out), stage_bar(display, "render") as report:
-        for done, (name, image) in enumerate(_pictures(splats, cameras), 1):
+        for done, (name, image) in enumerate(_pictures(splats, cameras, from_views), 1):
             path = request.out / f"{name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, png_bytes(image))
@@ -97,11 +98,13 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     return {"pictures": len(cameras), "folder": str(request.out)}
 
 
-def _pictures(splats: Splats, cameras: Cameras) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Name and picture (H,W,3) of each camera; BadInput where one does not fit into memory."""
+def _pictures(splats: Splats, cameras: Cameras, from_views: bool) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Name and picture (H,W,3) of each camera, of views in the inspector without what lies far
+    before the scene; BadInput where one does not fit into memory."""
+    from radiant_core.render.reach import Reach
     from radiant_core.render.rendered_view import render_views
 
-    views = render_views(splats, cameras)
+    views = render_views(splats, cameras, near_m=Reach.of(splats).near_m(cameras) if from_views and len(splats) else None)
     for width, height in cameras.sizes_wh:
         try:
             view = next(views)

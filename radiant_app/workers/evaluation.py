@@ -149,10 +149,16 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
     errors = measure_borders(scene, plan, trained, task, reporter)
     if not task.owned:
         save_support(folder / SUPPORT_NAME, _support(scene, own, task, reporter))
-    pictures = [name for image in scored for name in image.save(folder)]
+    pictures: list[str] = []
+    for done, image in enumerate(scored, 1):
+        pictures += image.save(folder)
+        reporter.progress(done, len(scored), "pictures")
     rows = [image.row for image in scored]
     lights = dict.fromkeys(task.versions[:1], light)
-    compared = {name: _compare(name, inbox, named, (own, images, small), task, lights.get(name)) for name in task.versions}
+    compared = {}
+    for done, name in enumerate(task.versions, 1):
+        compared[name] = _compare(name, inbox, named, (own, images, small), task, lights.get(name))
+        reporter.progress(done, len(task.versions), "versions of the scene")
     borders = [asdict(error) for error in errors]
     write_json(folder / SCORES_NAME, {"images": rows, "borders": borders, "leakage": leakage, "versions": compared})
     if not task.owned:

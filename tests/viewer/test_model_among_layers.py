@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from radiant_core.cameras import Cameras
-from radiant_core.splats import SH_C0, Splats
+from radiant_core.splats import SH_C0, Splats, concatenate_splats
 from radiant_viewer.layers.camera_layer import pyramid_segments
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.pictures.splat_picture import draw_splat_view
 from radiant_viewer.pictures.view_pose import ViewPose
+from radiant_viewer.splats.rgbd import ModelRenderer
 
 SIZE_WH = (320, 240)
 VIEW = ViewPose(position=np.array([0.0, -30, 4]), focal_point=np.array([0.0, 0, 4]), up=np.array([0.0, 0, 1]), angle_deg=40.0)
@@ -61,3 +64,22 @@ def test_a_layer_that_a_wall_cuts_is_seen_as_far_as_it_stands_before_the_wall() 
     # A pixel of the line's cap, and the half metre by which Gaussians stand out of the wall.
     assert abs(columns.min() - begins) < 3
     assert abs(columns.max() - wall) < 3
+
+
+def test_a_sky_does_not_hide_the_model_from_afar_in_pictures_nor_in_the_window() -> None:
+    index = np.arange(400) + 0.5
+    z, angle = index / 400, np.pi * (1 + np.sqrt(5)) * index
+    shell = 150 * np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
+    few = house().select(np.arange(400))
+    sky = replace(few, means=shell.astype(np.float32), log_scales=np.full((400, 3), np.log(12.0), np.float32))
+    whole = concatenate_splats([house(), sky])
+    view = ViewPose(position=np.array([0.0, -250, 190]), focal_point=np.array([0.0, 0, 4]), up=np.array([0.0, 0, 1]), angle_deg=4.0)
+    camera = view.camera(SIZE_WH)
+    alone = draw_splat_view([], house(), camera).image
+    assert (alone == 255).all(axis=2).mean() > 0.2
+    np.testing.assert_array_equal(draw_splat_view([], whole, camera).image, alone)
+    in_window, own = (np.zeros((SIZE_WH[1], SIZE_WH[0], 4), np.float32) for _ in range(2))
+    ModelRenderer(whole).draw(camera, (255, 255, 255), in_window)
+    ModelRenderer(house()).draw(camera, (255, 255, 255), own)
+    np.testing.assert_array_equal(in_window, own)
+    assert (own[..., 3] > 250).mean() > 0.1

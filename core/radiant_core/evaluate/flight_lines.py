@@ -4,7 +4,8 @@ Photographs in the order of their names or times are cut where the path turns: a
 run of steps that are each at most 30 degrees off the line's own direction, its first to its last
 camera, and at most 2.5 times as long as the usual step. Directions count on the ground alone.
 Runs of fewer than `MIN_LINE` photographs, such as turns, and a flight with a single line are none:
-without a neighbouring line nothing shows the ground of one that is held out.
+without a neighbouring line nothing shows the ground of one that is held out. A path around
+something has none either: nearly all of its steps turn to the same side, once around or more.
 """
 
 from __future__ import annotations
@@ -21,6 +22,10 @@ MIN_LINE = 4
 MAX_TURN_DEG = 30.0
 MAX_STEP = 2.5
 """Longest step within a line, of the median step."""
+MIN_ONE_WAY = 0.9
+"""Share of steps that turn to one side on a path around something."""
+MIN_AROUND_DEG = 300.0
+"""A circle of which a photograph or two were not placed."""
 
 
 def flight_lines(centers: ArrayLike) -> list[NDArray[np.int64]]:
@@ -28,7 +33,7 @@ def flight_lines(centers: ArrayLike) -> list[NDArray[np.int64]]:
     that order too, none shared. Raises BadInput for centres of another shape or not finite."""
     places = check_array("centers", centers, (None, 3))[:, :2]
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    if not len(steps) or not steps.max() > 0:
+    if not len(steps) or not steps.max() > 0 or _goes_around(places):
         return []
     longest = MAX_STEP * float(np.median(steps[steps > 0]))
     lines: list[NDArray[np.int64]] = []
@@ -52,12 +57,12 @@ def held_out_line(names: Sequence[str], centers: ArrayLike, number: int = 0) -> 
     Raises BadInput where the flight has fewer than two lines or no line of this number.
     """
     checked = check_array("centers", centers, (len(names), 3))
-    order = np.array(sorted(range(len(names)), key=names.__getitem__), np.int64)
+    order = np.array(sorted(range(len(names)), key=_in_flight(names).__getitem__), np.int64)
     lines = flight_lines(checked[order])
     if len(lines) < 2:
         raise BadInput(
             f"the photographs lie on {len(lines)} straight flight lines of {MIN_LINE} or more in the order of their names, but 2 are "
-            "needed to hold a whole one out: leave --hold-out line out."
+            "needed to hold a whole one out: hold out interleaved photographs alone."
         )
     if not 0 <= number < len(lines):
         raise BadInput(f"line {number} is to be held out, but the flight has {len(lines)}: ask for at most {len(lines)} splits.")
@@ -66,6 +71,23 @@ def held_out_line(names: Sequence[str], centers: ArrayLike, number: int = 0) -> 
     mask = np.zeros(len(names), bool)
     mask[order[lines[int(np.argsort(away, kind="stable")[number])]]] = True
     return mask
+
+
+def _in_flight(names: Sequence[str]) -> list[str]:
+    """Names as the camera gave them, without the folders of a set that brings its own split."""
+    own = {"train", "val"} == {name.partition("/")[0] for name in names}
+    return [name.partition("/")[2] for name in names] if own else list(names)
+
+
+def _goes_around(places: FloatArray) -> bool:
+    """Whether the path (K,2) circles something."""
+    steps = np.diff(places, axis=0)
+    steps = steps[np.linalg.norm(steps, axis=1) > 0]
+    steps = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    one, other = steps[:-1], steps[1:]
+    turns = np.arctan2(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0], (one * other).sum(axis=1))
+    sides = [float(np.mean(turns * side > 1e-6)) for side in (1, -1)] if len(turns) else [0.0]
+    return max(sides) >= MIN_ONE_WAY and bool(abs(turns.sum()) > np.radians(MIN_AROUND_DEG))
 
 
 def _is_straight(places: FloatArray) -> bool:

@@ -10,8 +10,10 @@ import torch
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
+from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.render.reach import NEAR_M
 from radiant_core.splats import Splats
 
 
@@ -30,23 +32,28 @@ class RenderedView:
         return (self.image * 255).round().astype(np.uint8)
 
 
-def render_views(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> Iterator[RenderedView]:
+def render_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", near_m: FloatArray | None = None) -> Iterator[RenderedView]:
     """Render every camera at its size, one picture in memory at a time.
 
     Args:
         splats: the model.
         cameras: in the frame of the model.
         backend: the renderer; auto: gsplat where it can be used, else native.
+        near_m: (C,) the depth from which on each camera shows Gaussians (`reach.py`); None: all
+            that are before it.
 
     Yields:
         One picture per camera, in their order.
     """
+    near = np.full(len(cameras), NEAR_M) if near_m is None else np.asarray(near_m, np.float64)
     tensors = SplatTensors.from_splats(splats, device=device_of(resolve_backend(backend)))
     for index, (width, height) in enumerate(cameras.sizes_wh):
         one = slice(index, index + 1)
         viewmats, Ks = torch.tensor(cameras.cam_from_world[one]), torch.tensor(cameras.Ks[one])
         with torch.no_grad():
-            output = rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=splats.sh_degree, backend=backend)
+            output = rasterize(
+                tensors, viewmats, Ks, int(width), int(height), sh_degree=splats.sh_degree, near_m=float(near[index]), backend=backend
+            )
         yield RenderedView(
             name=cameras.names[index],
             image=output.images[0].clamp(0, 1).cpu().numpy(),

@@ -61,11 +61,27 @@ def test_the_middle_line_is_held_out_first_whatever_the_order_of_the_names() -> 
 def test_flights_without_two_lines_are_refused_in_one_sentence() -> None:
     circle = np.column_stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3), np.zeros(6)])
     single = survey(1, 9)
-    for centers in (circle, single, np.zeros((5, 3)), np.zeros((0, 3)), survey(1, 1)):
+    turns = np.arange(60) * np.pi / 15
+    twice = np.column_stack([np.cos(turns), np.sin(turns), turns]) + np.random.default_rng(2).normal(0, 0.003, (60, 3))
+    for centers in (circle, twice, twice[::-1], single, np.zeros((5, 3)), np.zeros((0, 3)), survey(1, 1)):
         with pytest.raises(BadInput, match=r"2 are needed to hold a whole one out"):
             held_out_line([f"{row:03d}" for row in range(len(centers))], centers)
     with pytest.raises(BadInput, match="line 5 is to be held out"):
         held_out_line([f"{row:03d}" for row in range(30)], survey(5, 6), 5)
+
+
+def test_a_set_that_brings_its_own_split_is_ordered_by_its_photographs() -> None:
+    centers = survey(5, 6)
+    names = [f"{'val' if row % 8 == 0 else 'train'}/{row:04d}.jpg" for row in range(len(centers))]
+    assert np.flatnonzero(held_out_line(names, centers)).tolist() == list(range(12, 18))
+
+
+def test_legs_around_a_block_are_lines() -> None:
+    leg = np.arange(8.0)
+    zero, far = np.zeros(8), np.full(8, 8.0)
+    around = np.concatenate([np.column_stack(side) for side in ((leg, zero), (far, leg), (8 - leg, far), (zero, 8 - leg))])
+    lines = flight_lines(np.column_stack([around, np.full(32, 40.0)]))
+    assert sum(len(line) for line in lines) == 32 and len(lines) == 4
 
 
 def test_short_runs_gaps_and_huge_coordinates() -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_core.render.reach import Reach
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Backdrop
 from radiant_viewer.layers.drawing import add_layer
@@ -45,11 +46,6 @@ DIRECTION_DEG = (205, 42)
 KEPT_WHITE_PX = 7.5
 """White within this distance of a marker belongs to the marker."""
 NEAR_SHARE = 1e-3
-NEAR_HALF_DIAGONALS = 3.0
-"""How far from its middle things belong to the scene, in half diagonals of most of it. The sky that
-training begins with is eight of the whole away (a device's own; `train/initialize.py`)."""
-SHELL = 1.25
-"""What is up to so much, or its square, farther from the middle than the eye is in its way."""
 OPAQUE = 0.5
 """Least share of a pixel that the model must fill to hide what lies behind it."""
 
@@ -136,40 +132,6 @@ def fit_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
     return Cameras(names=("view",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Surroundings:
-    """What lies far around a scene, such as its sky: the right thing behind it, and in its way for
-    an eye that stands farther away."""
-
-    middle: FloatArray
-    """(3,), of most of the scene."""
-    near: float
-    """Distance from there up to which a Gaussian or an eye is at the scene."""
-    distances: FloatArray
-    """(N,) of the Gaussians from the middle."""
-
-    @staticmethod
-    def of(splats: Splats) -> Surroundings:
-        """Of a model of one or more Gaussians."""
-        means = splats.means.astype(np.float64)
-        low, middle, high = np.quantile(means, [0.1, 0.5, 0.9], axis=0)
-        return Surroundings(
-            middle=middle,
-            near=NEAR_HALF_DIAGONALS / 2 * float(np.linalg.norm(high - low)),
-            distances=np.linalg.norm(means - middle, axis=1),
-        )
-
-    def in_the_way(self, eye: FloatArray) -> float | None:
-        """The distance up to which surroundings hide the scene from an eye (3,); None: from none.
-        In steps, so that a moving eye seldom changes it."""
-        ratio = float(np.linalg.norm(eye - self.middle)) / self.near if self.near > 0 else 0.0
-        return None if not 1 < ratio < np.inf else self.near * SHELL ** (int(np.log(ratio) / np.log(SHELL)) + 2)
-
-    def seen(self, up_to: float | None) -> NDArray[np.bool_]:
-        """Mask (N,) of what is drawn where surroundings `up_to` a distance are in the way."""
-        return np.ones(len(self.distances), bool) if up_to is None else (self.distances <= self.near) | (self.distances > up_to)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Ground:
     """Of a model seen from above: the height of its ground, and what is higher is sky or haze."""
@@ -219,12 +181,8 @@ def render_over_white(splats: Splats, camera: Cameras) -> Image:
 
 
 def _render_near(splats: Splats, camera: Cameras) -> RenderedView:
-    """Render in coordinates near the camera, without what surrounds the scene where that is in the
-    way."""
-    if len(splats):
-        around = Surroundings.of(splats)
-        if (up_to := around.in_the_way(camera.centers[0])) is not None:
-            splats = splats.select(np.flatnonzero(around.seen(up_to)))
+    """Render in coordinates near the camera, without what lies far before the scene."""
+    near_m = Reach.of(splats).near_m(camera) if len(splats) else None
     center = np.round(camera.centers[0])
     pose = camera.cam_from_world.copy()
     pose[:, :3, 3] += pose[:, :3, :3] @ center
@@ -232,7 +190,7 @@ def _render_near(splats: Splats, camera: Cameras) -> RenderedView:
     # It imports torch, two seconds that a window need not wait.
     from radiant_core.render.rendered_view import render_views
 
-    return next(render_views(moved, replace(camera, cam_from_world=pose)))
+    return next(render_views(moved, replace(camera, cam_from_world=pose), near_m=near_m))
 
 
 def _to_camera_frame(positions: FloatArray, camera: Cameras) -> FloatArray:

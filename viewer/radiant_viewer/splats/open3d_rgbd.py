@@ -21,8 +21,10 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.io.open3d_formats import open3d_point_cloud
 from radiant_core.io.ply import load_ply
+from radiant_core.render.reach import NEAR_M, Reach
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Rgbd
+from radiant_viewer.splats.rgbd import ModelRenderer
 
 TILES_PER_SPLAT = 4096
 """Splats over more tiles of the picture are not drawn; Open3D's own limit loses the near ones."""
@@ -36,10 +38,20 @@ class Open3DRenderer:
         self._origin = splats.means.astype(np.float64).mean(axis=0)
         self._cloud = open3d_point_cloud(replace(splats, means=(splats.means - self._origin).astype(np.float32)))
         self._of_size: dict[tuple[int, int], Any] = {}
+        self._splats, self._reach, self._ours = splats, Reach.of(splats), None
 
     def draw(self, camera: Cameras, background: tuple[int, int, int], into: Rgbd) -> None:
         """Write the picture of one camera over a background (0 to 255): (H,W,4) float32, colours 0
-        to 1 and depth in metres, 0 where nothing is."""
+        to 1 and depth in metres, 0 where nothing is. Where something lies far before the scene, our
+        renderer draws, which leaves it out."""
+        if self._reach.near_m(camera)[0] <= NEAR_M:
+            self.draw_all(camera, background, into)
+            return
+        self._ours = self._ours or ModelRenderer(self._splats)
+        self._ours.draw(camera, background, into)
+
+    def draw_all(self, camera: Cameras, background: tuple[int, int, int], into: Rgbd) -> None:
+        """The same, of all that is before the camera."""
         width, height = (int(side) for side in camera.sizes_wh[0])
         renderer = self._renderer(width, height)
         renderer.scene.set_background(np.array([*background, 255]) / 255)
@@ -84,9 +96,9 @@ def main() -> int:
     height, width = ours.shape[:2]
     camera = Cameras(names=("view",), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]]))
     renderer, picture = Open3DRenderer(load_ply(Path(sys.argv[1]))), np.zeros_like(ours)
-    renderer.draw(camera, (0, 0, 0), picture)
+    renderer.draw_all(camera, (0, 0, 0), picture)
     began = time.monotonic()
-    renderer.draw(camera, (0, 0, 0), picture)
+    renderer.draw_all(camera, (0, 0, 0), picture)
     pipe.write(json.dumps({"seconds": time.monotonic() - began, "depth_error": min(depth_error(picture, ours), 1e9)}))
     pipe.flush()
     os._exit(0)

@@ -13,6 +13,7 @@ import torch
 from radiant_core.cameras import Cameras
 from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.render.reach import Reach
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.pictures.splat_picture import OPAQUE
@@ -23,17 +24,19 @@ class ModelRenderer:
 
     def __init__(self, splats: Splats) -> None:
         backend = resolve_backend("auto")
-        self._sh_degree = splats.sh_degree
+        self._sh_degree, self._reach = splats.sh_degree, Reach.of(splats)
         self._tensors = SplatTensors.from_splats(splats, device=device_of(backend))
 
     def draw(self, camera: Cameras, background: tuple[int, int, int], into: Rgbd) -> None:
         """Write the picture of one camera over a background (0 to 255): (H,W,4) float32, colours 0
-        to 1 and depth in metres, 0 where the model fills less than `OPAQUE`."""
+        to 1 and depth in metres, 0 where the model fills less than `OPAQUE`. What lies far before
+        the scene is left out."""
         width, height = (int(side) for side in camera.sizes_wh[0])
         behind = torch.tensor(background, dtype=torch.float32) / 255
         viewmats, Ks = torch.tensor(camera.cam_from_world), torch.tensor(camera.Ks)
         with torch.no_grad():
-            output = rasterize(self._tensors, viewmats, Ks, width, height, sh_degree=self._sh_degree, background=behind)
+            near_m = float(self._reach.near_m(camera)[0])
+            output = rasterize(self._tensors, viewmats, Ks, width, height, sh_degree=self._sh_degree, background=behind, near_m=near_m)
         colors, alphas, depths = (drawn[0].cpu().numpy() for drawn in (output.images, output.alphas, output.depths))
         np.clip(colors, 0, 1, out=into[..., :3])
         into[..., 3] = np.where(alphas >= OPAQUE, depths, 0.0)

@@ -3,8 +3,7 @@
 One JSON line per request on standard input: {"id", "K", "cam_from_world", "size_wh", "background",
 "box", "max_gaussians", "kept", "slot"}; box is null or the lower and upper corner (2,3) of what is
 drawn, max_gaussians null or the most that are drawn, the weightiest ones, kept null or the .npy
-file of a mask (N,) of those that are drawn. Surroundings of the scene that would hide it from the
-camera are left out. The picture, H·W·4 float32 of colour and depth
+file of a mask (N,) of those that are drawn. The picture, H·W·4 float32 of colour and depth
 (`render_rgbd`), is written at the start of the file FRAMES<slot>, which only grows: who asks maps
 it, so that no pixel goes through a pipe. Per answer one JSON line {"id", "size_wh", "seconds"}; the
 first line is {"ready", "num_gaussians", "decision"}, the fields of the `Decision` which renderer
@@ -29,11 +28,9 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import RadiantError
 from radiant_core.io.ply import load_ply
-from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.layers.splat_layer import inside_box
-from radiant_viewer.pictures.splat_picture import Surroundings
 from radiant_viewer.splats.choosing import OPEN3D, choose_renderer
 from radiant_viewer.splats.open3d_rgbd import Open3DRenderer
 from radiant_viewer.splats.rgbd import ModelRenderer
@@ -49,18 +46,13 @@ class Parts:
 
     def __init__(self, splats: Splats, made: Callable[[Splats], Drawer]) -> None:
         self._splats, self._made = splats, made
-        self._around = Surroundings.of(splats) if len(splats) else None
         self._kept: OrderedDict[str, Drawer | None] = OrderedDict()
 
-    def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, kept: str | None, eye: FloatArray) -> Drawer | None:
-        """The renderer of the weightiest Gaussians in the box that an eye (3,) is to see; None
-        without any."""
-        if self._around is None:
-            return None
-        up_to = self._around.in_the_way(eye)
-        key = json.dumps([box, max_gaussians, kept, up_to])
+    def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, kept: str | None) -> Drawer | None:
+        """The renderer of the weightiest Gaussians in the box; None where there are none."""
+        key = json.dumps([box, max_gaussians, kept])
         if key not in self._kept:
-            chosen = self._around.seen(up_to) & (True if kept is None else np.load(kept))
+            chosen = np.ones(len(self._splats), bool) if kept is None else np.load(kept)
             inside = np.flatnonzero(chosen if box is None else chosen & inside_box(self._splats.means, box))
             if max_gaussians is not None and len(inside) > max_gaussians:
                 weights = _weights(self._splats)[inside]
@@ -96,7 +88,7 @@ def serve(path: Path, frames: str, chooses: bool, requests: IO[bytes], answers: 
         )
         red, green, blue = (int(level) for level in request["background"])
         began = time.monotonic()
-        renderer = parts.renderer(request["box"], request["max_gaussians"], request["kept"], camera.centers[0])
+        renderer = parts.renderer(request["box"], request["max_gaussians"], request["kept"])
         picture = _map_frame(Path(f"{frames}{int(request['slot'])}"), width, height)
         if renderer is None:
             picture[:] = (red / 255, green / 255, blue / 255, 0.0)
