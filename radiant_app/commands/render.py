@@ -26,6 +26,7 @@ from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import Border, shared_borders
+from radiant_core.render.reach import NEAR_M, Reach
 from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
@@ -77,7 +78,7 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
     splats = _model(request)
     splats = splats if scene is None else _scene_alone(splats, scene, display)
-    from_views = request.keyframes is not None and not request.as_trained
+    near_m = _near_planes(splats, cameras, display) if request.keyframes is not None and not request.as_trained else None
     if is_film:
         if request.out.suffix.lower() == ".mp4":
             display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
@@ -85,12 +86,12 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             raise BadInput("the cameras are of different sizes, which no film can show: render single pictures into a folder.")
         size_wh = tuple(int(side) for side in cameras.sizes_wh[0] // 2 * 2)
         with MovieWriter(request.out, (size_wh[0], size_wh[1]), request.fps) as film, stage_bar(display, "render") as report:
-            for done, (name, image) in enumerate(_pictures(splats, cameras, from_views), 1):
+            for done, (name, image) in enumerate(_pictures(splats, cameras, near_m), 1):
                 film.add(np.ascontiguousarray(image[: size_wh[1], : size_wh[0]]))
                 report(done, len(cameras), name)
         return {"film": str(request.out), "frames": len(cameras), "seconds": round(len(cameras) / request.fps, 2)}
     with create_folder(request.out), stage_bar(display, "render") as report:
-        for done, (name, image) in enumerate(_pictures(splats, cameras, from_views), 1):
+        for done, (name, image) in enumerate(_pictures(splats, cameras, near_m), 1):
             path = request.out / f"{name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, png_bytes(image))
@@ -98,13 +99,12 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     return {"pictures": len(cameras), "folder": str(request.out)}
 
 
-def _pictures(splats: Splats, cameras: Cameras, from_views: bool) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Name and picture (H,W,3) of each camera, of views in the inspector without what lies far
-    before the scene; BadInput where one does not fit into memory."""
-    from radiant_core.render.reach import Reach
+def _pictures(splats: Splats, cameras: Cameras, near_m: FloatArray | None) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Name and picture (H,W,3) of each of C cameras, from depths near_m (C,) on; BadInput where one
+    does not fit into memory."""
     from radiant_core.render.rendered_view import render_views
 
-    views = render_views(splats, cameras, near_m=Reach.of(splats).near_m(cameras) if from_views and len(splats) else None)
+    views = render_views(splats, cameras, near_m=near_m)
     for width, height in cameras.sizes_wh:
         try:
             view = next(views)
@@ -113,6 +113,24 @@ def _pictures(splats: Splats, cameras: Cameras, from_views: bool) -> Iterator[tu
             size = f"a picture of {width} × {height} px does not fit into the free memory"
             raise BadInput(f"{size}: add --long-side-px 4000, or less.") from None
         yield view.name, image
+
+
+def _near_planes(splats: Splats, cameras: Cameras, display: ProgressDisplay) -> FloatArray | None:
+    """From which depth on (C,) m each view shows the model, as the inspector shows it."""
+    if not len(splats):
+        return None
+    near_m = Reach.of(splats).near_m(cameras)
+    if (far := int((near_m > NEAR_M).sum())) > 0:
+        decision = Decision(
+            stage="render",
+            topic="sky and haze",
+            choice="what lies far before the scene is not drawn",
+            figure=far,
+            unit=f"of {len(cameras)} pictures",
+            reason="their eyes are far outside the scene, which sky and haze before it would hide; --uncleaned shows them",
+        )
+        display(Decided(decision=decision))
+    return near_m
 
 
 def _scene_alone(splats: Splats, box: FloatArray, display: ProgressDisplay) -> Splats:
