@@ -66,6 +66,21 @@ def test_a_layer_that_a_wall_cuts_is_seen_as_far_as_it_stands_before_the_wall() 
     assert abs(columns.max() - wall) < 3
 
 
+def test_a_model_is_drawn_however_far_away_and_wherever_it_is() -> None:
+    """VTK once left out the picture from 1,414 units on, where the near plane passes its quad."""
+    for distance, middle in ((30.0, (0.0, 0, 4)), (3e3, (0.0, 0, 4)), (3e6, (0.0, 0, 4)), (3e3, (5e5, 5e6, 4))):
+        far = replace(
+            house(), means=(house().means * distance / 30).astype(np.float32), log_scales=house().log_scales + np.log(distance / 30)
+        )
+        far = replace(
+            far, means=(far.means + np.array(middle, np.float32)).astype(np.float32), log_scales=far.log_scales.astype(np.float32)
+        )
+        place = np.array(middle)
+        view = ViewPose(position=place - distance * np.array([0, 1.0, 0]), focal_point=place, up=np.array([0.0, 0, 1]), angle_deg=40.0)
+        image = draw_splat_view([], far, view.camera(SIZE_WH)).image
+        assert 0.1 < (image < 200).any(axis=2).mean() < 0.9, f"{distance} away from {middle}"
+
+
 def test_a_sky_does_not_hide_the_model_from_afar_in_pictures_nor_in_the_window() -> None:
     index = np.arange(400) + 0.5
     z, angle = index / 400, np.pi * (1 + np.sqrt(5)) * index

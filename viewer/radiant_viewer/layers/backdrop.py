@@ -67,6 +67,8 @@ class Backdrop:
         self.place((0.0, 0.0), (1.0, 1.0), (255, 255, 255))
         self._fit_to_view()
         plotter.renderer.AddActor(self._actor)
+        # They go by where the quad's corners are in the world, and would leave it out.
+        plotter.renderer.GetCullers().RemoveAllItems()
         plotter.renderer.AddObserver(vtkCommand.StartEvent, self._fit_to_view)
 
     @property
