@@ -26,7 +26,7 @@ from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import Border, shared_borders
-from radiant_core.render.reach import NEAR_M, Reach
+from radiant_core.render.reach import Reach
 from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
@@ -119,8 +119,8 @@ def _near_planes(splats: Splats, cameras: Cameras, display: ProgressDisplay) -> 
     """From which depth on (C,) m each view shows the model, as the inspector shows it."""
     if not len(splats):
         return None
-    near_m = Reach.of(splats).near_m(cameras)
-    if (far := int((near_m > NEAR_M).sum())) > 0:
+    reach = Reach.of(splats)
+    if (far := int(reach.hides(splats, cameras).sum())) > 0:
         decision = Decision(
             stage="render",
             topic="sky and haze",
@@ -130,7 +130,7 @@ def _near_planes(splats: Splats, cameras: Cameras, display: ProgressDisplay) -> 
             reason="their eyes are far outside the scene, which sky and haze before it would hide; --uncleaned shows them",
         )
         display(Decided(decision=decision))
-    return near_m
+    return reach.near_m(cameras)
 
 
 def _scene_alone(splats: Splats, box: FloatArray, display: ProgressDisplay) -> Splats:

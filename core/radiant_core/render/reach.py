@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -51,3 +52,12 @@ class Reach:
         depths = cameras.cam_from_world[:, 2, :3] @ self.middle + cameras.cam_from_world[:, 2, 3]
         near = depths - self.distance
         return np.where(near > NEAR_M, near, NEAR_M)
+
+    def hides(self, splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
+        """Which of C cameras (C,) have a Gaussian of the model before that depth."""
+        hidden = np.zeros(len(cameras), bool)
+        for index in np.flatnonzero((near_m := self.near_m(cameras)) > NEAR_M):
+            row = cameras.cam_from_world[index, 2]
+            depths = splats.means @ row[:3].astype(np.float32) + np.float32(row[3])
+            hidden[index] = bool(((depths > 0) & (depths < near_m[index])).any())
+        return hidden

@@ -66,6 +66,13 @@ def test_a_sky_does_not_hide_what_is_below_it(share: float, distance_m: float) -
     np.testing.assert_allclose(picture(whole, eye), next(render_views(town(), eye, "native")).image, atol=0.08 if share < 0.05 else 1e-3)
 
 
+def test_whether_anything_is_before_a_scene_is_known() -> None:
+    eyes = [camera((0, -420, 420)), camera((0, -40, 20)), camera((0, -600, 5), (0, -700, 5))]
+    whole = concatenate_splats([town(), sky(400)])
+    assert [bool(Reach.of(whole).hides(whole, eye)[0]) for eye in eyes] == [True, False, False]
+    assert not any(Reach.of(town()).hides(town(), eye)[0] for eye in eyes)
+
+
 def test_nothing_is_left_out_within_reach_nor_behind_an_eye() -> None:
     whole = concatenate_splats([town(), sky(400)])
     reach = Reach.of(whole)

@@ -21,7 +21,7 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.io.open3d_formats import open3d_point_cloud
 from radiant_core.io.ply import load_ply
-from radiant_core.render.reach import NEAR_M, Reach
+from radiant_core.render.reach import Reach
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.splats.rgbd import ModelRenderer
@@ -44,7 +44,7 @@ class Open3DRenderer:
         """Write the picture of one camera over a background (0 to 255): (H,W,4) float32, colours 0
         to 1 and depth in metres, 0 where nothing is. Where something lies far before the scene, our
         renderer draws, which leaves it out."""
-        if self._reach.near_m(camera)[0] <= NEAR_M:
+        if not self._reach.hides(self._splats, camera)[0]:
             self.draw_all(camera, background, into)
             return
         self._ours = self._ours or ModelRenderer(self._splats)
