@@ -332,11 +332,11 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:
-    """A line per scene and method: mean PSNR, seams' excess, Gaussians, CPU seconds of all nodes,
-    those until the scene is done if all work at once (`joining_s`), and pixels."""
+    """A line per scene and method: mean PSNR and FLIP, seams' excess, Gaussians, CPU seconds of all
+    nodes, those until the scene is done if all work at once (`joining_s`), and pixels."""
     lines = [
-        "| scene | method | PSNR dB | seam excess dB | Gaussians, or parameters | CPU s | all nodes at once s | training Mpx |",
-        "|---|---|---|---|---|---|---|---|",
+        "| scene | method | PSNR dB | FLIP | seam excess dB | Gaussians, or parameters | CPU s | all nodes at once s | training Mpx |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
     for (scene, method), group in _group_rows(rows).items():
@@ -345,12 +345,20 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
         names = ("mean_psnr_db", "num_gaussians", "num_parameters", "cpu_s", "training_px")
         means = {name: float(np.mean([getattr(row, name) for row in group])) for name in names}
         at_once = f"{np.mean([joining_s(row.nodes) for row in group]):.0f}" if all(row.nodes for row in group) else "–"
+        flip = "–" if (known := mean_flip(group)) is None else f"{known:.4f}"
+        size = size_text(means["num_gaussians"], means["num_parameters"])
         lines.append(
-            f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {seam} | {size_text(means['num_gaussians'], means['num_parameters'])} |"
+            f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {flip} | {seam} | {size} |"
             f" {means['cpu_s']:.0f} | {at_once} | {means['training_px'] / 1e6:.0f} |"
         )
         lines += rounds_lines(method, group)
     return "\n".join(lines)
+
+
+def mean_flip(rows: Sequence[ArmRow]) -> float | None:
+    """FLIP over all photographs of the rows; None where it is not known of every one of them."""
+    known = [value for row in rows for value in row.flip if value is not None]
+    return float(np.mean(known)) if known and len(known) == sum(len(row.psnr_db) for row in rows) else None
 
 
 def size_text(num_gaussians: float, num_parameters: float) -> str:
@@ -365,7 +373,7 @@ def rounds_lines(method: str, rows: Sequence[ArmRow]) -> list[str]:
         sent_mb = float(np.mean([one.sent_bytes for one in same])) / 1e6
         known = [one.psnr_db for one in same if one.psnr_db is not None]
         psnr = f"{np.mean(known):.2f}" if known else "not scored"
-        lines.append(f"| | {method}, round {number} | {psnr} | | {sent_mb:.1f} MB sent | | | |")
+        lines.append(f"| | {method}, round {number} | {psnr} | | | {sent_mb:.1f} MB sent | | | |")
     return lines
 
 
@@ -399,9 +407,8 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
         key = f"methods.{scene}.{method.replace(' ', '_')}"
         psnr = float(np.mean([row.psnr_db for row in group]))
         metrics.append(Metric(key=f"{key}.psnr_db", value=psnr, unit="dB", direction="higher"))
-        flips = [value for row in group for value in row.flip if value is not None]
-        if len(flips) == sum(len(row.psnr_db) for row in group):
-            metrics.append(Metric(key=f"{key}.flip", value=float(np.mean(flips)), unit="1", direction="lower"))
+        if (flip := mean_flip(group)) is not None:
+            metrics.append(Metric(key=f"{key}.flip", value=flip, unit="1", direction="lower"))
         for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("num_parameters", "1"), ("training_px", "px")):
             value = float(np.mean([getattr(row, name) for row in group]))
             metrics.append(Metric(key=f"{key}.{name}", value=value, unit=unit, direction="info"))

@@ -144,16 +144,11 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
         cameras = replace(cameras, names=tuple(f"{own.name}/held-out-{index:04d}" for index in range(len(cameras))))
     views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME), light=light)
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
-    scored = score_views(scene, views, task, lpips, reporter)
+    rows, pictures = score_views(scene, views, task, lpips, folder, reporter)
     trained = TrainedPhotographs(own=own, images=training_images, light=light)
     errors = measure_borders(scene, plan, trained, task, reporter)
     if not task.owned:
         save_support(folder / SUPPORT_NAME, _support(scene, own, task, reporter))
-    pictures: list[str] = []
-    for done, image in enumerate(scored, 1):
-        pictures += image.save(folder)
-        reporter.progress(done, len(scored), "pictures")
-    rows = [image.row for image in scored]
     lights = dict.fromkeys(task.versions[:1], light)
     compared = {}
     for done, name in enumerate(task.versions, 1):
@@ -190,14 +185,19 @@ def _compare(
     return figures
 
 
-def score_views(scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, reporter: EventReporter) -> list[ScoredImage]:
-    """Score a scene on one machine's views."""
+def score_views(
+    scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, folder: Path, reporter: EventReporter
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Score a scene on one machine's views and write the pictures of each into `folder` at once,
+    so that their number does not add to the memory; returns the rows and the pictures' names."""
     cameras = _correct_cameras(views.cameras, task)
-    scored = []
+    rows: list[dict[str, Any]] = []
+    pictures: list[str] = []
     for image in score_images(scene, cameras, views, task.backend, lpips):
-        scored.append(image)
-        reporter.progress(len(scored), len(cameras), image.view.name)
-    return scored
+        rows.append(image.row)
+        pictures += image.save(folder)
+        reporter.progress(len(rows), len(cameras), image.view.name)
+    return rows, pictures
 
 
 def score_images(
