@@ -188,8 +188,8 @@ def _compare(
 def score_views(
     scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, folder: Path, reporter: EventReporter
 ) -> tuple[list[dict[str, Any]], list[str]]:
-    """Score a scene on one machine's views and write the pictures of each into `folder` at once,
-    so that their number does not add to the memory; returns the rows and the pictures' names."""
+    """Score a scene on one machine's views and write the pictures of each into `folder` before the
+    next is made, so that one is in memory at a time; returns the rows and the pictures' names."""
     cameras = _correct_cameras(views.cameras, task)
     rows: list[dict[str, Any]] = []
     pictures: list[str] = []

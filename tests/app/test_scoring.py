@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided
 from radiant_app.report.html import describe_unscored
 from radiant_app.run.scoring import Scoring, ScoringMachine, combine_scores
-from radiant_app.workers.evaluation import SCORES_NAME, png_bytes, run_score
+from radiant_app.workers.evaluation import SCORES_NAME, ScoredImage, png_bytes, run_score
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, Move, ScoreTask
 from radiant_core.cameras import Cameras
@@ -112,6 +113,22 @@ def test_one_machine_with_all_photographs_and_two_devices_in_frames_of_their_own
         assert one[key] == (pytest.approx(other[key], abs=1e-3) if isinstance(one[key], float) else other[key]), key
     for row, twin in zip(one["rows"], other["rows"], strict=True):
         assert row == pytest.approx(twin, abs=1e-3)
+
+
+def test_pictures_of_one_photograph_are_in_memory_at_a_time(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[weakref.ref[ScoredImage]] = []
+    saved: list[int] = []
+    save = ScoredImage.save
+
+    def watched(image: ScoredImage, folder: Path) -> list[str]:
+        made.append(weakref.ref(image))
+        saved.append(sum(each() is not None for each in made))
+        return save(image, folder)
+
+    monkeypatch.setattr(ScoredImage, "save", watched)
+    scored(run, "evaluation", CAMERAS)
+    assert saved == [1] * len(CAMERAS)
+    assert len([*(run / "evaluation" / "renders").iterdir()]) == len(CAMERAS)
 
 
 def test_a_machine_without_photographs_adds_nothing_and_alone_has_no_figures(run: Path) -> None:
