@@ -43,7 +43,8 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     assert found[f"{key}.mean_db"] == pytest.approx(np.mean(made["ours"].psnr_db) - np.mean(made["paper"].psnr_db))
     table = methods_table(rows)
     assert table.count("\n") == len(rows) + 1 and "| scene | ours |" in table
-    flip = f"{np.mean(made['ours'].flip):.4f}" if None not in made["ours"].flip else "–"
+    flips = [value for value in made["ours"].flip if value is not None]
+    flip = f"{np.mean(flips):.4f}" if len(flips) == 2 else "–"
     assert f"| scene | ours | {made['ours'].mean_psnr_db:.2f} | {flip} |" in table
     assert f"| scene | ours | {made['ours'].mean_psnr_db:.2f} | – |" in methods_table([replace(row, flip=()) for row in rows])
     assert set(curves_of(rows)) == set(made)
