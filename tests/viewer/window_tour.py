@@ -288,7 +288,7 @@ def navigation(window):
     QTest.mouseRelease(plotter, left, pos=middle + QPoint(60, -20))
     orbited = view.pose
     assert np.linalg.norm(orbited.position - start.position) > 5 and level(), "nothing was orbited"
-    until(lambda: window.model.shown_is_full and samples[-1] == 4)
+    until(lambda: window.model.shown_is_full and samples[-1:] == [4])
     assert 0 in samples, "a moving view was drawn with all samples"
     QTest.mouseDClick(plotter, left, pos=middle)
     # A double click of QTest ends with the button down.
