@@ -11,7 +11,7 @@ from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals
 from radiant_app.run.pipeline import run
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import JobTask
-from radiant_app.workers.worker import main
+from radiant_app.workers.worker import end_process, main
 
 
 def run_job(folder: Path, task: JobTask, reporter: EventReporter) -> Sequence[str]:
@@ -26,4 +26,4 @@ def run_job(folder: Path, task: JobTask, reporter: EventReporter) -> Sequence[st
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:], run_job))
+    end_process(main(sys.argv[1:], run_job))

@@ -176,3 +176,10 @@ NO_EVENTS = ["", "hello", "[]", "{}", '{"event": "Nope"}', '{"event": "StageDone
 def test_a_line_that_is_no_event_is_refused(line: str) -> None:
     with pytest.raises(StageFailed, match="no event"):
         decode(line)
+
+
+def test_a_worker_ends_as_it_is_with_its_code_and_all_that_it_printed() -> None:
+    printing = "import atexit, sys; atexit.register(print, 'torn down'); sys.stdout.write('a figure'); sys.stderr.write('a warning')"
+    ending = "from radiant_app.workers.worker import end_process; end_process(3)"
+    ended = subprocess.run([sys.executable, "-c", f"{printing}; {ending}"], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (3, "a figure", "a warning")

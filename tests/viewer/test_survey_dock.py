@@ -98,6 +98,7 @@ for line in sys.stdin:
     kept = json.loads(path.read_text()) if path.is_file() else {}
     path.write_text(json.dumps({**kept, request["name"]: row}))
     print(json.dumps({"name": request["name"]}), flush=True)
+end()
 """
 ORTHO_MAKER = """
 import shutil, sys, time
