@@ -3,21 +3,43 @@
 from __future__ import annotations
 
 import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C; what typer returns for it."""
+NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
+"""Signals that are handled alike."""
 
 
 def interrupt_on_signals() -> None:
     """Raise KeyboardInterrupt on SIGTERM, SIGHUP and SIGALRM too."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
+    for number in NUMBERS:
         signal.signal(number, _interrupt)
 
 
 def stop_repeating_interrupt() -> None:
     """Stop repeating the last interrupt."""
     signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+@contextmanager
+def defer_interrupts() -> Iterator[None]:
+    """Defer Ctrl-C and termination while a worker starts or stops: it would outlive the run."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[int] = []
+    before = {number: signal.signal(number, lambda caught, frame: held.append(caught)) for number in NUMBERS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if held:
+            signal.raise_signal(held[0])
 
 
 def _interrupt(number: int, frame: Any) -> NoReturn:

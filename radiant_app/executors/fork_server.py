@@ -27,6 +27,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
+from radiant_app.interrupts import defer_interrupts
+
 READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONPATH")
 """Variables that a library or the interpreter reads once."""
 MAX_REQUEST_BYTES = 1 << 17
@@ -192,11 +194,13 @@ def open_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkSer
     key = (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED))
     with _kept.lock:
         if key not in _kept.servers:
-            server = ForkServer(names, environment)
+            server = None
             try:
+                with defer_interrupts():
+                    server = ForkServer(names, environment)
                 _kept.servers[key] = server if server.is_ready() else None
             finally:
-                if _kept.servers.get(key) is None:
+                if server is not None and _kept.servers.get(key) is None:
                     server._process.kill()
                     server.close()
         return _kept.servers[key]

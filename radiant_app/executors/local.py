@@ -15,8 +15,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
 from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
 from radiant_app.executors.fork_server import ForkedProcess, ForkServer, open_server
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
+from radiant_app.interrupts import defer_interrupts
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, StageFailed
 from radiant_core.io.run_store import disk_is_full, is_sealed
@@ -187,24 +187,6 @@ def worker_environment(num_threads: int) -> dict[str, str]:
     """The variables of a worker."""
     # Without the last, OpenMP's threads spin after their part and take a core of the rasterizer's.
     return {**os.environ, "OMP_NUM_THREADS": str(num_threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
-
-
-@contextmanager
-def defer_interrupts() -> Iterator[None]:
-    """Defer Ctrl-C and termination while a worker starts or stops: it would outlive the run."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    held: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
-    before = {number: signal.signal(number, lambda caught, frame: held.append(caught)) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        if held:
-            signal.raise_signal(held[0])
 
 
 def log_path(folder: Path) -> Path:

@@ -33,8 +33,9 @@ from typing import Any
 
 from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
 from radiant_app.executors.fold import Fold, NodeEnded, NodeStarted, RetryPolicy
-from radiant_app.executors.local import defer_interrupts, outcome_of, worker_command
+from radiant_app.executors.local import outcome_of, worker_command
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
+from radiant_app.interrupts import defer_interrupts
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.extras import require_extra

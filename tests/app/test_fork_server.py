@@ -10,6 +10,7 @@ import signal
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -114,6 +115,21 @@ def test_a_process_whose_server_is_killed_goes_on_and_the_next_starts_anew(start
     assert (tmp_path / "made").read_text() == "finished"
     with pytest.raises(OSError, match=r".+"):
         start("pass")
+
+
+def test_an_interrupt_while_a_server_starts_leaves_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    start, started = subprocess.Popen, list[subprocess.Popen[bytes]]()
+
+    def start_and_interrupt(*arguments: Any, **options: Any) -> subprocess.Popen[bytes]:
+        started.append(start(*arguments, **options))
+        signal.raise_signal(signal.SIGINT)
+        return started[-1]
+
+    monkeypatch.setattr(fork_server.subprocess, "Popen", start_and_interrupt)
+    with keep_servers(), pytest.raises(KeyboardInterrupt):
+        open_server(("torch",), {**os.environ})
+    assert [process.returncode for process in started] == [-signal.SIGKILL]
 
 
 def test_processes_that_end_at_once_are_all_told(start: Start) -> None:
