@@ -35,6 +35,7 @@ from tests import forked
 
 pytest.MonkeyPatch().setattr(local, "LEAST_FORKED", 1)
 pytest.MonkeyPatch().setattr(local, "open_server", forked.open_server_of_tests)
+pytest.MonkeyPatch().setattr(local, "start_server", forked.start_server_of_tests)
 forked.keep_until_the_end()
 atexit.register(forked.end_all)
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from radiant_app.executors.fork_server import ForkServer, keep_servers, open_server
+from radiant_app.executors.fork_server import ForkServer, keep_servers, open_server, start_server
 
 IMPORTED = ("zlib", "torch", "pycolmap", "cv2", "pydantic", "scipy.optimize", "scipy.spatial", "shapely", "typer", "rich.progress")
 """Libraries alone, for commands: what the project's modules import, and when, is as in a process that starts anew."""
@@ -36,6 +36,11 @@ def end_all() -> None:
 def open_server_of_tests(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
     """What the local executor calls: one server for the nodes of all tests of a process."""
     return open_server((*IMPORTED, *names), environment)
+
+
+def start_server_of_tests(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
+    """What starts that one."""
+    return start_server((*IMPORTED, *names), environment)
 
 
 def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mapping[str, str]) -> Any:

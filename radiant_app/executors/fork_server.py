@@ -5,9 +5,9 @@ the work: that of `sample_scenes/make_runs.py` (12 photographs, 30 nodes) took 3
 place of 98 (`RADIANT_FORK=0`), and made the same bytes. A server imports them once; each `python
 -m MODULE ARGUMENTS` that is asked of it is a fork with a session, streams, an environment and a
 working folder of its own, which receives signals and is waited for like any process. There is a
-server for each set of the variables that libraries read when they are loaded; it ends with the
-run. Where none can be had, or one is killed, processes start anew, and those that it has forked go
-on.
+server for each set of the variables that libraries read when they are loaded, but for the number of
+threads, which torch is told; it imports while the run plans, and ends with it. Where none can be
+had, or one is killed, processes start anew, and those that it has forked go on.
 """
 
 from __future__ import annotations
@@ -29,8 +29,11 @@ from typing import IO, Any
 
 from radiant_app.interrupts import defer_interrupts
 
-READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONPATH")
+READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OPENBLAS_NUM_THREADS", "PYTHONPATH")
 """Variables that a library or the interpreter reads once."""
+THREADS = "OMP_NUM_THREADS"
+"""Read once as well, but torch can be told another number, and tells the native module. numpy's
+linear algebra keeps that of the server."""
 MAX_REQUEST_BYTES = 1 << 17
 START_S = 60.0
 """So long imports may take before nodes start anew."""
@@ -108,6 +111,8 @@ class ForkServer:
     """A server that has imported `names`, in an environment and with its variables."""
 
     def __init__(self, names: Sequence[str], environment: Mapping[str, str]) -> None:
+        self.answer: bool | None = None
+        """Whether it is ready; None: not asked yet."""
         self._asking, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", __spec__.name, str(theirs.fileno()), *names]
         variables, nothing = {**environment, "PYTHONUNBUFFERED": "1"}, subprocess.DEVNULL
@@ -117,8 +122,12 @@ class ForkServer:
             )
 
     def is_ready(self, timeout_s: float = START_S) -> bool:
-        """Whether it has imported all within so long; asked once."""
-        return _is_readable(self._asking.fileno(), timeout_s) and self._asking.recv(len(READY)) == READY
+        """Whether it has imported all within so long from the first question on."""
+        if self.answer is None:
+            self.answer = _is_readable(self._asking.fileno(), timeout_s) and self._asking.recv(len(READY)) == READY
+            if not self.answer:
+                self._process.kill()
+        return self.answer
 
     def start(self, command: Sequence[str], fds: Sequence[int], environment: Mapping[str, str], cwd: Path | None = None) -> ForkedProcess:
         """Fork `python -m COMMAND` with three streams; OSError where that fails."""
@@ -151,6 +160,8 @@ class ForkServer:
 
     def close(self) -> None:
         """End the server and wait for it: its CPU time, and that of its forks, is the caller's."""
+        if not self.answer:
+            self._process.kill()
         self._asking.close()
         self._process.wait()
 
@@ -159,7 +170,7 @@ class _Kept:
     """The servers of this process, and how many runs keep them."""
 
     num_runs: int = 0
-    servers: dict[tuple[object, ...], ForkServer | None]
+    servers: dict[tuple[object, ...], ForkServer]
     lock = threading.Lock()
 
     def __init__(self) -> None:
@@ -179,31 +190,39 @@ def keep_servers() -> Iterator[None]:
     finally:
         with _kept.lock:
             _kept.num_runs -= 1
-            ended = [] if _kept.num_runs else [server for server in _kept.servers.values() if server is not None]
+            ended = [] if _kept.num_runs else [*_kept.servers.values()]
             if not _kept.num_runs:
                 _kept.servers.clear()
         for server in ended:
             server.close()
 
 
+def start_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
+    """Start the server that `open_server` will be asked for, whose imports take seconds; None as
+    there, but for its imports."""
+    if not CAN_FORK or not _kept.num_runs or environment.get(SWITCH) == "0":
+        return None
+    key = (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED), _num_threads(environment) is None)
+    with _kept.lock:
+        if key not in _kept.servers:
+            with defer_interrupts():
+                _kept.servers[key] = ForkServer(names, environment)
+        return _kept.servers[key]
+
+
 def open_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
     """The server that has imported `names` and fits to the environment; None where no run keeps
     servers, none can be forked from here, `SWITCH` forbids it, or its imports failed."""
-    if not CAN_FORK or not _kept.num_runs or environment.get(SWITCH) == "0":
+    server = start_server(names, environment)
+    if server is None:
         return None
-    key = (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED))
     with _kept.lock:
-        if key not in _kept.servers:
-            server = None
-            try:
-                with defer_interrupts():
-                    server = ForkServer(names, environment)
-                _kept.servers[key] = server if server.is_ready() else None
-            finally:
-                if server is not None and _kept.servers.get(key) is None:
-                    server._process.kill()
-                    server.close()
-        return _kept.servers[key]
+        return server if server.is_ready() else None
+
+
+def _num_threads(environment: Mapping[str, str]) -> int | None:
+    value = environment.get(THREADS, "")
+    return int(value) if value.isdecimal() and int(value) else None
 
 
 def _is_readable(fd: int, timeout_s: float | None) -> bool:
@@ -276,6 +295,8 @@ def _run(request: dict[str, Any], fds: list[int]) -> None:
     # What `ps` and `top` call it.
     with contextlib.suppress(OSError):
         Path("/proc/self/comm").write_text(" ".join([*arguments[:1], "radiant"]))
+    if "torch" in sys.modules and (threads := _num_threads(os.environ)) is not None:
+        sys.modules["torch"].set_num_threads(threads)
 
     import runpy
 

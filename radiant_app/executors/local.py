@@ -17,11 +17,12 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
 from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
-from radiant_app.executors.fork_server import ForkedProcess, ForkServer, open_server
+from radiant_app.executors.fork_server import ForkedProcess, ForkServer, open_server, start_server
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_app.interrupts import defer_interrupts
 from radiant_core.aggregate.tree import Tree
@@ -62,12 +63,17 @@ class LocalExecutor:
     num_threads: int | None = None
     """Of each process; None: its share of the cores."""
 
+    def begin(self) -> None:
+        """Load the libraries of folds to come in the background."""
+        start_server(IMPORTED, worker_environment(self.num_threads or 1))
+
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
-        threads = self.num_threads or max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, _width(tree))))
+        width = max(1, sum(1 for node in tree if not node.children))
+        threads = self.num_threads or max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, width)))
         runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads)
         if self.command is worker_command and sum(1 for _ in tree) >= LEAST_FORKED:
-            runner.server = open_server(IMPORTED, worker_environment(threads))
+            runner.server = partial(open_server, IMPORTED, worker_environment(threads))
         fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
         return fold.run(tree)
 
@@ -93,8 +99,8 @@ class Processes:
     num_workers: int
     command: Callable[[NodeTask], list[str]]
     num_threads: int
-    server: ForkServer | None = None
-    """Forks processes; None: they start anew."""
+    server: Callable[[], ForkServer | None] = lambda: None
+    """Opens what forks processes once one is to start; None: they start anew."""
     lines: queue.Queue[tuple[str, str | None]] = field(default_factory=queue.Queue)
     running: dict[str, _Running] = field(default_factory=dict)
 
@@ -102,8 +108,10 @@ class Processes:
         return len(self.running) < self.num_workers
 
     def start(self, node: Tree, task: NodeTask) -> bool:
+        # It may still be importing, which an interrupt need not wait for.
+        server = self.server()
         with defer_interrupts():
-            process = self._spawn(self.command(task), task.folder)
+            process = self._spawn(self.command(task), task.folder, server)
             reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
             self.running[node.id] = _Running(task=task, process=process, reader=reader)
             reader.start()
@@ -141,13 +149,13 @@ class Processes:
                     running.process.wait()
                 running.reader.join()
 
-    def _spawn(self, command: list[str], folder: Path) -> Process:
+    def _spawn(self, command: list[str], folder: Path, server: ForkServer | None) -> Process:
         environment = worker_environment(self.num_threads)
         with log_path(folder).open("w") as log:
-            if self.server is not None and command[:2] == [sys.executable, "-m"]:
+            if server is not None and command[:2] == [sys.executable, "-m"]:
                 # It may have been killed.
                 with contextlib.suppress(OSError):
-                    return self.server.start_piped(command[2:], log, environment)
+                    return server.start_piped(command[2:], log, environment)
             # A session of its own: Ctrl-C reaches only this process, which stops workers in order.
             pipe, start = subprocess.PIPE, subprocess.Popen
             return start(command, stdout=pipe, stderr=log, stdin=pipe, text=True, env=environment, start_new_session=True)
@@ -177,10 +185,6 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
     reason = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
     message = f"{task.stage}: its process {reason} before it was done; see {log_path(task.folder)}, then run again with --resume."
     return NodeEnded(error=StageFailed(message), crashed=True)
-
-
-def _width(tree: Tree) -> int:
-    return max(1, sum(1 for node in tree if not node.children))
 
 
 def worker_environment(num_threads: int) -> dict[str, str]:

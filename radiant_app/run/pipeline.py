@@ -38,6 +38,7 @@ from radiant_app.run.refining import Refining, expected_refines, fold_rounds, le
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
+    begin_executor,
     list_nodes,
     make_executor,
     make_recipe,
@@ -126,6 +127,8 @@ def run(
         if cloud is not None:
             dealer, tree, rounds = cloud.join(scale_for_uploads(system, config.upload, progress), progress)
         else:
+            if not resume:
+                begin_executor(config, system, progress)
             photographs = _locate_photographs(config, system, progress)
             plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
             dealer, tree, rounds = _join(config, photographs, plan, progress)

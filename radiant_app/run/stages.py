@@ -196,6 +196,13 @@ def make_executor(config: RunConfig, system: System, progress: Progress, retry_p
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 
 
+def begin_executor(config: RunConfig, system: System, progress: Progress) -> None:
+    """Have nodes' libraries loaded while photographs are located and a plan is made."""
+    executor = make_executor(config, system, progress, RetryPolicy())
+    if isinstance(executor, LocalExecutor):
+        executor.begin()
+
+
 def make_time_left_listener(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> TimeLeftListener:
     """Return a listener that forwards events and adds the time left after devices and edges."""
     return TimeLeftListener(

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from radiant_app.executors import fork_server, local
-from radiant_app.executors.fork_server import CAN_FORK, SWITCH, ForkedProcess, ForkServer, keep_servers, open_server
+from radiant_app.executors.fork_server import CAN_FORK, SWITCH, ForkedProcess, ForkServer, keep_servers, open_server, start_server
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_core.aggregate.tree import Tree
@@ -163,10 +163,43 @@ def test_a_fork_that_fails_is_one_process_alone(start: Start, tmp_path: Path) ->
 
 
 def test_variables_that_libraries_read_once_have_a_server_of_their_own(start: Start) -> None:
-    for threads in ("1", "2"):
-        process = start("import os; print(os.environ['OMP_NUM_THREADS'])", OMP_NUM_THREADS=threads)
-        assert process.stdout is not None and process.stdout.read() == f"{threads}\n"
+    for spins in ("0", "1"):
+        process = start("import os; print(os.environ['GOMP_SPINCOUNT'])", GOMP_SPINCOUNT=spins)
+        assert process.stdout is not None and process.stdout.read() == f"{spins}\n"
     assert len(fork_server._kept.servers) == 2
+
+
+def test_forks_of_one_server_have_the_threads_that_each_asks_for(start: Start) -> None:
+    lines = "import torch\na = torch.ones(2000, 2000) @ torch.ones(2000, 2000)\nprint(torch.get_num_threads(), bool((a == 2000).all()))"
+    for threads in ("1", "3", "2"):
+        process = start(lines, names=("torch",), OMP_NUM_THREADS=threads)
+        assert process.stdout is not None and process.stdout.read() == f"{threads} True\n"
+    assert len(fork_server._kept.servers) == 1
+    first = only_server()
+    unset = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
+    assert first is not open_server(("torch",), unset), "what libraries choose is no number to be told"
+
+
+def test_a_server_that_was_started_imports_meanwhile_and_is_the_one_that_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    environment = {**os.environ}
+    assert start_server(NAMES, environment) is None, "nobody would end it"
+    with keep_servers():
+        started = start_server(NAMES, environment)
+        assert started is not None and started.answer is None, "nothing waits for it"
+        assert open_server(NAMES, environment) is started and started.answer
+        unused = start_server(("torch",), environment)
+    assert unused is not None and started._process.returncode == 0 and unused._process.returncode == -signal.SIGKILL
+
+
+def test_a_fold_in_which_all_is_finished_opens_no_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "open_server", lambda *arguments: pytest.fail("nothing is to be started"))
+    (tmp_path / "made").write_text("x")
+    seal(tmp_path, "key", ["made"])
+    tree = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge"),))
+    task = NodeTask(kind="cloud", stage="cloud", folder=tmp_path, key="key")
+    times = LocalExecutor(num_workers=1).fold(tree, lambda node: task, lambda event: None)
+    assert set(times) <= {"cloud", "edges/a"}
 
 
 @pytest.mark.parametrize("killed", [False, True])
