@@ -65,7 +65,8 @@ class LocalExecutor:
 
     def begin(self) -> None:
         """Load the libraries of folds to come in the background."""
-        start_server(IMPORTED, worker_environment(self.num_threads or 1))
+        if self.command is worker_command:
+            start_server(IMPORTED, worker_environment(self.num_threads or 1))
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""

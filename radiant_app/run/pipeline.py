@@ -128,7 +128,7 @@ def run(
             dealer, tree, rounds = cloud.join(scale_for_uploads(system, config.upload, progress), progress)
         else:
             if not resume:
-                begin_executor(config, system, progress)
+                begin_executor(config)
             photographs = _locate_photographs(config, system, progress)
             plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
             dealer, tree, rounds = _join(config, photographs, plan, progress)

@@ -196,11 +196,10 @@ def make_executor(config: RunConfig, system: System, progress: Progress, retry_p
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 
 
-def begin_executor(config: RunConfig, system: System, progress: Progress) -> None:
+def begin_executor(config: RunConfig) -> None:
     """Have nodes' libraries loaded while photographs are located and a plan is made."""
-    executor = make_executor(config, system, progress, RetryPolicy())
-    if isinstance(executor, LocalExecutor):
-        executor.begin()
+    if config.execution.address is None and not config.emulated:
+        LocalExecutor(num_workers=config.execution.num_workers).begin()
 
 
 def make_time_left_listener(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> TimeLeftListener:
