@@ -2,13 +2,13 @@
 
 A worker spends some 3 s of CPU time on imports before its work begins, in a small run more than on
 the work: that of `sample_scenes/make_runs.py` (12 photographs, 30 nodes) took 23 s of CPU time and
-14 s in place of 74 and 43 (`RADIANT_FORK=0`), and made the same bytes. A server imports them once;
-each `python -m MODULE ARGUMENTS` that is asked of it is a fork with a session, streams, an
-environment and a working folder of its own, which receives signals and is waited for like any
-process. There is a server for each set of the variables that libraries read when they are loaded,
-but for the number of threads, which torch is told; it imports while the run plans, and ends with
-it. Where none can be had, or one is killed, processes start anew, and those that it has forked go
-on.
+14 s in place of 74 and 43 (`RADIANT_FORK=0`), and made the same bytes of the same structure from
+motion. A server imports them once; each `python -m MODULE ARGUMENTS` that is asked of it is a fork
+with a session, streams, an environment and a working folder of its own, which receives signals and
+is waited for like any process. There is a server for each set of the variables that libraries read
+when they are loaded, but for the number of threads, which torch is told; it imports while the run
+plans, and ends with it. Where none can be had, or one is killed, processes start anew, and those
+that it has forked go on.
 """
 
 from __future__ import annotations
