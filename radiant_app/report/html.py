@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ import jinja2
 import markupsafe
 import numpy as np
 
-from radiant_app.events import UPLINK
+from radiant_app.events import UPLINK, Listener, StageDone, StageProgress, StageStarted
 from radiant_app.files.run_folder import Manifest, software_versions
 from radiant_app.files.system_file import load_system
 from radiant_app.report.gaps import gaps_of
@@ -59,6 +60,10 @@ GIVEN = {
 }
 """What the nodes of a tier were given, by whether one owner pooled the photographs."""
 
+REPORT, PARTS = "report", ("the plan and its borders", "the model from all around", "the page that flies through it")
+"""What listeners hear: a stage that comes after those of a run, and its steps. Pictures of four
+million Gaussians take a minute and a half."""
+
 REFINING = {"devices": "refine", "edges": "average", "cloud": "finish"}
 """What the nodes of a tier do when the scene is refined."""
 
@@ -68,11 +73,13 @@ GANTT_TEXT = {
 }
 
 
-def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path:
-    """Make the pictures and the page; returns the page's path."""
+def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any], listen: Listener = lambda event: None) -> Path:
+    """Make the pictures and the page; returns the page's path. `listen` hears how far it is."""
+    begun_s = time.monotonic()
+    listen(StageStarted(stage=REPORT))
     cloud_plan, edge_plans = load_plan(run / "plan.json")
-    pictures = _save_pictures(run, manifest, has_borders=sum(len(border) > 0 for border in cloud_plan.borders) > 1)
-    sides, flight = _save_sides(run), _save_flight(run)
+    pictures = _save_pictures(run, manifest, listen, has_borders=sum(len(border) > 0 for border in cloud_plan.borders) > 1)
+    sides, flight = _save_sides(run, listen), _save_flight(run, listen)
     survey = _survey(run, manifest)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("radiant_app"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -101,6 +108,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         versions=software_versions(),
     )
     write_atomic(run / "report.html", page.encode())
+    listen(StageDone(stage=REPORT, seconds=time.monotonic() - begun_s))
     return run / "report.html"
 
 
@@ -137,7 +145,11 @@ def select_images(images: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [ordered[int(index)] for index in np.linspace(0, len(ordered) - 1, MAX_COMPARISONS).round()]
 
 
-def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[str, Path]:
+def _tell(listen: Listener, part: int, done: int, total: int) -> None:
+    listen(StageProgress(stage=REPORT, done=done, total=total, phase=PARTS[part], step=part + 1, num_steps=len(PARTS)))
+
+
+def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borders: bool) -> dict[str, Path]:
     from radiant_viewer.charts.charts import timeline_picture
     from radiant_viewer.charts.gantt_chart import gantt_picture
     from radiant_viewer.pictures.images import save_png
@@ -151,7 +163,9 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
     images["timeline"] = timeline_picture(_timeline_rows(manifest.stages), title="Measured on this machine")
     if manifest.emulated:
         images["timeline_emulated"] = timeline_picture(timeline_of_emulation(manifest), title="Emulated speeds and links")
-    for view in ("regions", "cameras", *(["seams"] if has_borders else [])):
+    views = ("regions", "cameras", *(["seams"] if has_borders else []))
+    for number, view in enumerate(views):
+        _tell(listen, 0, number, len(views))
         images[view] = screenshot(run, view)
     folder.mkdir(exist_ok=True)
     for name, image in images.items():
@@ -278,24 +292,30 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield f"{prefix}{name}", value
 
 
-def _save_sides(run: Path) -> list[str]:
+def _save_sides(run: Path, listen: Listener) -> list[str]:
     """The model from all around as images for the page; the first one is kept as a file too."""
     from radiant_viewer.pictures.images import save_png
     from radiant_viewer.pictures.turntable import turntable
     from radiant_viewer.runs.run_view import load_run_view, require_splats
 
     view = load_run_view(run)
-    images = list(turntable(require_splats(view), framed_box(view), NUM_SIDES, SIZE_WH))
-    save_png(run / "pictures" / "model.png", images[0])
-    return [_jpeg(image) for image in images]
+    sides: list[str] = []
+    _tell(listen, 1, 0, NUM_SIDES)
+    for image in turntable(require_splats(view), framed_box(view), NUM_SIDES, SIZE_WH):
+        if not sides:
+            save_png(run / "pictures" / "model.png", image)
+        sides.append(_jpeg(image))
+        _tell(listen, 1, len(sides), NUM_SIDES)
+    return sides
 
 
-def _save_flight(run: Path) -> str:
+def _save_flight(run: Path, listen: Listener) -> str:
     """The page that flies through the model, one file beside the report; its name, or nothing where
     the model is large: `radiant view` streams it."""
     from radiant_viewer.runs.run_view import load_run_view, require_splats
     from radiant_viewer.share.folder import page_of_run, save_single_page
 
+    _tell(listen, 2, 0, 1)
     view = load_run_view(run)
     if len(require_splats(view)) > MAX_FLIGHT_GAUSSIANS:
         (run / FLIGHT_NAME).unlink(missing_ok=True)

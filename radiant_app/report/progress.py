@@ -133,7 +133,7 @@ class ProgressDisplay:
         """How many stages of the run are finished, which its bar shows too."""
         num_ended, total = len(self._stages & self._ended), len(self._stages)
         if self._run is not None:
-            # Charts and pictures of the report take seconds and are no stage of the run.
+            # The report comes after the stages and has a line of its own.
             rest = ", finishing" if 0 < total == num_ended else ""
             self._progress.update(self._run, description=f"run: {num_ended} of {total} stages{rest}", completed=num_ended, total=total)
         return num_ended

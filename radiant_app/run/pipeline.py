@@ -139,7 +139,7 @@ def run(
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe, more)
         manifest.status = "done"
-        write_report(config.out, manifest, metrics)
+        write_report(config.out, manifest, metrics, heard)
     return RunResult(folder=config.out, metrics=metrics)
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from radiant_app.events import Listener
 from radiant_app.files.run_folder import Manifest
 from radiant_app.report import html
 from radiant_app.run.prediction_error import SYSTEM_NAME
@@ -29,7 +30,7 @@ def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
         leave_pictures_blank(monkeypatch)
 
 
-def _save_blank_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[str, Path]:
+def _save_blank_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borders: bool) -> dict[str, Path]:
     names = ["timeline", "regions", "cameras"]
     names += ["gantt"] if (run / SYSTEM_NAME).is_file() else []
     names += ["timeline_emulated"] if manifest.emulated else []
@@ -37,7 +38,7 @@ def _save_blank_pictures(run: Path, manifest: Manifest, *, has_borders: bool) ->
     return {name: _save_blank(run / "pictures" / f"{name}.png") for name in names}
 
 
-def _save_blank_sides(run: Path) -> list[str]:
+def _save_blank_sides(run: Path, listen: Listener) -> list[str]:
     _save_blank(run / "pictures" / "model.png")
     return [html._jpeg(BLANK)] * 2
 

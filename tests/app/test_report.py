@@ -12,8 +12,10 @@ import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig, TrainOptions
+from radiant_app.events import Event, StageDone, StageProgress, StageStarted
 from radiant_app.report.gaps import gaps_of
-from radiant_app.report.html import title_of, with_code
+from radiant_app.report.hero import NUM_SIDES
+from radiant_app.report.html import PARTS, REPORT, title_of, with_code
 from radiant_app.report.survey import area_text, length_text, observed_area, sampling_distance, survey_of
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.frames import Frame
@@ -26,10 +28,16 @@ PHONE_PX = 390
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+def heard() -> list[Event]:
+    """What the finished run told."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory, heard: list[Event]) -> RunResult:
     out = tmp_path_factory.mktemp("reports") / "run"
     images = sample_scenes_folder() / "hamlet" / "images"
-    return run(RunConfig(source=images, out=out, train=TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)))
+    return run(RunConfig(source=images, out=out, train=TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)), heard.append)
 
 
 @pytest.fixture
@@ -61,6 +69,15 @@ def test_the_page_begins_with_the_model_and_ends_with_what_is_folded_away(finish
     assert "<h1>hamlet</h1>" in text and re.search(r"12 photographs of [\d,]+ m².*EPSG:326", text)
     assert "{&#39;" not in text and "None" not in re.sub(r'"data:[^"]*"', "", text), "settings are no dictionaries of Python"
     assert (finished.folder / "pictures" / "model.png").is_file()
+
+
+def test_a_run_tells_how_far_its_report_is(finished: RunResult, heard: list[Event]) -> None:
+    told = [event for event in heard if getattr(event, "stage", None) == REPORT]
+    assert isinstance(told[0], StageStarted) and isinstance(told[-1], StageDone) and told[-1] is heard[-1]
+    steps = [event for event in told if isinstance(event, StageProgress)]
+    assert [*dict.fromkeys(event.phase for event in steps)] == [*PARTS]
+    assert [event.done for event in steps if event.phase == PARTS[1]] == [*range(NUM_SIDES + 1)]
+    assert REPORT not in finished.metrics["seconds"], "it is no stage that can be resumed"
 
 
 def test_the_page_is_no_wider_than_a_phone_and_the_model_turns(page: Any) -> None:
