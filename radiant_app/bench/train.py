@@ -85,6 +85,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "no fill-in points": {"fill_in": False},
     "no sky": {"sky": False},
     "sizes without limit": {"max_scale_per_distance": None},
+    "extents without limit": {"max_extent_per_distance": None},
     "needles without limit": {"max_elongation": None},
     "thin surfaces": THIN_SURFACES,
     "faint and round": {"initial_opacity": 0.1, "initial_thickness": 1.0, "density.min_opacity": 0.005},

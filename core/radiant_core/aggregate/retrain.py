@@ -24,7 +24,7 @@ from radiant_core.train.views import TrainingViews
 
 RATES_END = 0.3
 """Share of the rates left at the end of a retraining by `default`; centres' fall as in training."""
-RATES = ("means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
+RATES = ("max_extent_per_distance", "means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
 """Of a configuration, the rates that `paper` takes from 3DGS."""
 
 

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.retrain import Retrained, retrain
+from radiant_core.aggregate.retrain import Retrained, retrain, retraining_config
 from radiant_core.cameras import Cameras
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.initialize import camera_extent
+from radiant_core.train.extent import working_extent
 from radiant_core.train.results import TrainProgress, TrainResult
 from radiant_core.train.stored_images import Window, crop_images
 from radiant_core.train.trainer import FitOptions, NoCheckpoints
@@ -93,6 +93,8 @@ def retrain_by_tiles(
     view shows `MIN_SIDE_PX` of any tile."""
     if num_tiles == 1:
         return retrain(moving, views, train, aggregate, options)
+    # The rates of centres are those of a training on all views.
+    extent = working_extent(views.cameras, moving, retraining_config(train, aggregate, moving, len(views)).max_extent_per_distance)
     tiles = tiles_of(moving.means, views.cameras, num_tiles)
     parts, reached = [moving.select(tile.fitted) for tile in tiles], np.zeros(len(moving), bool)
     nothing, num_fitted = moving.select(np.arange(0)), [0] * num_tiles
@@ -101,13 +103,11 @@ def retrain_by_tiles(
         if not tile.rows:
             continue
         shown = tile.views(views)
-        # The rates of centres are those of a training on all views.
-        rate = train.means_lr * camera_extent(views.cameras) / camera_extent(shown.cameras)
         beside = [part for other, part in enumerate(parts) if other != index]
         around = concatenate_splats([part.select(reached_by(part, shown.cameras)) for part in beside])
-        settings = replace(train, means_lr=rate, seed=train.seed + index)
+        settings = replace(train, seed=train.seed + index)
         report = _report_after(len(results), len(tiles), options.report)
-        own = replace(options, checkpoints=NoCheckpoints(), report=report)
+        own = replace(options, checkpoints=NoCheckpoints(), report=report, extent=extent)
         made = retrain(parts[index], shown, settings, aggregate, own, held=around)
         reached[np.flatnonzero(tile.fitted)[made.reached]] = True
         parts[index] = concatenate_splats([made.splats, parts[index].select(~made.reached)])

@@ -29,6 +29,7 @@ from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.dense.seeding import seed_densely
+from radiant_core.train.extent import extent_decision
 from radiant_core.train.few import Trial, choose_for_few, score_apart
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
@@ -118,6 +119,7 @@ def prepare_training(
     _decide(reporter, decisions)
     initial, num_filled = first_splats(scene, views, config, dense)
     reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=config.fill_in))
+    _decide(reporter, [extent_decision(views.cameras, initial, config.max_extent_per_distance)])
     bare = FitOptions(backend=task.backend, validation=validation)
     options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))
     options = replace(options, validation=validation, statistics_bytes=statistics_bytes)

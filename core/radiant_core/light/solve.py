@@ -64,8 +64,10 @@ def lights_from_tracks(scene: SfmScene, views: TrainingViews) -> Lights:
     rows, pixels = views.observed_pixels(scene)
     place, view = scene.observations[rows].T
     colors = np.empty((len(rows), 3))
-    for index in np.unique(view):
-        own = view == index
+    by_view, bounds = np.argsort(view, kind="stable"), np.cumsum(np.bincount(view, minlength=len(views)))
+    for index, own in enumerate(np.split(by_view, bounds[:-1])):
+        if not len(own):
+            continue
         smooth = cv2.blur(np.asarray(views.images[index], np.float32), (BLUR_PX, BLUR_PX))
         colors[own] = smooth[pixels[own, 1], pixels[own, 0]]
     cameras = views.cameras

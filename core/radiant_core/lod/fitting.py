@@ -98,6 +98,7 @@ def _fitted(finest: Splats, level: Splats, cameras: Cameras, report: Callable[[f
         ssim_weight=0.0,
         max_scale_per_distance=None,
         max_elongation=None,
+        max_extent_per_distance=None,
         sky=False,
     )
     options = FitOptions(

@@ -74,8 +74,11 @@ class TrainConfig:
     """Whether trainings without some of the photographs choose, where they are "auto", if Gaussians
     are left out and how many there may be: up to eight trainings more (`few.py`); auto: below 25
     photographs. For a model that stands alone."""
+    max_extent_per_distance: float | None = 2.0
+    """The extent is that of the cameras, at most so many times the distance at which they see; None
+    for no limit, as in 3DGS (`extent.py`)."""
     means_lr: float = 1.6e-4
-    """Learning rate of the centres, in units of the cameras' extent."""
+    """Learning rate of the centres, in units of the extent."""
     means_lr_end: float = 0.01
     """Share of `means_lr` to which it falls over the run, exponentially."""
     settle_epochs: int | None = None
@@ -135,7 +138,7 @@ class TrainConfig:
         require_at_least(self, 1, ("num_steps", "long_side_px", "max_num_splats", "schedule_steps", "num_looks"))
         require_at_least(self, 1, ("max_epochs", "settle_epochs"), or_none=True)
         require_at_least(self, 0, ("sh_degree_every", "means_lr", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr"))
-        require_positive_or_none(self, ("max_scale_per_distance", "max_elongation", "budget_s"))
+        require_positive_or_none(self, ("max_scale_per_distance", "max_elongation", "max_extent_per_distance", "budget_s"))
         if not 0 < self.means_lr_end <= 1:
             raise BadInput(f"means_lr_end is {self.means_lr_end}, expected above 0 and at most 1.")
         require_at_least(self, 0, ("thickness_weight", "depth_spread_weight"))
@@ -186,6 +189,7 @@ _PLAIN = TrainConfig(
     sh_degree_every=1_000,
     max_scale_per_distance=None,
     max_elongation=None,
+    max_extent_per_distance=None,
     adam="dense",
     density=Adc(),
     sky=False,

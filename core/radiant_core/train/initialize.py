@@ -181,12 +181,6 @@ def _sky_rgb(views: TrainingViews) -> FloatArray:
     return np.median(found, axis=0) / 255 if len(found) else np.array(SKY_RGB)
 
 
-def camera_extent(cameras: Cameras) -> float:
-    """1.1 × the largest distance of a camera from their mean (3DGS's extent), at least 1e-6."""
-    centers = cameras.centers
-    return max(1e-6, 1.1 * float(np.linalg.norm(centers - centers.mean(0), axis=1).max()))
-
-
 def _neighbour_distance(points: FloatArray) -> FloatArray:
     """Root mean square distance (P,) to the 3 nearest neighbours, at most 3 times the 90th
     percentile: lone points, often wrong, would cover the image, and a step took 8 times as long."""

@@ -28,8 +28,8 @@ from radiant_core.train.densify.density import AdaptiveDensity
 from radiant_core.train.densify.mcmc import RelocatedDensity
 from radiant_core.train.densify.policies import Mcmc, NoDensification
 from radiant_core.train.drop import DroppedGaussians
+from radiant_core.train.extent import working_extent
 from radiant_core.train.held import HeldRows
-from radiant_core.train.initialize import camera_extent
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment, Part
@@ -96,6 +96,8 @@ class FitOptions:
     """Memory for the statistics of its targets that the loss keeps."""
     scratch: Path | None = None
     """Folder for what need not stay in memory, such as synthetic views; None: memory."""
+    extent: float | None = None
+    """Unit of the centres' rates, of a training that is a part of a larger one; None: its own."""
     held: NDArray[np.bool_] | None = None
     """Gaussians (N,) that are rendered and keep their bits; only without densification."""
 
@@ -134,11 +136,11 @@ class Training:
     def __init__(self, initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> None:
         self._config, self._options = config, options
         self._full, self._views = views, views
-        self._extent = camera_extent(views.cameras)
+        self._extent = options.extent or working_extent(views.cameras, initial, config.max_extent_per_distance)
         self._device = device_of(resolve_backend(options.backend))
         self._splats = SplatTensors.from_splats(initial, device=self._device)
         self._optimizer, self._rates = self._new_optimizer()
-        self._parts = training_parts(self._splats, views, config, options)
+        self._parts = training_parts(self._splats, views, config, options, self._extent)
         self._losses: list[float] = []
         self._num_rolled_back = self._failures_in_a_row = 0
         self._spent_s = 0.0
@@ -339,7 +341,7 @@ class Training:
             self._reported_s, self._num_reported = now_s, len(self._losses)
 
 
-def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConfig, options: FitOptions) -> tuple[Part, ...]:
+def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConfig, options: FitOptions, extent: float) -> tuple[Part, ...]:
     """The parts that a configuration and its options ask for, for a model before its first step.
     The best model replaces the last one before density control removes what no pixel shows."""
     parts: list[Part] = []
@@ -353,7 +355,7 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
     if isinstance(density, Mcmc):
         parts.append(RelocatedDensity(density, config))
     elif not isinstance(density, NoDensification):
-        parts.append(AdaptiveDensity(density, config, camera_extent(views.cameras), splats))
+        parts.append(AdaptiveDensity(density, config, extent, splats))
     if options.held is not None:
         if not isinstance(density, NoDensification):
             raise BadInput(f"Gaussians are held while density.kind is {density.kind!r}, which moves rows: set density.kind to 'none'.")

@@ -17,7 +17,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.initialize import camera_extent, first_splats, initial_splats, sky_share
+from radiant_core.train.initialize import first_splats, initial_splats, sky_share
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.results import TrainProgress
 from radiant_core.train.trainer import FitOptions, Steps, fit_splats
@@ -199,10 +199,6 @@ class TestInitialSplats:
         assert far.sum() > 100
         np.testing.assert_allclose(0.5 + SH_C0 * splats.sh0[far, 0], np.tile(np.array([40, 120, 240]) / 255, (far.sum(), 1)), atol=1e-5)
         assert (splats.logit_opacities[far] > 2).all()
-
-
-def test_camera_extent_of_one_camera_is_positive() -> None:
-    assert camera_extent(CAMERAS.select([0])) > 0
 
 
 def test_reference_backend_reduces_and_says_so_and_obeys_force() -> None:
