@@ -11,10 +11,10 @@ there centres would move ten times as far in a step: its model falls apart
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
-from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 
 NUM_CAMERAS, NUM_PLACES, NEARER = 64, 20_000, 0.25
@@ -27,7 +27,7 @@ def camera_extent(cameras: Cameras) -> float:
     return max(1e-6, 1.1 * float(np.linalg.norm(centers - centers.mean(0), axis=1).max()))
 
 
-def viewing_distance(cameras: Cameras, places: FloatArray) -> float | None:
+def viewing_distance(cameras: Cameras, places: NDArray[np.floating]) -> float | None:
     """Median over cameras of the depth below which a quarter of the places (N,3) in their pictures
     lie; None where no picture has one."""
     depths, places = [], places[:: max(1, len(places) // NUM_PLACES)].astype(np.float64)
