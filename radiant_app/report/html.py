@@ -167,6 +167,7 @@ def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borde
     for number, view in enumerate(views):
         _tell(listen, 0, number, len(views))
         images[view] = screenshot(run, view)
+    _tell(listen, 0, len(views), len(views))
     folder.mkdir(exist_ok=True)
     for name, image in images.items():
         save_png(folder / f"{name}.png", image)

@@ -17,7 +17,7 @@ import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions
-from radiant_app.events import Decided, Event, StageDone, StageProgress, StageSkipped, Warned
+from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.executors.fork_server import SWITCH
 from radiant_app.report.html import access_by_tier
 from radiant_app.run.captured import _locate_by_poses
@@ -38,6 +38,7 @@ from radiant_viewer.runs.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, Parts, add_broken, canaries_of, files_with, watermark
 from tests.app.field_kit import ONE_EDGE, TINY, TWO_EDGES, placing_in, reporter, split_by_device
+from tests.told import stages_done
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +115,7 @@ def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> Non
     before = (config.out / "scene.ply").read_bytes()
     events: list[Event] = []
     run(config, events.append, resume=True)
-    assert not any(isinstance(event, StageDone) for event in events) and any(isinstance(event, StageSkipped) for event in events)
+    assert not stages_done(events) and any(isinstance(event, StageSkipped) for event in events)
     assert (config.out / "scene.ply").read_bytes() == before
 
 
@@ -131,7 +132,7 @@ def test_photographs_that_were_only_touched_are_not_trained_on_again(finished: t
     finally:
         for path, time_ns in times_ns.items():
             os.utime(path, ns=(time_ns, time_ns))
-    assert {event.stage for event in events if isinstance(event, StageDone)} == {"devices/north-1", "devices/south-1"}
+    assert {*stages_done(events)} == {"devices/north-1", "devices/south-1"}
     assert not [event for event in events if isinstance(event, StageProgress)], "each looked and found what it knew"
     manifests = [json.loads((out / "manifest.json").read_text()) for out in (config.out, tmp_path / "run")]
     kept = [sorted((row["stage"], row["topic"]) for row in manifest["decisions"]) for manifest in manifests]
@@ -161,7 +162,7 @@ def test_weights_for_lpips_make_every_device_score_again_and_nothing_else(finish
     result = run(
         replace(config, out=copy, evaluate=EvaluateOptions(lpips_weights=weights, lpips_network="alex")), events.append, resume=True
     )
-    assert {event.stage for event in events if isinstance(event, StageDone)} == {"devices/north-1/score", "devices/south-1/score"}
+    assert {*stages_done(events)} == {"devices/north-1/score", "devices/south-1/score"}
     assert result.metrics["lpips"] == pytest.approx(np.mean([row["lpips"] for row in result.metrics["images"]]))
     assert result.metrics["lpips"] > 0 and result.metrics["lpips_network"] == "alex"
     assert result.metrics["psnr_db"] == first.metrics["psnr_db"]

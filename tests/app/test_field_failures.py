@@ -18,7 +18,7 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.commands.replan import ReplanRequest, replan_files
 from radiant_app.config.run_config import RunConfig, SfmOptions
-from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, Warned, encode
+from radiant_app.events import Decided, Event, Failed, StageProgress, Warned, encode
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.captured import Captured, _middle, _warn_of_unplaced
@@ -37,6 +37,7 @@ from radiant_core.io.run_store import read_json
 from radiant_core.plan.revision.replan import FleetChange
 from radiant_core.train.config import train_preset
 from tests.app.field_kit import TINY, TWO_EDGES, placing_in, split_by_device
+from tests.told import stages_done
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +177,7 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
     cv2.imwrite(str(source / "south-2" / "found.png"), np.full((240, 320, 3), 200, np.uint8))
     events: list[Event] = []
     again = run(config, events.append, resume=True)
-    assert [event.stage for event in events if isinstance(event, StageDone)] == ["positions/south-2"]
+    assert stages_done(events) == ["positions/south-2"]
     assert again.metrics["psnr_db"] == result.metrics["psnr_db"] and "whose place is known" in again.metrics["missing"]["south-2"]
     warnings = json.loads((tmp_path / "run" / "manifest.json").read_text())["warnings"]
     assert any("1 of 1 photographs of device south-2 have no usable position" in warning for warning in warnings)

@@ -19,7 +19,7 @@ import pytest
 from radiant_app.bench.cells import ModelCache, run_cell
 from radiant_app.bench.methods import MethodBench, bench_methods
 from radiant_app.config.run_config import EvaluateOptions, RunConfig
-from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
+from radiant_app.events import Decided, Event, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import TIERS
 from radiant_app.run.pipeline import run
@@ -32,6 +32,7 @@ from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import load_upload
 from tests.app.alex_weights import write_alex_weights
 from tests.app.pipeline_kit import TINY, TINY_OPTIONS, Finished, radiant
+from tests.told import stages_done
 
 
 def test_every_output_is_there_and_reads(finished: Finished) -> None:
@@ -111,8 +112,8 @@ def test_resuming_skips_every_finished_stage_and_keeps_the_scene(finished: Finis
         path.write_text("of an earlier version")
     events: list[Event] = []
     run(config, events.append, resume=True)
-    assert not any(isinstance(event, StageDone) for event in events) and not any(path.exists() for path in former)
-    skipped, done = ({e.stage for e in of if isinstance(e, kind)} for of, kind in ((events, StageSkipped), (first, StageDone)))
+    assert not stages_done(events) and not any(path.exists() for path in former)
+    skipped, done = {event.stage for event in events if isinstance(event, StageSkipped)}, {*stages_done(first)}
     assert skipped == done
     assert (config.out / "scene.ply").read_bytes() == before
 
@@ -125,7 +126,7 @@ def test_what_is_no_photograph_and_a_touch_change_nothing(finished: Finished, tm
         path.touch()
     events: list[Event] = []
     run(replace(config, out=copy), events.append, resume=True)
-    assert not [event for event in events if isinstance(event, StageDone)]
+    assert not stages_done(events)
     assert not [event for event in events if isinstance(event, Warned) and "again" in event.message]
     assert (copy / "scene.ply").read_bytes() == (config.out / "scene.ply").read_bytes()
 
@@ -138,7 +139,7 @@ def test_weights_for_lpips_given_later_make_resume_score_again_and_nothing_else(
     result = run(
         replace(config, out=copy, evaluate=EvaluateOptions(lpips_weights=weights, lpips_network="alex")), events.append, resume=True
     )
-    assert [event.stage for event in events if isinstance(event, StageDone)] == ["evaluation"]
+    assert stages_done(events) == ["evaluation"]
     rows = result.metrics["images"]
     assert result.metrics["lpips"] == pytest.approx(np.mean([row["lpips"] for row in rows])) and result.metrics["lpips"] > 0
     assert result.metrics["psnr_db"] == first.metrics["psnr_db"] and result.metrics["lpips_reason"] is None
@@ -171,7 +172,7 @@ def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: Finished, tmp_pa
     model.write_bytes(damaged)
     events: list[Event] = []
     run(RunConfig(source=config.source, out=copy, train=TINY), events.append, resume=True)
-    assert [event.stage for event in events if isinstance(event, StageDone)] == ["cloud"]
+    assert stages_done(events) == ["cloud"]
     assert model.read_bytes() == (config.out / "cloud" / "scene.ply").read_bytes()
 
 

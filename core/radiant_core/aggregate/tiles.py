@@ -94,7 +94,8 @@ def retrain_by_tiles(
     if num_tiles == 1:
         return retrain(moving, views, train, aggregate, options)
     # The rates of centres are those of a training on all views.
-    extent = working_extent(views.cameras, moving, retraining_config(train, aggregate, moving, len(views)).max_extent_per_distance)
+    limit = retraining_config(train, aggregate, moving, len(views)).max_extent_per_distance
+    extent = working_extent(views.cameras, moving.select(reached_by(moving, views.cameras)), limit)
     tiles = tiles_of(moving.means, views.cameras, num_tiles)
     parts, reached = [moving.select(tile.fitted) for tile in tiles], np.zeros(len(moving), bool)
     nothing, num_fitted = moving.select(np.arange(0)), [0] * num_tiles

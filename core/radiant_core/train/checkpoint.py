@@ -36,7 +36,7 @@ MAX_SHARE = 0.05
 def training_key(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> str:
     """Hash of all that determines the bits: settings, first model, views, renderer, version."""
     shown = [None if part is None else [part.cameras, *map(_hashes, (part.images, part.weights))] for part in (views, options.validation)]
-    return content_key(__version__, config, options.steps, resolve_backend(options.backend), initial.arrays(), shown)
+    return content_key(__version__, config, options.steps, options.extent, resolve_backend(options.backend), initial.arrays(), shown)
 
 
 def _hashes(images: Images | None) -> list[str] | None:

@@ -75,8 +75,9 @@ class TrainConfig:
     are left out and how many there may be: up to eight trainings more (`few.py`); auto: below 25
     photographs. For a model that stands alone."""
     max_extent_per_distance: float | None = 2.0
-    """The extent is that of the cameras, at most so many times the distance at which they see; None
-    for no limit, as in 3DGS (`extent.py`)."""
+    """The extent, in whose units centres move and density control calls Gaussians large, is that of
+    the cameras, at most so many times the distance at which they see; None for no limit, as in 3DGS
+    (`extent.py`)."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the extent."""
     means_lr_end: float = 0.01

@@ -3,7 +3,7 @@
     min(E, k · D)      E 3DGS's extent of the cameras, D the distance at which they see the nearer
                        quarter of what is in their pictures: no sky
 
-3DGS takes E, the size of the flight. A flight of 500 m at 50 m sees no coarser than one of 50 m, but
+3DGS takes E, the size of the flight. One of 500 m at 50 m sees no coarser than one of 50 m, but
 there centres would move ten times as far in a step: its model falls apart
 (docs/experiments/paper_size.md).
 """
@@ -30,7 +30,7 @@ def camera_extent(cameras: Cameras) -> float:
 def viewing_distance(cameras: Cameras, places: NDArray[np.floating]) -> float | None:
     """Median over cameras of the depth below which a quarter of the places (N,3) in their pictures
     lie; None where no picture has one."""
-    depths, places = [], places[:: max(1, len(places) // NUM_PLACES)].astype(np.float64)
+    depths, places = [], places[:: max(1, -(-len(places) // NUM_PLACES))].astype(np.float64)
     for index in np.unique(np.linspace(0, len(cameras) - 1, min(NUM_CAMERAS, len(cameras))).astype(np.int64)):
         pose, (width, height) = cameras.cam_from_world[index], cameras.sizes_wh[index]
         x, y, depth = cameras.Ks[index] @ (pose[:3, :3] @ places.T + pose[:3, 3:])

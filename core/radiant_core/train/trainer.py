@@ -97,7 +97,7 @@ class FitOptions:
     scratch: Path | None = None
     """Folder for what need not stay in memory, such as synthetic views; None: memory."""
     extent: float | None = None
-    """Unit of the centres' rates, of a training that is a part of a larger one; None: its own."""
+    """That of the larger training of which this one is a part; None: its own (`extent.py`)."""
     held: NDArray[np.bool_] | None = None
     """Gaussians (N,) that are rendered and keep their bits; only without densification."""
 
@@ -136,7 +136,7 @@ class Training:
     def __init__(self, initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> None:
         self._config, self._options = config, options
         self._full, self._views = views, views
-        self._extent = options.extent or working_extent(views.cameras, initial, config.max_extent_per_distance)
+        self._extent = working_extent(views.cameras, initial, config.max_extent_per_distance) if options.extent is None else options.extent
         self._device = device_of(resolve_backend(options.backend))
         self._splats = SplatTensors.from_splats(initial, device=self._device)
         self._optimizer, self._rates = self._new_optimizer()

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
+from radiant_core.aggregate import tiles
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.join import join_models, teacher_views
 from radiant_core.aggregate.retrain import Retrained, retrain
@@ -18,7 +20,8 @@ from radiant_core.geometry.coverage import reached_by
 from radiant_core.plan.regions.claims import claims_of_cells
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.config import train_preset
+from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.extent import camera_extent, working_extent
 from radiant_core.train.results import TrainProgress
 from radiant_core.train.stored_images import Window
 from radiant_core.train.trainer import FitOptions
@@ -183,3 +186,23 @@ def test_where_no_view_shows_any_tile_nothing_is_fitted_and_the_join_is_a_cut() 
     claims = claims_of_cells(np.array([[-2.0, 0.0], [2.0, 0.0]]), np.zeros(2))
     joined = join_models(teachers, replace(TRAIN, long_side_px=30), AGGREGATE, NATIVE, claims, num_tiles=2)
     assert joined.trained.num_steps == 0 and 0 < len(joined.splats) < joined.num_given
+
+
+def test_centres_of_a_tile_move_in_the_units_of_all_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[FitOptions] = []
+
+    def hear(
+        moving: Splats, shown: TrainingViews, train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, **more: Any
+    ) -> Retrained:
+        heard.append(options)
+        return retrain(moving, shown, train, aggregate, options, **more)
+
+    monkeypatch.setattr(tiles, "retrain", hear)
+    shown, given = views(), worse()
+    for preset, limit in (("default", 0.5), ("paper", None)):
+        heard.clear()
+        train = replace(TRAIN, max_extent_per_distance=0.5)
+        retrain_by_tiles(given, shown, train, AggregateConfig(preset=preset, num_epochs=1), NATIVE, 4)
+        expected = working_extent(shown.cameras, given.select(reached_by(given, shown.cameras)), limit)
+        assert len(heard) > 1 and {options.extent for options in heard} == {expected}
+        assert (expected < camera_extent(shown.cameras)) == (limit is not None)

@@ -2,7 +2,7 @@
 
     g_i = mean over the steps that saw i of ‖(W/2, H/2) ⊙ ∂loss/∂m_i‖,  m_i: projected centre in px
           or of ‖(W/2, H/2) ⊙ Σ_p |∂loss_p/∂m_i|‖ over pixels p, by absolute value (AbsGS, Ye 2024)
-    g_i ≥ t:  longest axis ≤ 1 % of the cameras' extent: cloned;
+    g_i ≥ t:  longest axis ≤ 1 % of the extent (`extent.py`): cloned;
               longer: two drawn from N(μ_i, Σ_i) with scales / 1.6 in its place
     pruned:   opacity < `Adc.min_opacity`;  after the first reset also axes > 10 % of the extent,
               and what is wider than a limit on screen
@@ -161,7 +161,7 @@ class AdaptiveDensity(Part):
     name = "density"
 
     def __init__(self, policy: Adc, config: TrainConfig, extent: float, splats: SplatTensors) -> None:
-        """`extent` of the cameras in world units; `splats`: the model before the first step."""
+        """`extent` in world units; `splats`: the model before the first step."""
         policy.require_resettable()
         self._policy, self._config, self._extent = policy, config, extent
         self._num_first = len(splats)
