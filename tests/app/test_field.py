@@ -19,7 +19,7 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.executors.fork_server import SWITCH
-from radiant_app.report.html import access_by_tier
+from radiant_app.report.html import REPORT, access_by_tier
 from radiant_app.run.captured import _locate_by_poses
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.progress import Progress
@@ -133,7 +133,7 @@ def test_photographs_that_were_only_touched_are_not_trained_on_again(finished: t
         for path, time_ns in times_ns.items():
             os.utime(path, ns=(time_ns, time_ns))
     assert {*stages_done(events)} == {"devices/north-1", "devices/south-1"}
-    assert not [event for event in events if isinstance(event, StageProgress)], "each looked and found what it knew"
+    assert {event.stage for event in events if isinstance(event, StageProgress)} == {REPORT}, "each looked and found what it knew"
     manifests = [json.loads((out / "manifest.json").read_text()) for out in (config.out, tmp_path / "run")]
     kept = [sorted((row["stage"], row["topic"]) for row in manifest["decisions"]) for manifest in manifests]
     assert kept[0] == kept[1] and (config.out / "scene.ply").read_bytes() == (tmp_path / "run" / "scene.ply").read_bytes()
