@@ -128,8 +128,13 @@ def test_an_interrupt_while_a_server_starts_leaves_none(monkeypatch: pytest.Monk
         return started[-1]
 
     monkeypatch.setattr(fork_server.subprocess, "Popen", start_and_interrupt)
-    with keep_servers(), pytest.raises(KeyboardInterrupt):
-        open_server(("torch",), {**os.environ})
+    # Where a shell began the tests in the background, interrupts are ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with keep_servers(), pytest.raises(KeyboardInterrupt):
+            open_server(("torch",), {**os.environ})
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert [process.returncode for process in started] == [-signal.SIGKILL]
 
 
