@@ -25,7 +25,7 @@ from radiant_core.train.views import TrainingViews
 RATES_END = 0.3
 """Share of the rates left at the end of a retraining by `default`; centres' fall as in training."""
 RATES = ("max_extent_per_distance", "means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
-"""Of a configuration, the rates that `paper` takes from 3DGS."""
+"""Of a configuration, the rates that `paper` takes from 3DGS, and the limit of their unit."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
