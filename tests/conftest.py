@@ -27,6 +27,8 @@ from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from radiant_app.executors import local
+from radiant_app.run import pooled
+from radiant_app.run.few_photographs import Workforce
 from radiant_core.cameras import Cameras
 from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.scene import SfmScene
@@ -36,6 +38,8 @@ from tests import forked
 pytest.MonkeyPatch().setattr(local, "LEAST_FORKED", 1)
 pytest.MonkeyPatch().setattr(local, "open_server", forked.open_server_of_tests)
 pytest.MonkeyPatch().setattr(local, "start_server", forked.start_server_of_tests)
+# Runs of the smallest scene are dealt to all four devices; tests of `--devices auto` undo this.
+pytest.MonkeyPatch().setattr(pooled, "choose_workforce", lambda config, system, *rest: Workforce(system=system))
 forked.keep_until_the_end()
 atexit.register(forked.end_all)
 

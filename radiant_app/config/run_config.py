@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
-from radiant_core.choices import CutBy, Effort, LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
+from radiant_core.choices import CutBy, DevicesUsed, Effort, LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
@@ -149,6 +149,9 @@ class PlanOptions:
     cut_by: CutBy = "auto"
     """positions: regions and strips are cut where cameras stand; looks: at what they look at; auto:
     at that where it makes devices see clearly more of their own strips."""
+    devices: DevicesUsed = "auto"
+    """auto: where one owner's photographs are few, the fastest devices alone, which makes a better
+    scene; all: every device of the system."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
     """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(

@@ -14,10 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Warned
+from radiant_app.events import Decided, Warned
 from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files, deal_masks
+from radiant_app.run.few_photographs import choose_workforce, few_photographs_warning
+from radiant_app.run.predictions import planned_training
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import Scoring, ScoringMachine, lpips_network_of
 from radiant_app.run.source import Plan
@@ -32,13 +34,12 @@ from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
 from radiant_core.evaluate.lpips import MIN_SIDE_PX
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy.messages import DeviceTask, device_task
-from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_scene, save_cameras, save_splats
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.light.captures import CAPTURES_NAME
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
@@ -48,11 +49,6 @@ from radiant_core.train.initialize import initial_splats
 
 FORMER_FILES = ("scene.ply", "plan.json", "cameras.safetensors")
 """What earlier versions left in evaluation/."""
-
-FEW_PER_DEVICE = 8
-"""Photographs per device, in the mean, below which a run says what joining costs: with 4 each
-joined models were 0.9 to 2.6 dB behind one model of all on three of four sets, and 0.3 ahead on the
-fourth; between 4 and 13 nothing was measured (docs/experiments/aggregation.md)."""
 
 
 @dataclass(kw_only=True)
@@ -84,10 +80,14 @@ class PooledPhotographs:
 
     def make_plan(self, system: System, progress: Progress) -> Plan:
         """The plan of the training photographs."""
-        training = self.training
+        config, training = self.config, self.training
+        train = planned_training(config.train.preset, config.train.overrides)
+        working = choose_workforce(config, system, len(training.cameras), train)
+        if working.decision is not None:
+            progress.listen(Decided(decision=working.decision))
         origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
-        system, cloud, edges = plan_stage(self.config, system, training.cameras.centers[:, :2], origin, progress, training)
-        if (message := few_photographs_warning(edges)) is not None:
+        system, cloud, edges = plan_stage(config, working.system, training.cameras.centers[:, :2], origin, progress, training)
+        if (message := working.warning or few_photographs_warning(edges)) is not None:
             progress.listen(Warned(stage="plan", message=message))
         return Plan(system=system, cloud=cloud, edges=edges)
 
@@ -173,18 +173,6 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
         message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
         progress.listen(Warned(stage="sfm", message=message))
     return scene, folder / read_json(folder / "result.json", ("images",))["images"]
-
-
-def few_photographs_warning(edge_plans: Sequence[EdgePlan]) -> str | None:
-    """What joining costs where one owner's photographs are few for so many devices; else None."""
-    num_photographs = sum(len(plan.camera_indices) for plan in edge_plans)
-    num_devices = devices_with_photographs(edge_plans)
-    if num_devices < 2 or num_photographs >= FEW_PER_DEVICE * num_devices:
-        return None
-    return (
-        f"{num_photographs} training photographs are dealt to {num_devices} devices: with 4 each, joined models were 0.9 to 2.6 dB "
-        "behind one model of all on three of four sets; `radiant train` makes that of photographs that lie on one machine."
-    )
 
 
 def require_size(scene: SfmScene, long_side_px: int, lpips: LpipsNetwork | None = None) -> None:

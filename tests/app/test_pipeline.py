@@ -22,8 +22,8 @@ from radiant_app.config.run_config import EvaluateOptions, RunConfig
 from radiant_app.events import Decided, Event, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import TIERS
+from radiant_app.run.few_photographs import FEW_PER_DEVICE, few_photographs_warning
 from radiant_app.run.pipeline import run
-from radiant_app.run.pooled import FEW_PER_DEVICE, few_photographs_warning
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply, save_ply
@@ -64,8 +64,8 @@ def test_every_training_photograph_went_to_exactly_one_device(finished: Finished
 
 def test_devices_with_few_photographs_each_are_told_what_joining_costs(finished: Finished) -> None:
     config, _, events = finished
-    (said,) = (event.message for event in events if isinstance(event, Warned) and "behind one model of all" in event.message)
-    assert said.startswith("10 training photographs are dealt to 4 devices") and "`radiant train`" in said
+    (said,) = (event.message for event in events if isinstance(event, Warned) and "training photographs are dealt" in event.message)
+    assert said.startswith("10 training photographs are dealt to 4 devices") and "`--devices auto`" in said
     assert f"plan: {said}" in json.loads((config.out / "manifest.json").read_text())["warnings"]
     _, edge_plans = load_plan(config.out / "plan.json")
     assert few_photographs_warning(edge_plans) == said
