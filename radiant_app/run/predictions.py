@@ -29,6 +29,9 @@ from radiant_core.train.needs import Overrides, fit_to_backend, step_law_of
 BESIDE_EPOCHS = 0.15
 """Of a join in all of its epochs, what it takes in none: of the edges of three scenes 1.1 to 1.3 of
 8.7 to 9.5 CPU s, by one and two epochs (docs/experiments/aggregation.md)."""
+BESIDE_EPOCHS_AT_CLOUD = 0.05
+"""The same at the cloud, which renders less beside: 0.5 to 0.7 of 12 s in no epoch
+(docs/experiments/planner.md)."""
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
@@ -68,12 +71,13 @@ def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photograp
     if aggregate.preset == "paper" or not num_photographs or not num_devices:
         return 1.0, 1.0
     joining = aggregate.joining_after(trainings_of(train, num_photographs, num_devices))
-    return share_of_epochs(joining.epochs_at_edges, JOINING_EPOCHS[0]), share_of_epochs(joining.epochs_at_cloud, JOINING_EPOCHS[1])
+    at_edges = share_of_epochs(joining.epochs_at_edges, JOINING_EPOCHS[0])
+    return at_edges, share_of_epochs(joining.epochs_at_cloud, JOINING_EPOCHS[1], BESIDE_EPOCHS_AT_CLOUD)
 
 
-def share_of_epochs(epochs: int, most: int) -> float:
-    """Of a join in so many epochs at `most`, what one in fewer takes."""
-    return BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * epochs / most
+def share_of_epochs(epochs: int, most: int, beside: float = BESIDE_EPOCHS) -> float:
+    """Of a join in so many epochs at `most`, what one in fewer takes; `beside`: in none."""
+    return beside + (1 - beside) * epochs / most
 
 
 def with_short_joins(system: System, train: TrainConfig, num_cameras: int, aggregate: AggregateConfig) -> System:

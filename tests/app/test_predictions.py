@@ -11,11 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system
 from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.predictions import (
     BESIDE_EPOCHS,
+    BESIDE_EPOCHS_AT_CLOUD,
     depends_on_training,
     refining_law_of,
     with_camera_limits,
@@ -23,6 +25,8 @@ from radiant_app.run.predictions import (
     with_short_joins,
     with_step_law,
 )
+from radiant_app.run.progress import Progress
+from radiant_app.run.stages import FRAMES_UNPREDICTED, warn_about_predictions
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
@@ -98,7 +102,7 @@ def test_measured_edges_and_the_cloud_cost_the_epochs_that_follow_on_short_train
     short = with_short_joins(system, train, 100, AggregateConfig())
     at_edges = BESIDE_EPOCHS + (1 - BESIDE_EPOCHS) * 0.1
     assert float(short.edges[0].aggregate_s(40)) == pytest.approx(20 * at_edges)
-    assert short.cloud.merge_s is not None and float(short.cloud.merge_s(40)) == pytest.approx(20 * BESIDE_EPOCHS)
+    assert short.cloud.merge_s is not None and float(short.cloud.merge_s(40)) == pytest.approx(20 * BESIDE_EPOCHS_AT_CLOUD)
     alone_known = System(edges=(replace(edge, aggregate_alone_s=alone),))
     (with_alone,) = with_short_joins(alone_known, train, 100, AggregateConfig()).edges
     for count, expected in ((40, 6 + at_edges * (20 - 6)), (4, 2.4)):
@@ -115,6 +119,17 @@ def test_devices_that_place_their_own_photographs_cost_their_structure_from_moti
         for count in (5, 24, 60):
             assert float(device.init_s(count)) == pytest.approx(slower * (6.0 + 1.5 * count + 0.1 * count**2), rel=0.03)
     assert with_own_frames(profiled(), 60) == profiled()
+
+
+@pytest.mark.parametrize(("frames", "of_profile", "expected"), [("gps", True, 1), ("known", True, 0), ("gps", False, 0)])
+def test_frames_by_gps_are_said_to_be_in_no_profile(tmp_path: Path, frames: Any, of_profile: bool, expected: int) -> None:
+    config = RunConfig(source=tmp_path, out=tmp_path, frames=frames, sfm=SfmOptions(poses=tmp_path if frames == "known" else None))
+    system = System(edges=tuple(replace(edge, profile=MEASURED if of_profile else None) for edge in SYSTEM.edges))
+    manifest = Manifest(folder=tmp_path, config={})
+    progress = Progress(manifest=manifest, listener=lambda event: None, clock=lambda: 0.0, started_s=0.0)
+    warnings = warn_about_predictions(config, system, planned()[1], progress)
+    said = [message for message in warnings if message == FRAMES_UNPREDICTED]
+    assert len(said) == expected and len(warnings) == len(manifest.warnings)
 
 
 def test_the_plan_keeps_to_what_memory_holds() -> None:
