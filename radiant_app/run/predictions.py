@@ -32,6 +32,9 @@ BESIDE_EPOCHS = 0.15
 BESIDE_EPOCHS_AT_CLOUD = 0.05
 """The same at the cloud, which renders less beside: 0.5 to 0.7 of 12 s in no epoch
 (docs/experiments/planner.md)."""
+KNOWN_POSES_SHARE = 0.6
+"""Of structure from motion that profiles measure, what points for given poses take: 11 to 18 of 19 to
+23 s with 13 photographs of the town (docs/experiments/planner.md)."""
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
@@ -115,15 +118,16 @@ def refining_law_of(
     return RefiningLaw(num_rounds=aggregate.rounds_after(trainings), share_of_training=share_of)
 
 
-def with_own_frames(system: System, num_cameras: int) -> System:
+def with_own_frames(system: System, num_cameras: int, *, known_poses: bool = False) -> System:
     """The system whose devices place their photographs themselves: G with their structure from
     motion, where their profile was measured with it."""
+    share = KNOWN_POSES_SHARE if known_poses else 1.0
 
     def placing(device: Device) -> Device:
         sfm = None if device.profile is None else device.profile.sfm_s
         if device.profile is None or sfm is None:
             return device
-        init_s, slower = device.init_s, _slowness(device)
+        init_s, slower = device.init_s, share * _slowness(device)
         return replace(device, init_s=curve_through(lambda counts: init_s(counts) + slower * sfm.curve(counts), num_cameras))
 
     return replace(system, edges=tuple(replace(edge, devices=tuple(map(placing, edge.devices))) for edge in system.edges))

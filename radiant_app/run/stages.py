@@ -82,7 +82,7 @@ def plan_stage(
         system = with_step_law(system, train, len(positions))
     system = with_short_joins(system, train, len(positions), config.aggregate.config)
     if config.frames != "shared":
-        system = with_own_frames(system, len(positions))
+        system = with_own_frames(system, len(positions), known_poses=config.frames == "known")
     if config.plan.file is not None:
         # Captured photographs stay on their devices, whatever memory those have.
         system = place_edges_by_raster(system, positions, origin, config.cell_m, config.seed)

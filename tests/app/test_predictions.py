@@ -18,6 +18,7 @@ from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.predictions import (
     BESIDE_EPOCHS,
     BESIDE_EPOCHS_AT_CLOUD,
+    KNOWN_POSES_SHARE,
     depends_on_training,
     refining_law_of,
     with_camera_limits,
@@ -119,6 +120,8 @@ def test_devices_that_place_their_own_photographs_cost_their_structure_from_moti
         for count in (5, 24, 60):
             assert float(device.init_s(count)) == pytest.approx(slower * (6.0 + 1.5 * count + 0.1 * count**2), rel=0.03)
     assert with_own_frames(profiled(), 60) == profiled()
+    first = with_own_frames(profiled(sfm_s=sfm), 60, known_poses=True).devices[0]
+    assert float(first.init_s(24)) == pytest.approx(6.0 + KNOWN_POSES_SHARE * (1.5 * 24 + 0.1 * 24**2), rel=0.03)
 
 
 @pytest.mark.parametrize(("frames", "of_profile", "expected"), [("gps", True, 1), ("known", True, 0), ("gps", False, 0)])
