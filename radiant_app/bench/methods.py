@@ -2,6 +2,7 @@
 placement, seed).
 
     centralised     one model of all photographs, with all devices' steps; reference of the seams
+    one device      one model of all photographs, with the steps of one device, nothing joined
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each
     ours            the default of `radiant run`; in a run's own cell, the run's settings
@@ -213,6 +214,13 @@ def _make_centralised_model(cell: Cell, recipe: Recipe) -> Made:
     return _sum_trainings(cell.centralised_model.splats, [cell.centralised_model])
 
 
+def _make_model_of_one_device(cell: Cell, recipe: Recipe) -> Made:
+    del recipe
+    num_steps = round(np.mean([int(model.summary["num_steps"]) for model in cell.devices.values()]))
+    model = cell.model_of(cell.scene.training, num_steps=num_steps, max_epochs=None)
+    return _sum_trainings(model.splats, [model])
+
+
 def _claims(cell: Cell, recipe: Recipe) -> Claims:
     """Which device's strip a place lies in."""
     claims = claims_of_polygons([strip for plan in recipe.edge_plans for strip in plan.strips if len(strip)])
@@ -308,6 +316,7 @@ METHODS: Mapping[str, Arm] = {
     arm.name: arm
     for arm in (
         Arm(name="centralised", make=_make_centralised_model),
+        Arm(name="one device", make=_make_model_of_one_device),
         Arm(name="crop", make=_crop),
         _paper_arm("paper"),
         _own_arm("ours"),

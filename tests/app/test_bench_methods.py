@@ -86,6 +86,15 @@ def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:
     assert [row.cpu_s for row in equal] == [row.cpu_s for row in every]  # nothing was joined again
 
 
+def test_one_device_has_all_photographs_and_its_own_steps(bench: MethodBench) -> None:
+    rows, _ = bench_methods(replace(bench, methods=("one device",)))
+    whole, alone = rows
+    assert (whole.arm, alone.arm) == ("centralised", "one device")
+    assert 0 < alone.training_px < whole.training_px and alone.psnr_db != whole.psnr_db
+    mean = alone.training_px * bench.layout.num_edges * bench.layout.num_devices if bench.layout else 0
+    assert mean == pytest.approx(whole.training_px, rel=0.2), "as many as each of the devices, which make up the other's"
+
+
 def test_rivals_train_and_join_on_the_same_work(bench: MethodBench) -> None:
     rows, _ = bench_methods(replace(bench, methods=("even", "vastgaussian")))
     made = {row.arm: row for row in rows}

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from radiant_app.config.run_config import RunConfig
+from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
+from radiant_app.run import few_photographs, pooled
 from radiant_app.run.pipeline import run
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
@@ -41,3 +43,18 @@ def test_a_real_set_becomes_a_scene(name: str, tmp_path: Path) -> None:
     joined_db, cut_db = held_out_db(out, ample.splats), held_out_db(out, cut.splats)
     print(f"{name}: {joined_db:.2f} dB joined, {cut_db:.2f} dB cut")
     assert joined_db >= cut_db
+
+
+@pytest.mark.stress
+def test_few_photographs_are_better_off_with_one_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not (DATA / "brighton").is_dir():
+        pytest.skip(f"brighton is not in {DATA}: set RADIANT_DATA to the folder of the real sets")
+    monkeypatch.setattr(pooled, "choose_workforce", few_photographs.choose_workforce)
+    train = TrainOptions(preset="draft", num_steps=500, long_side_px=384)
+    config = RunConfig(source=DATA / "brighton" / "images", out=tmp_path / "one", train=train)
+    one = run(config).metrics
+    all_four = run(replace(config, out=tmp_path / "all", plan=PlanOptions(devices="all"))).metrics
+    print(f"one device {one['psnr_db']:.2f} dB, four {all_four['psnr_db']:.2f} dB")
+    assert [path.name for path in (tmp_path / "one" / "devices").iterdir()] == ["edge-1-1"]
+    assert len(list((tmp_path / "all" / "devices").iterdir())) == 4
+    assert one["psnr_db"] > all_four["psnr_db"] + 0.3
