@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.config.run_config import RunConfig, TrainOptions
+from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_plan
@@ -40,7 +40,7 @@ def main() -> None:
         shutil.rmtree(folder, ignore_errors=True)
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary) / "run"
-        run(RunConfig(source=HERE / "hamlet" / "images", out=out, train=SIZE))
+        run(RunConfig(source=HERE / "hamlet" / "images", out=out, train=SIZE, plan=PlanOptions(devices="all")))
         for name in KEPT:
             (tiny / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(out / name, tiny / name)

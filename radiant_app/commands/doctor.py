@@ -23,7 +23,7 @@ LEAST_FREE_GIB = 2.0
 DISK_BYTES_PER_PHOTOGRAPH = 3_600_000
 """A run's folder beside its photographs, once: `du -sb` of 12 photographs of the sample town with
 `--train-preset draft --steps 200`, 43 MB with figures and pictures."""
-ELSEWHERE = "not known here; 18 took 2.4 min and 75 took 6.4 min elsewhere on two cores (docs/benchmarks.md)"
+ELSEWHERE = "not known here; 18 took 1.5 min and 75 took 6.9 min elsewhere on two cores (docs/benchmarks.md)"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,12 +71,13 @@ def forecast(num_photographs: int, profile: Path, free_bytes: int) -> Forecast:
     curves = load_profile(profile)
     workers = min(NUM_DEVICES, ExecutionOptions().num_workers)
     train = planned_training("default", Overrides())
-    if alone := num_devices_worth(num_photographs, NUM_DEVICES) == 1:
+    # Every eighth is held out of training.
+    if alone := num_devices_worth(num_photographs - math.ceil(num_photographs / 8), NUM_DEVICES) == 1:
         stages = list(_stages_of_one(curves, num_photographs))
     else:
         stages = list(_stages(curves, train, num_photographs, workers))
     each = num_photographs if alone else math.ceil(num_photographs / NUM_DEVICES)
-    most = most_cameras(train, free_bytes / workers, lambda count: float(train.max_num_splats), each)
+    most = most_cameras(train, free_bytes / (1 if alone else workers), lambda count: float(train.max_num_splats), each)
     return Forecast(
         num_photographs=num_photographs,
         parts_s={stage: seconds for stage, seconds, _ in stages if seconds is not None},

@@ -36,6 +36,8 @@ EARLIER = (
 """Why a folder can be looked at and not resumed."""
 SFM_TASK = "task.json"
 """What `radiant sfm` was asked for, beside its work."""
+ALL_DEVICES = {"devices": "all"}
+"""Of the plans of runs that were begun before there was a choice."""
 OPTIONS = {"source": "source", "preset": "--train-preset", "time_s": "--time", "memory_bytes": "--memory", "overrides.settings": "--set"}
 """Setting of `radiant train` and `sfm` → its option, where `config_fields` does not say."""
 UNRECORDED = ("out", "execution", "evaluate")
@@ -346,7 +348,7 @@ def _reopen(out: Path, settings: dict[str, Any]) -> Manifest:
         raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
     require_current(out)
     manifest = read_manifest(out)
-    differing = differing_options(settings, manifest.config)
+    differing = differing_options(settings, {**manifest.config, "plan": {**ALL_DEVICES, **manifest.config.get("plan", {})}})
     if differing:
         raise BadInput(f"{out} was begun with another {differing}: repeat those settings to resume, remove it, or choose another folder.")
     return replace(manifest, config=settings)

@@ -1,34 +1,34 @@
 """How many devices of a system an owner's photographs are worth. Once per plan.
 
-A device learns from its own photographs alone, and what it did not see no join puts right. With
-fewer than `FEW_PER_DEVICE` photographs each, one device that has all of them makes a better model
-than four whose models are joined, in no more steps than each of these takes; so the fastest devices
-work and the others stay idle (docs/experiments/aggregation.md, "What one machine makes in the same
-time").
+A device learns from its own photographs alone, and what it did not see no join puts right. Where
+photographs are few, one device that has all of them makes a better model than several whose models
+are joined, in no more steps than each of these takes; so the fastest devices work and the others
+stay idle (docs/experiments/aggregation.md, "What one machine makes in the same time").
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from radiant_app.config.run_config import RunConfig
 from radiant_app.run.predictions import with_camera_limits
 from radiant_core.decisions import Decision
-from radiant_core.hierarchy.recipe import devices_with_photographs
 from radiant_core.io.transport.upload import BYTES_FACTORS
-from radiant_core.plan.counts.wide_deadline import system_capacity
-from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import Device, System
 from radiant_core.train.config import TrainConfig
 
-FEW_PER_DEVICE = 8
+FEW_PER_DEVICE = 10
 """Photographs per device below which fewer devices work: with 4 to 7 each on four devices a joined
 model was 0.3 to 2.1 dB behind that of one device in six of seven cells and level in one; with 12 to
-16 each it was 0.2 to 0.7 dB ahead, in twice the time."""
+16 each it was 0.2 to 0.7 dB ahead, in twice the time. Straight lines between cross at 10 to 12."""
+FEW_AT_ALL = 28
+"""Photographs below which one device works, however few there are: beside two devices of half of
+them one was 0.4 to 1.5 dB ahead in four of seven cells and level in three."""
 ENOUGH_PER_DEVICE = 26
-"""Photographs of each device that works then, at least: one model of 26 to 28 was level with two of
-half of them or better, in half of the time."""
+"""Photographs of each device that works then, at least."""
 COST = (
     "one device that had all of 15 to 28 photographs made a model 0.3 to 2.1 dB better than four whose models were joined in six "
     "of seven cells (level in one), with as many steps as each of them"
@@ -46,38 +46,46 @@ class Workforce:
 
 def num_devices_worth(num_photographs: int, num_devices: int) -> int:
     """How many of so many equal devices so many training photographs are worth, at least one."""
-    if num_photographs >= FEW_PER_DEVICE * num_devices:
+    if num_photographs >= max(FEW_PER_DEVICE * num_devices, FEW_AT_ALL):
         return num_devices
     return min(num_devices, max(1, num_photographs // ENOUGH_PER_DEVICE))
 
 
 def choose_workforce(config: RunConfig, system: System, num_photographs: int, train: TrainConfig) -> Workforce:
-    """The devices that so many training photographs of one owner are worth, the fastest ones and as
-    many more as hold them; all where the user asks for all, or for a plan by another method."""
+    """The devices that so many training photographs of one owner are worth, the fastest that hold
+    them; all where the user asks for all, or for a plan by another method."""
     plan, num_devices = config.plan, len(system.devices)
     wanted = num_devices_worth(num_photographs, num_devices)
-    if wanted == num_devices or plan.devices == "all" or plan.file is not None or plan.method != "exact":
+    if wanted == num_devices:
         return Workforce(system=system)
-    fastest = sorted(system.devices, key=lambda device: _seconds(device, num_photographs / wanted))
-    model_factor = BYTES_FACTORS[config.upload]
-    for count in range(wanted, num_devices):
-        working = _restrict(system, {device.id for device in fastest[:count]})
-        limited, _, too_small = with_camera_limits(working, train, num_photographs, model_factor)
-        if not too_small and system_capacity(limited, num_photographs) >= num_photographs:
-            return _told(working, num_photographs, num_devices)
-    return Workforce(system=system)
+    few = f"{num_photographs} training photographs are few for {num_devices} devices: {COST}"
+    if plan.devices == "all":
+        return Workforce(system=system, warning=f"{few}; without --devices all fewer would work.")
+    if plan.file is not None or plan.method != "exact":
+        made = f"--plan-method {plan.method}" if plan.file is None else "--plan"
+        return Workforce(system=system, warning=f"{few}; without {made} fewer would work.")
+    names = _fastest_that_hold(config, system, num_photographs, train, wanted)
+    if len(names) == num_devices:
+        return Workforce(system=system, warning=f"{few}; fewer cannot hold them: raise max_cameras or memory_gb.")
+    return _told(_restrict(system, names), num_photographs, num_devices)
 
 
-def few_photographs_warning(edge_plans: Sequence[EdgePlan]) -> str | None:
-    """What joining costs where one owner's photographs are few for so many devices; else None."""
-    num_photographs = sum(len(plan.camera_indices) for plan in edge_plans)
-    num_devices = devices_with_photographs(edge_plans)
-    if num_devices < 2 or num_photographs >= FEW_PER_DEVICE * num_devices:
-        return None
-    return (
-        f"{num_photographs} training photographs are dealt to {num_devices} devices: {COST}; "
-        "`--devices auto` uses no more devices than the photographs are worth."
-    )
+def _fastest_that_hold(config: RunConfig, system: System, num_photographs: int, train: TrainConfig, wanted: int) -> Collection[str]:
+    """Ids of as few devices as hold the photographs, `wanted` or more, and of those the fastest."""
+    limited, _, too_small = with_camera_limits(system, train, num_photographs, BYTES_FACTORS[config.upload])
+    everyone = [device.id for device in system.devices]
+    if too_small:
+        return everyone
+    held = {own.id: num_photographs if own.max_cameras is None else own.max_cameras for own in limited.devices}
+    together = np.cumsum(sorted(held.values(), reverse=True))
+    count = max(wanted, int(np.searchsorted(together, num_photographs)) + 1)
+    fastest = sorted(system.devices, key=lambda device: _seconds(device, num_photographs / count))
+    for slowest in range(count, len(everyone)):
+        # The slowest is as fast as may be; of those up to it, whoever holds most.
+        chosen = sorted((device.id for device in fastest[:slowest]), key=lambda name: -held[name])[:count]
+        if sum(held[name] for name in chosen) >= num_photographs:
+            return chosen
+    return sorted(everyone, key=lambda name: -held[name])[:count]
 
 
 def _told(working: System, num_photographs: int, num_devices: int) -> Workforce:
@@ -92,9 +100,9 @@ def _told(working: System, num_photographs: int, num_devices: int) -> Workforce:
         choice=choice,
         figure=num_photographs / num_devices,
         unit="photographs for each device of the system",
-        reason=f"below {FEW_PER_DEVICE} {COST}",
+        reason=f"below {FEW_PER_DEVICE} each, or {FEW_AT_ALL} at all, fewer devices are better: {COST}",
     )
-    return Workforce(system=working, decision=decision, warning=f"{choice}: {COST}; --devices all deals them to all.")
+    return Workforce(system=working, decision=decision, warning=f"{choice}: too few to divide; --devices all deals them to all.")
 
 
 def _seconds(device: Device, num_photographs: float) -> float:
@@ -104,6 +112,5 @@ def _seconds(device: Device, num_photographs: float) -> float:
 
 def _restrict(system: System, names: Collection[str]) -> System:
     """The system with these devices, and the edges that have any of them."""
-
     kept_of = {edge.id: tuple(device for device in edge.devices if device.id in names) for edge in system.edges}
     return replace(system, edges=tuple(replace(edge, devices=kept) for edge in system.edges if (kept := kept_of[edge.id])))

@@ -18,7 +18,7 @@ from radiant_app.events import Decided, Warned
 from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files, deal_masks
-from radiant_app.run.few_photographs import choose_workforce, few_photographs_warning
+from radiant_app.run.few_photographs import choose_workforce
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import Scoring, ScoringMachine, lpips_network_of
@@ -87,8 +87,8 @@ class PooledPhotographs:
             progress.listen(Decided(decision=working.decision))
         origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
         system, cloud, edges = plan_stage(config, working.system, training.cameras.centers[:, :2], origin, progress, training)
-        if (message := working.warning or few_photographs_warning(edges)) is not None:
-            progress.listen(Warned(stage="plan", message=message))
+        if working.warning is not None:
+            progress.listen(Warned(stage="plan", message=working.warning))
         return Plan(system=system, cloud=cloud, edges=edges)
 
     def check(self, train: TrainConfig) -> None:

@@ -52,8 +52,8 @@ from radiant_core.train.needs import fit_to_backend
 ATTEMPTS = 3
 """Starts of a node whose process or machine was lost; more failures are no chance."""
 FRAMES_UNPREDICTED = (
-    "bringing models that GPS has placed into one frame is in no profile: edges and the cloud take longer than is predicted, of models "
-    "of 13 photographs by 18 and 13 s."
+    "what it takes to bring models that GPS has placed into one frame is in no profile: edges and the cloud will take longer than is "
+    "predicted (18 s at an edge and 13 s at the cloud for models of 13 photographs)."
 )
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of a retraining on the plain PyTorch backend."""

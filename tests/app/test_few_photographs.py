@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +14,15 @@ from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.events import Decided, Event, Warned
 from radiant_app.files.system_file import even_system
 from radiant_app.run import few_photographs, pooled
-from radiant_app.run.few_photographs import ENOUGH_PER_DEVICE, FEW_PER_DEVICE, choose_workforce, num_devices_worth
+from radiant_app.run.few_photographs import ENOUGH_PER_DEVICE, FEW_AT_ALL, FEW_PER_DEVICE, choose_workforce, num_devices_worth
 from radiant_app.run.pipeline import run
 from radiant_app.run.predictions import planned_training
+from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, System
 from radiant_core.train.needs import Overrides
-from tests.app.pipeline_kit import TINY
+from tests.app.pipeline_kit import TINY, Finished
 from tests.app.test_doctor import CURVES
 
 CONFIG = RunConfig(source=Path("photos"), out=Path("run"))
@@ -39,19 +41,19 @@ def with_devices(system: System, **changes: dict[str, object]) -> System:
 
 @pytest.mark.parametrize(
     ("num_photographs", "num_devices", "expected"),
-    [(0, 4, 1), (1, 4, 1), (31, 4, 1), (32, 4, 4), (15, 2, 1), (16, 2, 2), (1, 1, 1), (100, 16, 3), (127, 16, 4), (128, 16, 16)],
+    [(0, 4, 1), (1, 4, 1), (39, 4, 1), (40, 4, 4), (27, 2, 1), (28, 2, 2), (1, 1, 1), (100, 16, 3), (159, 16, 6), (160, 16, 16)],
 )
-def test_fewer_than_eight_photographs_per_device_are_worth_fewer_devices(num_photographs: int, num_devices: int, expected: int) -> None:
+def test_fewer_than_ten_photographs_per_device_are_worth_fewer_devices(num_photographs: int, num_devices: int, expected: int) -> None:
     assert num_devices_worth(num_photographs, num_devices) == expected
 
 
 def test_no_count_of_devices_is_worth_none_or_more_than_there_are() -> None:
     for num_devices in range(1, 60):
-        found = [num_devices_worth(number, num_devices) for number in range(500)]
+        found = [num_devices_worth(number, num_devices) for number in range(600)]
         assert found == sorted(found) and found[0] == 1 and found[-1] == num_devices
         for number, count in enumerate(found):
             assert count in (1, num_devices) or number // count >= ENOUGH_PER_DEVICE
-            assert (count == num_devices) or number < FEW_PER_DEVICE * num_devices
+            assert (count == num_devices) or number < max(FEW_PER_DEVICE * num_devices, FEW_AT_ALL)
 
 
 def test_the_fastest_device_works_alone_and_its_edge_with_it() -> None:
@@ -61,29 +63,46 @@ def test_the_fastest_device_works_alone_and_its_edge_with_it() -> None:
     assert [device.id for device in made.system.devices] == ["edge-2-1"]
     assert made.decision is not None and made.decision.figure == 5.0 and made.warning is not None
     assert made.decision.choice == "edge-2-1 trains on all 20 photographs, and 3 others stay idle"
-    assert made.warning.startswith(made.decision.choice) and made.warning.endswith("--devices all deals them to all.")
+    assert made.warning == f"{made.decision.choice}: too few to divide; --devices all deals them to all."
 
 
-def test_a_device_that_cannot_hold_the_photographs_does_not_work_alone() -> None:
+def test_as_few_devices_as_hold_the_photographs_work() -> None:
     fast = {"train_s": CostCurve(linear=0.1), "init_s": CostCurve(), "max_cameras": 12}
     system = with_devices(even_system(2, 2), edge_2_1=fast)
     made = choose_workforce(CONFIG, system, 20, TRAIN)
-    assert [device.id for device in made.system.devices] == ["edge-1-1", "edge-2-1"], "the fastest, and one more that holds the rest"
-    assert made.decision is not None and made.decision.choice == "edge-1-1, edge-2-1 train on all 20 photographs, and 2 others stay idle"
-    little = {device.id.replace("-", "_"): {"max_cameras": 5} for device in system.devices}
-    small = with_devices(system, **little)
-    assert choose_workforce(CONFIG, small, 20, TRAIN).system is small, "it takes all of them to hold 20"
-    poor = {device.id.replace("-", "_"): {"memory_bytes": 0.4 * GIGABYTE} for device in system.devices}
-    assert len(choose_workforce(CONFIG, with_devices(even_system(2, 2), **poor), 20, TRAIN).system.devices) > 1, (
-        "memory holds few photographs"
-    )
+    assert [device.id for device in made.system.devices] == ["edge-1-1"], "the fastest of those that hold all"
+    limits = {"edge_1_1": 3, "edge_1_2": 16, "edge_2_2": 4}
+    limited = with_devices(system, **{name: {"max_cameras": most} for name, most in limits.items()})
+    made = choose_workforce(CONFIG, limited, 20, TRAIN)
+    assert [device.id for device in made.system.devices] == ["edge-1-2", "edge-2-1"], "not one that holds little"
+    assert made.decision is not None and made.decision.choice == "edge-1-2, edge-2-1 train on all 20 photographs, and 2 others stay idle"
 
 
-@pytest.mark.parametrize("plan", [PlanOptions(devices="all"), PlanOptions(method="paper"), PlanOptions(file=Path("plan.json"))])
-def test_all_devices_work_where_they_are_asked_for(plan: PlanOptions) -> None:
+def test_all_devices_work_where_fewer_cannot_hold_the_photographs() -> None:
+    little = {device.id.replace("-", "_"): {"max_cameras": 5} for device in even_system(2, 2).devices}
+    small = with_devices(even_system(2, 2), **little)
+    made = choose_workforce(CONFIG, small, 20, TRAIN)
+    assert made.system is small and made.decision is None
+    assert made.warning is not None and made.warning.endswith("fewer cannot hold them: raise max_cameras or memory_gb.")
+    poor = {device.id.replace("-", "_"): {"memory_bytes": 0.4 * GIGABYTE} for device in small.devices}
+    assert len(choose_workforce(CONFIG, with_devices(even_system(2, 2), **poor), 20, TRAIN).system.devices) > 1
+
+
+@pytest.mark.parametrize(
+    ("plan", "said"),
+    [
+        (PlanOptions(devices="all"), "without --devices all fewer would work."),
+        (PlanOptions(method="paper"), "without --plan-method paper fewer would work."),
+        (PlanOptions(file=Path("plan.json")), "without --plan fewer would work."),
+    ],
+)
+def test_all_devices_work_where_they_are_asked_for(plan: PlanOptions, said: str) -> None:
     system = even_system(2, 2)
     made = choose_workforce(replace(CONFIG, plan=plan), system, 20, TRAIN)
-    assert made.system is system and made.decision is None and made.warning is None
+    assert made.system is system and made.decision is None
+    assert made.warning is not None and made.warning.startswith("20 training photographs are few for 4 devices: ")
+    assert made.warning.endswith(said)
+    assert choose_workforce(replace(CONFIG, plan=plan), system, 40, TRAIN).warning is None
 
 
 def test_a_run_of_few_photographs_is_one_devices_and_says_so(hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,11 +122,31 @@ def test_a_run_of_few_photographs_is_one_devices_and_says_so(hamlet: Path, tmp_p
     assert json.loads((config.out / "manifest.json").read_text())["status"] == "done"
     again = run(config, resume=True)
     assert again.metrics["psnr_db"] == result.metrics["psnr_db"], "a resumed run has the same devices"
+    with pytest.raises(BadInput, match="begun with another --devices"):
+        run(replace(config, plan=PlanOptions(devices="all")), resume=True)
 
 
-def test_the_forecast_of_few_photographs_is_that_of_one_device(tmp_path: Path) -> None:
+def test_a_run_begun_before_there_was_a_choice_goes_on_with_all_devices(finished: Finished, tmp_path: Path) -> None:
+    config, result, _ = finished
+    before = replace(config, out=tmp_path / "before")
+    shutil.copytree(config.out, before.out)
+    record = json.loads((before.out / "manifest.json").read_text())
+    del record["config"]["plan"]["devices"]
+    del record["sha256"]
+    (before.out / "manifest.json").write_text(json.dumps(record))
+    with pytest.raises(BadInput, match="begun with another --devices"):
+        run(before, resume=True)
+    again = run(replace(before, plan=PlanOptions(devices="all")), resume=True)
+    assert again.metrics["psnr_db"] == result.metrics["psnr_db"]
+
+
+def test_a_forecast_counts_photographs_that_are_trained_on(tmp_path: Path) -> None:
     (tmp_path / "machine.toml").write_text(CURVES + "[aggregate_alone_s]\nlinear = 0.1\nrange = [8, 40]\n")
     found = forecast(20, tmp_path / "machine.toml", free_bytes=64 * 10**9)
     assert list(found.parts_s) == ["structure from motion", "device", "edge"]
     assert found.parts_s == pytest.approx({"structure from motion": 40.0, "device": 4 + 10 + 20, "edge": 2.0})
     assert found.unknown == ()
+    stages = {number: list(forecast(number, tmp_path / "machine.toml", free_bytes=64 * 10**9).parts_s) for number in (44, 46)}
+    assert "device" in stages[44] and "devices" in stages[46], "38 and 40 are trained on"
+    little, whole = (forecast(30, tmp_path / "machine.toml", free_bytes=free).most_photographs for free in (12 * 10**8, 10**10))
+    assert whole is None and (little is None or little > 0), "one device has all of the memory"

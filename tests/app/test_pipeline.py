@@ -22,7 +22,6 @@ from radiant_app.config.run_config import EvaluateOptions, RunConfig
 from radiant_app.events import Decided, Event, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import TIERS
-from radiant_app.run.few_photographs import FEW_PER_DEVICE, few_photographs_warning
 from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
@@ -60,23 +59,6 @@ def test_every_training_photograph_went_to_exactly_one_device(finished: Finished
     _, edge_plans = load_plan(config.out / "plan.json")
     indices = np.concatenate([plan.camera_indices for plan in edge_plans])
     assert sorted(indices) == list(range(len(training)))
-
-
-def test_devices_with_few_photographs_each_are_told_what_joining_costs(finished: Finished) -> None:
-    config, _, events = finished
-    (said,) = (event.message for event in events if isinstance(event, Warned) and "training photographs are dealt" in event.message)
-    assert said.startswith("10 training photographs are dealt to 4 devices") and "`--devices auto`" in said
-    assert f"plan: {said}" in json.loads((config.out / "manifest.json").read_text())["warnings"]
-    _, edge_plans = load_plan(config.out / "plan.json")
-    assert few_photographs_warning(edge_plans) == said
-    first = edge_plans[0]
-    alone = replace(first, device_of_camera=np.zeros_like(first.device_of_camera))
-    assert few_photographs_warning([alone]) is None, "one model is what it makes"
-    enough = FEW_PER_DEVICE * len(first.device_ids)
-    owners = np.arange(enough) % len(first.device_ids)
-    many = replace(first, camera_indices=np.arange(enough), device_of_camera=owners)
-    assert few_photographs_warning([many]) is None
-    assert few_photographs_warning([replace(many, camera_indices=np.arange(enough - 1), device_of_camera=owners[1:])]) is not None
 
 
 def test_no_photograph_lies_at_an_edge_or_the_cloud(finished: Finished) -> None:

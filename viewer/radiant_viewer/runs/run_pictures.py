@@ -139,10 +139,15 @@ def waypoint_plan_picture(
 
 def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
     cut = "" if cloud_plan.looks is None else ", cut where cameras look"
+    machines = f"{_counted(len(cloud_plan.edge_ids), 'edge')}, {_counted(num_devices, 'device')}"
     return (
-        f"{len(cloud_plan.edge_ids)} edges, {num_devices} devices   ·   predicted makespan {duration_text(cloud_plan.makespan_s)}, "
+        f"{machines}   ·   predicted makespan {duration_text(cloud_plan.makespan_s)}, "
         f"lower bound {duration_text(cloud_plan.lower_bound_s)}   ·   {cloud_plan.method}, {cloud_plan.status}{cut}"
     )
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def cameras_picture(
