@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 
-from radiant_app.config.run_config import RunConfig, TrainOptions
+from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.events import Event
 from radiant_app.run.pipeline import RunResult
 from tests.forked import run_module
@@ -12,6 +12,8 @@ from tests.forked import run_module
 Finished = tuple[RunConfig, RunResult, list[Event]]
 """A finished run, as the fixture `finished` gives it to all tests of a session."""
 TINY = TrainOptions(long_side_px=96, num_steps=100, max_num_splats=1500)
+ALL = PlanOptions(devices="all")
+"""Its ten photographs are few: processes of their own would leave three of four devices out."""
 TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats)
 
 
