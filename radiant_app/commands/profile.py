@@ -246,6 +246,7 @@ def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str,
         merge_s=_edge_curve(measured.merges) if measured.merges else None,
         sfm_s=fit_curve(*zip(*measured.sfm, strict=True), may_fall=True) if measured.sfm else None,
         measured_steps=measured.num_steps,
+        frames_s=measured.frames_s,
     )
     save_profile(out, made)
     fitted = {

@@ -5,6 +5,7 @@
     F_m (2c)        an edge node of their two models, and of one's   → a + b · views
     cloud (2c)      a cloud node of the two, as two edges' models    → a + b · views
     own frames (c)  structure from motion of a few counts            → seconds beside G
+    frames (2c)     the largest join, of models that GPS has placed  → seconds beside F_m, the cloud
 
 The two devices have the c photographs on either side of the middle of the scene's long side. Nodes
 run `num_workers` at a time with their share of the cores, and are forked, as in a run: side by side
@@ -35,9 +36,10 @@ from radiant_app.workers.tasks import SfmTask
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.frames import FrameUncertainty
 from radiant_core.hierarchy.messages import CloudTask, DeviceTask, EdgeTask, Renderer
 from radiant_core.hierarchy.recipe import training_among
-from radiant_core.io.messages import save_task
+from radiant_core.io.messages import save_frame, save_task
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json
 from radiant_core.plan.devices.device_split import long_axis
@@ -63,6 +65,8 @@ NUM_MODELS = 2
 MAX_PLACED = 16
 """Of an own structure from motion, whose cost may rise with the square of the photographs: of the
 town 13 take 22 s where 6 take 6."""
+UNSURE = FrameUncertainty(position_m=2.0, scale=0.02, rotation_rad=0.02)
+"""As GPS places a model of a dozen photographs."""
 Task = DeviceTask | EdgeTask | CloudTask | SfmTask
 
 
@@ -101,6 +105,8 @@ class Measured:
     """Joins at the cloud; `num_devices` is the number of edges."""
     sfm: tuple[tuple[int, float], ...] = ()
     """Photographs, and seconds of a device's own structure from motion."""
+    frames_s: float | None = None
+    """Seconds of bringing two models into one frame."""
 
 
 def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
@@ -158,7 +164,7 @@ class Measuring:
         step_s = rounds * pilot.train_s / self.train.num_steps
         # Not of what else has passed: importing what nodes are forked from is done once.
         start_s = rounds * max(0.0, pilot.init_s)
-        num_joins = 2 * len(joined) + 2
+        num_joins = 2 * len(joined) + 4
         free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + num_joins))
         num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
         view_s = _RETRAIN_STEP_COST * step_s
@@ -185,6 +191,7 @@ class Measuring:
         for count in joined:
             self.note = f"joining 2 of {count} photographs at the cloud"
             merges.append(self._cloud(count, num_steps, max(1, num_epochs * aggregate.epochs_at_cloud // aggregate.epochs_at_edges)))
+        frames_s = self._frames(joined[-1], num_steps)
         placed = [count for count in sizes if MIN_PHOTOGRAPHS <= count <= MAX_PLACED]
         start_s = min((edge.seconds for edge in edges if edge.num_devices == 1), default=0.0)
         sfm = [(count, self._place(count, start_s)) for count in dict.fromkeys([*placed[:1], *placed[-1:]])]
@@ -197,6 +204,7 @@ class Measuring:
             held_out=held_out,
             merges=tuple(merges),
             sfm=tuple(sfm),
+            frames_s=frames_s,
         )
 
     @property
@@ -225,11 +233,16 @@ class Measuring:
     def _edge(self, count: int, num_steps: int, num_devices: int, num_epochs: int) -> EdgeSample:
         """Join two models of so many photographs, as many times side by side as a run has workers,
         or take one as it is: one device has nothing to join."""
+        tasks = self._edge_tasks(f"edges/{num_devices * count}-{num_devices}", count, num_steps, num_devices, num_epochs)
+        seconds = self._in_all_epochs("edge", tasks, aggregate_preset("default").epochs_at_edges / num_epochs)
+        return EdgeSample(num_cameras=num_devices * count, num_devices=num_devices, seconds=seconds)
+
+    def _edge_tasks(self, name: str, count: int, num_steps: int, num_devices: int, num_epochs: int) -> dict[Path, Task]:
         # Models that agree are only cut: here they are retrained all the same.
         aggregate = replace(aggregate_preset("default"), edge_epochs=num_epochs, agreement_db=None)
         tasks: dict[Path, Task] = {}
         for copy in range(min(self.num_workers, NUM_MODELS)):
-            folder = self._folder(f"edges/{num_devices * count}-{num_devices}-{copy}")
+            folder = self._folder(f"{name}-{copy}")
             names = self._fill_inbox(folder, count, num_steps, num_devices, "cameras.safetensors")
             tasks[folder] = EdgeTask(
                 devices=names,
@@ -240,8 +253,24 @@ class Measuring:
                 backend=self.backend,
                 upload=UPLOAD,
             )
-        seconds = self._in_all_epochs("edge", tasks, aggregate_preset("default").epochs_at_edges / num_epochs)
-        return EdgeSample(num_cameras=num_devices * count, num_devices=num_devices, seconds=seconds)
+        return tasks
+
+    def _frames(self, count: int, num_steps: int) -> float | None:
+        """Seconds of bringing two models of so many photographs into one frame: what a join takes
+        beside its epoch with frames that GPS gave, less the same with exact ones. None where
+        their ground does not match."""
+        self.note = f"frames of 2 models of {count} photographs"
+        beside_s = []
+        for kind, uncertainty in (("exact", None), ("unsure", UNSURE)):
+            tasks = self._edge_tasks(f"frames/{kind}", count, num_steps, NUM_MODELS, 1)
+            for place in (place for folder in tasks for place in (folder / "inbox").iterdir()):
+                save_frame(place, uncertainty)
+            seconds = float(np.mean(self._run("edge", tasks)))
+            beside_s.append(seconds - float(np.mean([read_json(folder / "summary.json").get("train_s", 0.0) for folder in tasks])))
+            if any(read_json(folder / "refused.json") for folder in tasks):
+                self.listen(Warned(stage=STAGE, message=f"{self.note} are not measured: their ground does not match."))
+                return None
+        return max(beside_s[1] - beside_s[0], 0.1)
 
     def _cloud(self, count: int, num_steps: int, num_epochs: int) -> EdgeSample:
         """Join two models of so many photographs as those of two edges, alone as in a run."""

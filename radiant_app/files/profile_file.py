@@ -4,6 +4,7 @@
     machine = "workstation, 8 threads"
     source = "radiant profile on 53 photographs"
     memory_gb = 12.0                     # what training may hold; left out: unknown
+    frames_s = 8.0                       # two models into one frame, of which GPS is unsure
 
     [key]                                # the training that the curves hold for
     preset = "default"
@@ -89,6 +90,7 @@ class _File(Strict):
     source: Annotated[str, Field(min_length=1, max_length=2000)]
     memory_gb: Annotated[float, Field(gt=0, le=1e6)] | None = None
     measured_steps: _Count | None = None
+    frames_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
     key: _Key
     init_s: _Fitted
     train_s: _Fitted
@@ -114,6 +116,7 @@ class _File(Strict):
             key=ProfileKey(**self.key.model_dump()),
             memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
             measured_steps=self.measured_steps,
+            frames_s=self.frames_s,
             **curves,
         )
 
@@ -177,6 +180,7 @@ def _record(profile: Profile) -> dict[str, Any]:
         "source": profile.source,
         "memory_gb": None if profile.memory_bytes is None else profile.memory_bytes / _BYTES_PER_GB,
         "measured_steps": profile.measured_steps,
+        "frames_s": profile.frames_s,
         "key": _drop_none(vars(key)),
         **tables,
     }

@@ -17,6 +17,7 @@ from radiant_core.hierarchy.recipe import trainings_of
 from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.plan.counts.wide_deadline import system_capacity
 from radiant_core.plan.plans import EdgePlan
+from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.profile import ProfileKey
 from radiant_core.plan.profiles.profile_warnings import profile_warnings
 from radiant_core.plan.profiles.step_law import curve_through
@@ -120,7 +121,8 @@ def refining_law_of(
 
 def with_own_frames(system: System, num_cameras: int, *, known_poses: bool = False) -> System:
     """The system whose devices place their photographs themselves: G with their structure from
-    motion, where their profile was measured with it."""
+    motion, and what bringing models that GPS has placed into one frame takes the edges and the
+    cloud, where profiles were measured with it."""
     share = KNOWN_POSES_SHARE if known_poses else 1.0
 
     def placing(device: Device) -> Device:
@@ -130,7 +132,27 @@ def with_own_frames(system: System, num_cameras: int, *, known_poses: bool = Fal
         init_s, slower = device.init_s, share * _slowness(device)
         return replace(device, init_s=curve_through(lambda counts: init_s(counts) + slower * sfm.curve(counts), num_cameras))
 
-    return replace(system, edges=tuple(replace(edge, devices=tuple(map(placing, edge.devices))) for edge in system.edges))
+    def bringing_together(edge: Edge) -> Edge:
+        own = replace(edge, devices=tuple(map(placing, edge.devices)))
+        frames_s = None if known_poses or edge.profile is None else edge.profile.frames_s
+        return own if frames_s is None else replace(own, aggregate_s=_with_frames(own.aggregate_s, frames_s, len(own.devices)))
+
+    cloud, merge_s = system.cloud, system.cloud.merge_s
+    if merge_s is not None and cloud.frames_s is not None and not known_poses:
+        cloud = replace(cloud, merge_s=_with_frames(merge_s, cloud.frames_s, len(system.edges)))
+    return replace(system, edges=tuple(map(bringing_together, system.edges)), cloud=cloud)
+
+
+def _with_frames(join_s: CostCurve, frames_s: float, num_models: int) -> CostCurve:
+    """The cost of a join that brings each model but the first into the others' frame."""
+    return replace(join_s, constant=join_s.constant + frames_s * max(num_models - 1, 0))
+
+
+def predicts_frames(system: System) -> bool:
+    """Whether profiles of edges and the cloud, where these have some, say what it takes to bring
+    models into one frame."""
+    cloud = system.cloud.merge_s is None or system.cloud.frames_s is not None or len(system.edges) < 2
+    return cloud and all(edge.profile is None or edge.profile.frames_s is not None for edge in system.edges)
 
 
 def _slowness(device: Device) -> float:

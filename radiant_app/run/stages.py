@@ -18,6 +18,7 @@ from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import (
     planned_training,
     prediction_warnings,
+    predicts_frames,
     training_key_of,
     with_camera_limits,
     with_own_frames,
@@ -53,7 +54,7 @@ ATTEMPTS = 3
 """Starts of a node whose process or machine was lost; more failures are no chance."""
 FRAMES_UNPREDICTED = (
     "what it takes to bring models that GPS has placed into one frame is in no profile: edges and the cloud will take longer than is "
-    "predicted (18 s at an edge and 13 s at the cloud for models of 13 photographs)."
+    "predicted; make the profile anew with `radiant profile`, which measures that."
 )
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of a retraining on the plain PyTorch backend."""
@@ -133,7 +134,7 @@ def warn_about_predictions(
     train = planned_training(config.train.preset, config.train.overrides)
     training = training_key_of(train, config.train.preset, config.aggregate.preset)
     warnings = (*more, *prediction_warnings(system, edge_plans, training))
-    if config.frames == "gps" and any(edge.profile for edge in system.edges):
+    if config.frames == "gps" and not predicts_frames(system):
         warnings = (*warnings, FRAMES_UNPREDICTED)
     for message in warnings:
         progress.listen(Warned(stage="plan", message=message))

@@ -20,6 +20,7 @@ from radiant_app.run.predictions import (
     BESIDE_EPOCHS_AT_CLOUD,
     KNOWN_POSES_SHARE,
     depends_on_training,
+    predicts_frames,
     refining_law_of,
     with_camera_limits,
     with_own_frames,
@@ -122,6 +123,27 @@ def test_devices_that_place_their_own_photographs_cost_their_structure_from_moti
     assert with_own_frames(profiled(), 60) == profiled()
     first = with_own_frames(profiled(sfm_s=sfm), 60, known_poses=True).devices[0]
     assert float(first.init_s(24)) == pytest.approx(6.0 + KNOWN_POSES_SHARE * (1.5 * 24 + 0.1 * 24**2), rel=0.03)
+
+
+def test_models_that_gps_has_placed_cost_the_joins_what_one_frame_takes() -> None:
+    curve, alone = CostCurve(constant=1.0, linear=0.5), CostCurve(constant=1.0)
+    profile = replace(MEASURED, frames_s=8.0)
+    (edge,) = system_of(None, None, None).edges
+    edge = replace(edge, profile=profile, aggregate_s=curve, aggregate_alone_s=alone)
+    system = System(
+        edges=(edge, replace(edge, id="other", devices=(replace(edge.devices[0], id="lone"),))), cloud=Cloud(merge_s=curve, frames_s=9.0)
+    )
+    three, one = with_own_frames(system, 60).edges
+    cloud = with_own_frames(system, 60).cloud
+    # Three devices are two pairs, one device none, two edges one.
+    assert float(three.aggregate_s(40)) == 21.0 + 2 * 8.0 and three.aggregate_alone_s == alone
+    assert one.aggregate_s == curve and cloud.merge_s is not None and float(cloud.merge_s(40)) == 21.0 + 9.0
+    assert with_own_frames(system, 60, known_poses=True) == system
+    unknown = System(edges=tuple(replace(own, profile=MEASURED) for own in system.edges), cloud=replace(system.cloud, frames_s=None))
+    assert with_own_frames(unknown, 60) == unknown
+    assert predicts_frames(system) and not predicts_frames(unknown)
+    assert not predicts_frames(replace(system, cloud=unknown.cloud)) and not predicts_frames(replace(unknown, cloud=system.cloud))
+    assert predicts_frames(System(edges=(three,), cloud=unknown.cloud)), "one edge's model is alone at the cloud"
 
 
 @pytest.mark.parametrize(("frames", "of_profile", "expected"), [("gps", True, 1), ("known", True, 0), ("gps", False, 0)])

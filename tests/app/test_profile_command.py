@@ -20,7 +20,7 @@ from radiant_app.commands.profile import ProfileRequest, check_table, profile, p
 from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, Task, choose_counts, shorten_training
 from radiant_app.commands.steps import training_part
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted
+from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted, Warned
 from radiant_app.executors import fork_server, local
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import load_profile
@@ -34,7 +34,7 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.messages import DeviceTask
-from radiant_core.io.messages import save_task
+from radiant_core.io.messages import load_uncertainty, save_task
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.devices.device_split import split_edges
@@ -175,6 +175,32 @@ def test_edges_are_timed_at_what_a_run_has_them_do(scene: Path, tmp_path: Path, 
     merges = {int(path.parent.name): read_json(path) for path in (tmp_path / "cloud").glob("*/summary.json")}
     assert sorted(merges) == [sample.num_cameras for sample in measured.merges] == sorted(int(name.split("-")[0]) for name in joined)
     assert all(summary["num_steps"] > 0 and summary["num_steps"] % views == 0 for views, summary in merges.items())
+
+
+@pytest.mark.parametrize("matches", [True, False])
+def test_what_one_frame_takes_is_a_joins_time_with_frames_by_gps_less_that_with_exact_ones(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, matches: bool
+) -> None:
+    """Beside the epoch, which both take; models whose ground does not match are turned away sooner."""
+    spent_s = {"exact": 3.0, "unsure": 11.5}
+
+    def play(self: Measuring, kind: str, tasks: Mapping[Path, Task]) -> list[float]:
+        if not all(folder.parent.name == "frames" for folder in tasks):
+            return in_this_process(self, kind, tasks)
+        for folder in tasks:
+            name = folder.name.split("-")[0]
+            given = [load_uncertainty(place) for place in (folder / "inbox").iterdir()]
+            assert len(given) == 2 and all((own is None) == (name == "exact") for own in given)
+            write_json(folder / "summary.json", {"train_s": 2.0 if name == "exact" else 2.5})
+            write_json(folder / "refused.json", {} if matches else {"model-2": "it does not fit"})
+        return [spent_s[folder.name.split("-")[0]] for folder in tasks]
+
+    monkeypatch.setattr(Measuring, "_run", play)
+    events: list[Event] = []
+    measured = replace(measuring_in(tmp_path, scene), listen=events.append).measure(1.0)
+    assert measured.frames_s == (pytest.approx(8.0) if matches else None)
+    said = [event.message for event in events if isinstance(event, Warned) and "frames of 2 models" in event.message]
+    assert len(said) == (not matches)
 
 
 def measuring_in(folder: Path, scene: Path) -> Measuring:

@@ -24,6 +24,11 @@ from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 
 MAX_COARSE_VIEWS = 8
+FEW_COARSE_VIEWS = 3
+"""Tried first: features cost most of a coarse match, and where so few views agree clearly, more
+move nothing (docs/experiments/frames.md)."""
+CLEARLY = 4
+"""Times the agreement that is asked for otherwise."""
 MAX_FINE_VIEWS = 14
 MAX_PARTNERS = 5
 MIN_VIEWS = 2
@@ -117,28 +122,29 @@ def without_background(splats: Splats, cameras: Cameras) -> Splats:
 def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | str:
     """The similarity a ← b that most features agree with, good to decimetres, or why there is none.
 
-    First both are rendered at the same cameras, where features look alike; then each at its own,
-    which finds what lies far from its GPS.
+    First both are rendered at the same cameras, where features look alike, a few of them and then
+    all; then each at its own, which finds what lies far from its GPS.
     """
     reason = ""
-    for together in (True, False):
-        found = _at_common_cameras(a, b, overlap) if together else _at_own_cameras(a, b, overlap)
+    for num_views, together in ((FEW_COARSE_VIEWS, True), (MAX_COARSE_VIEWS, True), (MAX_COARSE_VIEWS, False)):
+        found = _at_common_cameras(a, b, overlap, num_views) if together else _at_own_cameras(a, b, overlap)
         if not found:
             reason = reason or "no view shows features of both"
             continue
         a_points, b_points, tolerances = (np.concatenate(parts) for parts in zip(*found, strict=True))
         best = consensus(a_points, b_points, tolerances, seed)
         agreeing = 0 if best is None else int(best[1].sum())
-        if best is not None and agreeing >= max(MIN_COARSE_PAIRS, MIN_COARSE_SHARE * len(a_points)):
+        times = CLEARLY if num_views == FEW_COARSE_VIEWS else 1
+        if best is not None and agreeing >= times * max(MIN_COARSE_PAIRS, MIN_COARSE_SHARE * len(a_points)):
             return best[0]
         reason = f"only {agreeing} of {len(a_points)} matched features of their renders agree with one similarity"
     return reason
 
 
-def _at_common_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:
+def _at_common_cameras(a: Splats, b: Splats, overlap: Overlap, num_views: int) -> list[_Matched]:
     found = []
     for of_one in (overlap.a_cameras, overlap.b_cameras):
-        cameras = _first(of_one, MAX_COARSE_VIEWS)
+        cameras = _first(of_one, num_views)
         of_a, of_b = ModelViews.of(a, cameras), ModelViews.of(b, cameras)
         for index in range(len(cameras)):
             known = (of_a.views[index].alpha > MIN_ALPHA) & (of_b.views[index].alpha > MIN_ALPHA)
@@ -188,7 +194,9 @@ def _track_from(
     if not kept.any():
         return nothing
     own = {
-        j: follow(hub, hub_views, j, IDENTITY, MAX_DEPTH_ERROR) for j in _nearest(hub_views.cameras, center, MAX_PARTNERS + 1) if j != index
+        j: follow(hub, hub_views, j, IDENTITY, MAX_DEPTH_ERROR, kept)
+        for j in _nearest(hub_views.cameras, center, MAX_PARTNERS + 1)
+        if j != index
     }
     kept &= sum((good.astype(np.int64) for _, good in own.values()), np.zeros(len(pixels), np.int64)) >= 1
     if not kept.any():

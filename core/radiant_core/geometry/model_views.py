@@ -122,10 +122,12 @@ class Rays:
     pixels: FloatArray
 
 
-def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+def follow(
+    hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float, wanted: NDArray[np.bool_] | None = None
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) were
-    found there and back. A pixel is hidden where the other view's rendered depth differs by more
-    than the share `max_depth_error`."""
+    found there and back, of those `wanted` (N,) alone. A pixel is hidden where the other view's
+    rendered depth differs by more than the share `max_depth_error`."""
     grey = hub.views.grey[hub.index]
     height, width = grey.shape
     there, depths = other.project(index, other_from_hub.apply(hub.grid))
@@ -139,17 +141,24 @@ def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_de
 
     view = other.views[index]
     visible = (warp(view.alpha) > MIN_ALPHA) & (np.abs(warp(view.depth) - maps[2]) < max_depth_error * maps[2])
-    if not visible.any():
-        return hub.pixels, np.zeros(len(hub.pixels), bool)
+    followed = hub.pixels.copy()
+    good = _at(visible, hub.pixels) if wanted is None else wanted & _at(visible, hub.pixels)
+    if not good.any():
+        return followed, good
     image = warp(other.grey[index])
-    start = (hub.pixels - 0.5).astype(np.float32)[:, None]
-    forth, found, _ = _flow(grey, image, start)
-    back, found_back, _ = _flow(image, grey, forth)
+    # Points are followed one by one: each that is out already would cost as much as the others.
+    chosen = np.flatnonzero(good)
+    start = (hub.pixels[chosen] - 0.5).astype(np.float32)[:, None]
+    forth, found = _flow(grey, image, start)
     landed = forth[:, 0].astype(np.float64) + 0.5
-    good = (found[:, 0] > 0) & (found_back[:, 0] > 0) & (np.linalg.norm((back - start)[:, 0], axis=1) < MAX_RETURN_PX)
-    good &= np.linalg.norm(landed - hub.pixels, axis=1) < MAX_FLOW_PX
-    good &= _at(visible, hub.pixels) & _at(visible, landed)
-    return np.column_stack([sample_bilinear(maps[0], landed), sample_bilinear(maps[1], landed)]) + 0.5, good
+    near = found & (np.linalg.norm(landed - hub.pixels[chosen], axis=1) < MAX_FLOW_PX) & _at(visible, landed)
+    chosen, start, forth, landed = chosen[near], start[near], forth[near], landed[near]
+    good = np.zeros(len(good), bool)
+    if len(chosen):
+        back, found = _flow(image, grey, forth)
+        good[chosen] = found & (np.linalg.norm((back - start)[:, 0], axis=1) < MAX_RETURN_PX)
+    followed[chosen] = np.column_stack([sample_bilinear(maps[0], landed), sample_bilinear(maps[1], landed)]) + 0.5
+    return followed, good
 
 
 def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -182,11 +191,12 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
     return points, np.asarray(np.linalg.inv(H), np.float64), rms_px
 
 
-def _flow(one: NDArray[Any], other: NDArray[Any], start: NDArray[Any]) -> Any:
-    """Positions, status, error."""
-    return cv2.calcOpticalFlowPyrLK(
+def _flow(one: NDArray[Any], other: NDArray[Any], start: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Positions (N,1,2) of points (N,1,2) in the other image, and which (N,) were found."""
+    positions, status, _ = cv2.calcOpticalFlowPyrLK(
         one, other, start, start.copy(), winSize=WINDOW_PX, maxLevel=NUM_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
     )
+    return positions, status[:, 0] > 0
 
 
 def _at(mask: NDArray[np.bool_], pixels: FloatArray) -> NDArray[np.bool_]:

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
-from radiant_core.geometry.frame_matches import without_background
+from radiant_core.geometry import frame_matches
+from radiant_core.geometry.frame_matches import FEW_COARSE_VIEWS, coarse_match, find_overlap, without_background
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
+from radiant_core.geometry.model_views import Hub, ModelViews, corners, follow, hub_map
 from radiant_core.geometry.pair_fit import compose
 from radiant_core.sfm.world_frame.align import fit_sim3
-from radiant_core.splats import concatenate_splats
+from radiant_core.splats import Splats, concatenate_splats
 from tests.core.geometry.patchy_ground import cameras_over, gps_like_move, ground_model, move_about, moved_model
 
 WEST, MIDDLE, EAST = (-26.0, 4.0), (-12.0, 18.0), (2.0, 32.0)
@@ -55,6 +58,53 @@ def errors_without_gauge(
         here = move.inverse().apply(p)
         found.append((abs(off.scale - 1), float(angle), float(np.linalg.norm(off.apply(here) - here, axis=1).max())))
     return found
+
+
+def test_points_that_are_not_wanted_change_nothing_of_those_that_are() -> None:
+    cameras = cameras_over(WEST)
+    views = ModelViews.of(ground_model(WEST, sample=1), cameras)
+    pixels = corners(views, 0, 200)
+    grid, shape = hub_map(views, 0)
+    hub = Hub(views=views, index=0, pixels=pixels, grid=grid, grid_shape=shape)
+    everywhere, found = follow(hub, views, 1, NOTHING, 0.1)
+    wanted = np.arange(len(pixels)) % 3 == 0
+    some, found_of_them = follow(hub, views, 1, NOTHING, 0.1, wanted)
+    assert found.sum() > 40
+    np.testing.assert_array_equal(found_of_them, found & wanted)
+    np.testing.assert_array_equal(some[found_of_them], everywhere[found_of_them])
+    # One model moved by nothing: a followed point lies where its own depth puts it.
+    there = views.project(1, views.lift(0, pixels)[0])[0]
+    assert np.median(np.linalg.norm(everywhere - there, axis=1)[found]) < 0.3
+    assert not follow(hub, views, 1, NOTHING, 0.1, np.zeros(len(pixels), bool))[1].any()
+
+
+def test_few_views_suffice_where_they_agree_clearly_and_more_are_shown_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Either way the same place is found."""
+    move = gps_like_move(middle_of(MIDDLE), 1, 1.0)
+    a = moved_model(ground_model(WEST, sample=0), cameras_over(WEST), NOTHING, SURE)
+    b = moved_model(ground_model(MIDDLE, sample=1), cameras_over(MIDDLE), move, SURE)
+    overlap = find_overlap(a.splats.means, a.cameras, b.splats.means, b.cameras)
+    assert overlap is not None
+    rendered: list[int] = []
+    of = ModelViews.of
+
+    def counted(splats: Splats, cameras: Cameras) -> ModelViews:
+        rendered.append(len(cameras))
+        return of(splats, cameras)
+
+    monkeypatch.setattr(ModelViews, "of", staticmethod(counted))
+    found, numbers = [], []
+    for clearly in (1, 10**6):
+        monkeypatch.setattr(frame_matches, "CLEARLY", clearly)
+        rendered.clear()
+        fit = coarse_match(a.splats, b.splats, overlap, 0)
+        assert not isinstance(fit, str)
+        found.append(fit.apply(b.splats.means.astype(np.float64)))
+        numbers.append(sum(rendered))
+    assert numbers[0] == 4 * FEW_COARSE_VIEWS < numbers[1]
+    true = move.inverse().apply(b.splats.means.astype(np.float64))
+    for places in found:
+        assert np.linalg.norm(places - true, axis=1).max() < 1.0
 
 
 def test_three_models_with_gps_like_errors_come_together() -> None:
