@@ -247,6 +247,7 @@ def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str,
         sfm_s=fit_curve(*zip(*measured.sfm, strict=True), may_fall=True) if measured.sfm else None,
         measured_steps=measured.num_steps,
         frames_s=measured.frames_s,
+        frames_alone_s=measured.frames_alone_s,
     )
     save_profile(out, made)
     fitted = {

@@ -106,7 +106,8 @@ class Measured:
     sfm: tuple[tuple[int, float], ...] = ()
     """Photographs, and seconds of a device's own structure from motion."""
     frames_s: float | None = None
-    """Seconds of bringing two models into one frame."""
+    """Seconds of bringing two models into one frame, beside as many processes as a run has."""
+    frames_alone_s: float | None = None
 
 
 def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
@@ -164,7 +165,7 @@ class Measuring:
         step_s = rounds * pilot.train_s / self.train.num_steps
         # Not of what else has passed: importing what nodes are forked from is done once.
         start_s = rounds * max(0.0, pilot.init_s)
-        num_joins = 2 * len(joined) + 4
+        num_joins = 2 * len(joined) + 5
         free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + num_joins))
         num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
         view_s = _RETRAIN_STEP_COST * step_s
@@ -191,7 +192,7 @@ class Measuring:
         for count in joined:
             self.note = f"joining 2 of {count} photographs at the cloud"
             merges.append(self._cloud(count, num_steps, max(1, num_epochs * aggregate.epochs_at_cloud // aggregate.epochs_at_edges)))
-        frames_s = self._frames(joined[-1], num_steps)
+        frames_s, frames_alone_s = self._frames(joined[-1], num_steps)
         placed = [count for count in sizes if MIN_PHOTOGRAPHS <= count <= MAX_PLACED]
         start_s = min((edge.seconds for edge in edges if edge.num_devices == 1), default=0.0)
         sfm = [(count, self._place(count, start_s)) for count in dict.fromkeys([*placed[:1], *placed[-1:]])]
@@ -205,6 +206,7 @@ class Measuring:
             merges=tuple(merges),
             sfm=tuple(sfm),
             frames_s=frames_s,
+            frames_alone_s=frames_alone_s,
         )
 
     @property
@@ -233,15 +235,16 @@ class Measuring:
     def _edge(self, count: int, num_steps: int, num_devices: int, num_epochs: int) -> EdgeSample:
         """Join two models of so many photographs, as many times side by side as a run has workers,
         or take one as it is: one device has nothing to join."""
-        tasks = self._edge_tasks(f"edges/{num_devices * count}-{num_devices}", count, num_steps, num_devices, num_epochs)
+        copies = min(self.num_workers, NUM_MODELS)
+        tasks = self._edge_tasks(f"edges/{num_devices * count}-{num_devices}", count, num_steps, num_devices, num_epochs, copies)
         seconds = self._in_all_epochs("edge", tasks, aggregate_preset("default").epochs_at_edges / num_epochs)
         return EdgeSample(num_cameras=num_devices * count, num_devices=num_devices, seconds=seconds)
 
-    def _edge_tasks(self, name: str, count: int, num_steps: int, num_devices: int, num_epochs: int) -> dict[Path, Task]:
+    def _edge_tasks(self, name: str, count: int, num_steps: int, num_devices: int, num_epochs: int, copies: int) -> dict[Path, Task]:
         # Models that agree are only cut: here they are retrained all the same.
         aggregate = replace(aggregate_preset("default"), edge_epochs=num_epochs, agreement_db=None)
         tasks: dict[Path, Task] = {}
-        for copy in range(min(self.num_workers, NUM_MODELS)):
+        for copy in range(copies):
             folder = self._folder(f"{name}-{copy}")
             names = self._fill_inbox(folder, count, num_steps, num_devices, "cameras.safetensors")
             tasks[folder] = EdgeTask(
@@ -255,22 +258,24 @@ class Measuring:
             )
         return tasks
 
-    def _frames(self, count: int, num_steps: int) -> float | None:
-        """Seconds of bringing two models of so many photographs into one frame: what a join takes
-        beside its epoch with frames that GPS gave, less the same with exact ones. None where
-        their ground does not match."""
+    def _frames(self, count: int, num_steps: int) -> tuple[float, float] | tuple[None, None]:
+        """Seconds of bringing two models of so many photographs into one frame, as edges do side by
+        side and as the cloud does alone: what a join takes beside its epoch with frames that GPS
+        gave, less the same with exact ones. None where their ground does not match."""
         self.note = f"frames of 2 models of {count} photographs"
-        beside_s = []
-        for kind, uncertainty in (("exact", None), ("unsure", UNSURE)):
-            tasks = self._edge_tasks(f"frames/{kind}", count, num_steps, NUM_MODELS, 1)
+        together = min(self.num_workers, NUM_MODELS)
+        beside_s: list[float] = []
+        for kind, uncertainty, copies in (("exact", None, together), ("unsure", UNSURE, together), ("alone", UNSURE, 1)):
+            tasks = self._edge_tasks(f"frames/{kind}", count, num_steps, NUM_MODELS, 1, copies)
             for place in (place for folder in tasks for place in (folder / "inbox").iterdir()):
                 save_frame(place, uncertainty)
             seconds = float(np.mean(self._run("edge", tasks)))
             beside_s.append(seconds - float(np.mean([read_json(folder / "summary.json").get("train_s", 0.0) for folder in tasks])))
             if any(read_json(folder / "refused.json") for folder in tasks):
                 self.listen(Warned(stage=STAGE, message=f"{self.note} are not measured: their ground does not match."))
-                return None
-        return max(beside_s[1] - beside_s[0], 0.1)
+                return None, None
+        exact_s, unsure_s, alone_s = beside_s
+        return max(unsure_s - exact_s, 0.1), max(alone_s - exact_s, 0.1)
 
     def _cloud(self, count: int, num_steps: int, num_epochs: int) -> EdgeSample:
         """Join two models of so many photographs as those of two edges, alone as in a run."""

@@ -5,6 +5,7 @@
     source = "radiant profile on 53 photographs"
     memory_gb = 12.0                     # what training may hold; left out: unknown
     frames_s = 8.0                       # two models into one frame, of which GPS is unsure
+    frames_alone_s = 6.0                 # the same with no process beside it, as at the cloud
 
     [key]                                # the training that the curves hold for
     preset = "default"
@@ -91,6 +92,7 @@ class _File(Strict):
     memory_gb: Annotated[float, Field(gt=0, le=1e6)] | None = None
     measured_steps: _Count | None = None
     frames_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    frames_alone_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
     key: _Key
     init_s: _Fitted
     train_s: _Fitted
@@ -117,6 +119,7 @@ class _File(Strict):
             memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
             measured_steps=self.measured_steps,
             frames_s=self.frames_s,
+            frames_alone_s=self.frames_alone_s,
             **curves,
         )
 
@@ -181,6 +184,7 @@ def _record(profile: Profile) -> dict[str, Any]:
         "memory_gb": None if profile.memory_bytes is None else profile.memory_bytes / _BYTES_PER_GB,
         "measured_steps": profile.measured_steps,
         "frames_s": profile.frames_s,
+        "frames_alone_s": profile.frames_alone_s,
         "key": _drop_none(vars(key)),
         **tables,
     }

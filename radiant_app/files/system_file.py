@@ -209,7 +209,7 @@ class _Cloud(Strict):
             if profile.merge_s is None:
                 raise BadInput(f"cloud: profile {self.profile!r} has no merge_s: measure it, or give merge_s here.")
             merge_s = profile.merge_s.curve
-        frames_s = None if profile is None else profile.frames_s
+        frames_s = None if profile is None else profile.frames_alone_s
         return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras, merge_s=merge_s, frames_s=frames_s)
 
 

@@ -33,9 +33,9 @@ BESIDE_EPOCHS = 0.15
 BESIDE_EPOCHS_AT_CLOUD = 0.05
 """The same at the cloud, which renders less beside: 0.5 to 0.7 of 12 s in no epoch
 (docs/experiments/planner.md)."""
-KNOWN_POSES_SHARE = 0.6
-"""Of structure from motion that profiles measure, what points for given poses take: 11 to 18 of 19
-to 23 s with 13 photographs of the town (docs/experiments/planner.md)."""
+KNOWN_POSES_SHARE = 0.65
+"""Of structure from motion that profiles measure, what points for given poses take: 10 to 18 of 18
+to 23 s with 13 photographs of the town, in three runs (docs/experiments/planner.md)."""
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:

@@ -38,7 +38,9 @@ OUTDOOR = np.array([(6.26, 169), (5.84, 161), (4.81, 109)])
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
 def test_what_is_written_is_read_again(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"mine{suffix}"
-    profile = replace(MEASURED, name=path.name, machine='a "Läptop" 😀 \\ 2', memory_bytes=8e9, measured_steps=300, frames_s=7.5)
+    profile = replace(
+        MEASURED, name=path.name, machine='a "Läptop" 😀 \\ 2', memory_bytes=8e9, measured_steps=300, frames_s=7.5, frames_alone_s=6.5
+    )
     save_profile(path, profile)
     assert load_profile(path) == profile
 

@@ -105,7 +105,7 @@ def test_another_aggregation_is_said_of_the_edge() -> None:
         ({"memory_bytes": float("nan")}, "memory is nan"),
         ({"measured_steps": 1501}, "measured_steps is 1501"),
         ({"frames_s": 0.0}, "frames_s is 0.0, expected a positive number of seconds"),
-        ({"frames_s": float("inf")}, "frames_s is inf"),
+        ({"frames_alone_s": float("inf")}, "frames_alone_s is inf"),
     ],
 )
 def test_what_is_no_profile_is_refused(fields: dict[str, Any], message: str) -> None:

@@ -82,8 +82,10 @@ class Profile:
     """Part of G where a device places its photographs itself: its structure from motion."""
     frames_s: float | None = None
     """Bringing two models into one frame, where GPS alone places them: a part of F_m for each
-    device but the first, and of merging for each edge but the first. Renders of up to 14 views of
-    each are compared, so that it hardly depends on their photographs."""
+    device but the first. Renders of up to 14 views of each are compared, so that it hardly depends
+    on their photographs."""
+    frames_alone_s: float | None = None
+    """The same with no process beside it, as at the cloud: for each edge but the first."""
     memory_bytes: float | None = None
     """What training may hold there; None for unknown."""
     measured_steps: int | None = None
@@ -96,8 +98,10 @@ class Profile:
             raise BadInput("a profile says neither machine nor source where it is empty: name both.")
         if self.memory_bytes is not None and not (np.isfinite(self.memory_bytes) and self.memory_bytes > 0):
             raise BadInput(f"a profile's memory is {self.memory_bytes} bytes, expected a positive number.")
-        if self.frames_s is not None and not (np.isfinite(self.frames_s) and self.frames_s > 0):
-            raise BadInput(f"a profile's frames_s is {self.frames_s}, expected a positive number of seconds.")
+        for name in ("frames_s", "frames_alone_s"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise BadInput(f"a profile's {name} is {value}, expected a positive number of seconds.")
         if self.measured_steps is not None and not 1 <= self.measured_steps <= self.key.num_steps:
             raise BadInput(f"a profile's measured_steps is {self.measured_steps}, expected 1 to its {self.key.num_steps} steps.")
 
