@@ -17,7 +17,7 @@ from radiant_viewer.layers.camera_roles import camera_roles
 from radiant_viewer.layers.change_layer import changed_layer, constraint_layer, selection_layer
 from radiant_viewer.layers.footprint_layer import footprint_layer, overlap_counts, overlap_layer
 from radiant_viewer.layers.load_layer import load_layer
-from radiant_viewer.layers.region_layer import region_layer
+from radiant_viewer.layers.region_layer import border_layer, region_layer
 from radiant_viewer.pictures.offscreen import render_map
 from radiant_viewer.runs.camera_figures import camera_figures, count_overlaps, filter_rows, sort_rows
 from tests.viewer.made_up_run import Town, made_up_town
@@ -44,6 +44,13 @@ def test_load_bars_are_as_long_as_the_times_and_stand_under_their_edges(shift: t
     assert "4.33 min (harbour)" in layer.legend[0].text
     idle = replace(town.cloud_plan, edge_time_s=np.zeros(3), borders=(np.zeros((0, 2)),) * 3)
     assert load_layer(idle).polygons == ()
+
+
+def test_a_region_alone_borders_on_no_other() -> None:
+    plan = made_up_town().cloud_plan
+    alone = replace(plan, borders=(plan.borders[0], *(np.zeros((0, 2)),) * (len(plan.borders) - 1)))
+    (several,), (one,) = border_layer(plan).legend, border_layer(alone).legend
+    assert (several.text, one.text) == ("Border between regions", "Border of the region")
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), UTM])

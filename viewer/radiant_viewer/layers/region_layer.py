@@ -73,13 +73,14 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
 def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     """Return the lines of the regions' borders alone, to draw over strips or points."""
     sides = outline_segments([at_height(border, height) for border in cloud_plan.borders])
+    text = "Border between regions" if sum(map(bool, map(len, cloud_plan.borders))) > 1 else "Border of the region"
     return Layer(
         name="Borders",
         segments=sides,
         segment_colors=np.tile(np.array(INK, np.uint8), (len(sides), 1)),
         line_width_px=2.6,
         in_front=True,
-        legend=(LegendEntry(text="Border between regions", color=INK, marker="line"),),
+        legend=(LegendEntry(text=text, color=INK, marker="line"),),
     )
 
 
