@@ -123,6 +123,11 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     if manifest.config["emulate"]:
         raise BadInput(f"{run} was emulated, its devices' times are played: give a run without --emulate.")
     stages, config = manifest.stages, manifest.config
+    if config["frames"] == "gps":
+        raise BadInput(
+            f"{run} was made with --frames gps: how long its edges took to join models and how long to bring them into one frame is not "
+            "told apart; give a run with --frames shared, or measure with `radiant profile PHOTOS`."
+        )
     devices, edges, train, steps = [], [], {}, []
     for plan in load_plan(run / "plan.json")[1]:
         counts = {name: len(plan.cameras_of(name)) for name in plan.device_ids}
@@ -261,6 +266,7 @@ def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str,
         "measured_steps": measured.num_steps,
         "largest_count": made.train_s.largest_count,
         "curves": {name: {**vars(curve.curve), "rmse": curve.rmse} for name, curve in fitted.items()},
+        "frames": "not measured" if made.frames_s is None else f"{made.frames_s:.1f} s side by side, {made.frames_alone_s:.1f} s alone",
         "check": _check(measured, joined),
         "warnings": " ".join(_noise(fitted)) or "none",
         "profile": str(out),

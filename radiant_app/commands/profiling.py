@@ -4,8 +4,8 @@
     G, F_n, H (c)   two device nodes per count                       → start-up, steps, bytes
     F_m (2c)        an edge node of their two models, and of one's   → a + b · views
     cloud (2c)      a cloud node of the two, as two edges' models    → a + b · views
-    own frames (c)  structure from motion of a few counts            → seconds beside G
     frames (2c)     the largest join, of models that GPS has placed  → seconds beside F_m, the cloud
+    own frames (c)  structure from motion of one or two counts       → seconds beside G
 
 The two devices have the c photographs on either side of the middle of the scene's long side. Nodes
 run `num_workers` at a time with their share of the cores, and are forked, as in a run: side by side
@@ -20,7 +20,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -31,6 +31,7 @@ from radiant_app.events import Event, Listener, StageProgress, Warned
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.dealing import deal_files
+from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.sources import sfm_task
 from radiant_app.workers.tasks import SfmTask
 from radiant_core.aggregate.config import aggregate_preset
@@ -63,8 +64,12 @@ UPLOAD = "float16"
 NUM_MODELS = 2
 """Of each count of photographs: an edge joins them."""
 MAX_PLACED = 16
-"""Of an own structure from motion, whose cost may rise with the square of the photographs: of the
-town 13 take 22 s where 6 take 6."""
+"""Photographs of the first own structure from motion; up to so many all pairs are compared."""
+MAX_PLACED_LATER = 64
+"""Of the second, where neighbours are compared and a photograph takes less."""
+OVERTIME = 1.2
+"""Share of the time up to which the second is expected to end, or it is left out: the first one's
+time per photograph goes on then, which overstates larger ones."""
 UNSURE = FrameUncertainty(position_m=2.0, scale=0.02, rotation_rad=0.02)
 """As GPS places a model of a dozen photographs."""
 Task = DeviceTask | EdgeTask | CloudTask | SfmTask
@@ -193,10 +198,7 @@ class Measuring:
             self.note = f"joining 2 of {count} photographs at the cloud"
             merges.append(self._cloud(count, num_steps, max(1, num_epochs * aggregate.epochs_at_cloud // aggregate.epochs_at_edges)))
         frames_s, frames_alone_s = self._frames(joined[-1], num_steps)
-        placed = [count for count in sizes if MIN_PHOTOGRAPHS <= count <= MAX_PLACED]
-        start_s = min((edge.seconds for edge in edges if edge.num_devices == 1), default=0.0)
-        sfm = [(count, self._place(count, start_s)) for count in dict.fromkeys([*placed[:1], *placed[-1:]])]
-        sfm = [(count, seconds) for count, seconds in sfm if seconds is not None]
+        sfm = self._placements(sizes, min((edge.seconds for edge in edges if edge.num_devices == 1), default=0.0), OVERTIME * time_s)
         return Measured(
             devices=tuple(devices),
             edges=tuple(edges),
@@ -261,21 +263,29 @@ class Measuring:
     def _frames(self, count: int, num_steps: int) -> tuple[float, float] | tuple[None, None]:
         """Seconds of bringing two models of so many photographs into one frame, as edges do side by
         side and as the cloud does alone: what a join takes beside its epoch with frames that GPS
-        gave, less the same with exact ones. None where their ground does not match."""
+        gave, less the same with exact ones. None, and a warning, where their ground does not match."""
         self.note = f"frames of 2 models of {count} photographs"
         together = min(self.num_workers, NUM_MODELS)
-        beside_s: list[float] = []
-        for kind, uncertainty, copies in (("exact", None, together), ("unsure", UNSURE, together), ("alone", UNSURE, 1)):
-            tasks = self._edge_tasks(f"frames/{kind}", count, num_steps, NUM_MODELS, 1, copies)
-            for place in (place for folder in tasks for place in (folder / "inbox").iterdir()):
-                save_frame(place, uncertainty)
-            seconds = float(np.mean(self._run("edge", tasks)))
-            beside_s.append(seconds - float(np.mean([read_json(folder / "summary.json").get("train_s", 0.0) for folder in tasks])))
-            if any(read_json(folder / "refused.json") for folder in tasks):
-                self.listen(Warned(stage=STAGE, message=f"{self.note} are not measured: their ground does not match."))
-                return None, None
-        exact_s, unsure_s, alone_s = beside_s
+        try:
+            exact_s, unsure_s = (self._beside_epoch(kind, count, num_steps, together) for kind in ("exact", "unsure"))
+            alone_s = self._beside_epoch("alone", count, num_steps, 1) if together > 1 else unsure_s
+        except (BadInput, StageFailed) as error:
+            self.listen(Warned(stage=STAGE, message=f"{self.note} are not measured: {error}"))
+            return None, None
         return max(unsure_s - exact_s, 0.1), max(alone_s - exact_s, 0.1)
+
+    def _beside_epoch(self, kind: str, count: int, num_steps: int, copies: int) -> float:
+        """Seconds of a join in one epoch without those of its training; BadInput where models of
+        which GPS is unsure were not brought together."""
+        tasks = self._edge_tasks(f"frames/{kind}", count, num_steps, NUM_MODELS, 1, copies)
+        for place in (place for folder in tasks for place in (folder / "inbox").iterdir()):
+            save_frame(place, None if kind == "exact" else UNSURE)
+        seconds = float(np.mean(self._run("edge", tasks)))
+        moves = [move for folder in tasks for move in load_corrections(folder).values()]
+        # Models that share no ground stay where they are, to the bit.
+        if kind != "exact" and not all(move is not None and move.scale != 1 for move in moves):
+            raise BadInput("their ground does not match.")
+        return seconds - float(np.mean([read_json(folder / "summary.json").get("train_s", 0.0) for folder in tasks]))
 
     def _cloud(self, count: int, num_steps: int, num_epochs: int) -> EdgeSample:
         """Join two models of so many photographs as those of two edges, alone as in a run."""
@@ -294,6 +304,21 @@ class Measuring:
         )
         seconds = self._in_all_epochs("cloud", {folder: task}, aggregate_preset("default").epochs_at_cloud / num_epochs)
         return EdgeSample(num_cameras=2 * count, num_devices=2, seconds=seconds)
+
+    def _placements(self, sizes: Sequence[int], start_s: float, time_s: float) -> list[tuple[int, float]]:
+        """Photographs and seconds of own structures from motion, begun with those that can be
+        expected to end in `time_s`."""
+        sfm: list[tuple[int, float]] = []
+        for most in (MAX_PLACED, MAX_PLACED_LATER):
+            count = max((size for size in sizes if MIN_PHOTOGRAPHS <= size <= most), default=0)
+            known = sfm[-1] if sfm else (count, 0.0)
+            is_late = self._elapsed_s + known[1] * count / max(known[0], 1) > time_s
+            if not count or (sfm and (count == known[0] or is_late)):
+                continue
+            seconds = self._place(count, start_s)
+            if seconds is not None:
+                sfm.append((count, seconds))
+        return sfm
 
     def _place(self, count: int, start_s: float) -> float | None:
         """Seconds of structure from motion of so many photographs beside the `start_s` of a

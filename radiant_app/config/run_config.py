@@ -151,7 +151,7 @@ class PlanOptions:
     at that where it makes devices see clearly more of their own strips."""
     devices: DevicesUsed = "auto"
     """auto: where one owner's photographs are few, the fastest devices alone, which was better in
-    six of seven cells; all: every device, which gps and known have anyway."""
+    six of seven cells; all: every device, as gps and known do anyway."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
     """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(

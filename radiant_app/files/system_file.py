@@ -35,7 +35,8 @@ this one: its costs and, where the file says none, its memory come from there. A
 is taken at the steps that a run gives so many photographs; `train_s` that stands here is believed
 as it is. An edge may also have aggregate_alone_s: what it costs where one device has all its
 cameras, so that nothing is retrained. Where a run or plan writes its system, the costs stand there
-as numbers, and costs_from names their profile: "measured mine.toml", "estimate rtx-3090".
+as numbers, and costs_from names their profile: "measured mine.toml", "estimate rtx-3090"; what
+profiles know beside (structure from motion, frames by GPS) stands there as far as it was in the costs.
 
 For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model
 sent) and `max_cameras` in place of devices, uplink and aggregate_s: the cloud plans its region, and
@@ -209,8 +210,7 @@ class _Cloud(Strict):
             if profile.merge_s is None:
                 raise BadInput(f"cloud: profile {self.profile!r} has no merge_s: measure it, or give merge_s here.")
             merge_s = profile.merge_s.curve
-        frames_s = None if profile is None else profile.frames_alone_s
-        return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras, merge_s=merge_s, frames_s=frames_s)
+        return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras, merge_s=merge_s, profile=profile)
 
 
 class _File(Strict):

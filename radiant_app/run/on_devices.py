@@ -27,7 +27,7 @@ from radiant_app.run.prediction_error import save_system
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.run.source import Plan
-from radiant_app.run.stages import load_plan_before_capture, load_plan_in_frame, plan_stage, warn_about_predictions
+from radiant_app.run.stages import costs_of_run, load_plan_before_capture, load_plan_in_frame, plan_stage, warn_about_predictions
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_app.workers.tasks import HELD_OUT_NAME, FieldTask, PlacingTask, SfmSettings
 from radiant_core.aggregate.tree import Tree
@@ -102,6 +102,7 @@ class DevicePhotographs:
             return Plan(system=system, cloud=cloud, edges=edges)
         if captured.cell_middles is None and config.cell_m is not None:
             positions = middles_of_cells(positions, config.cell_m)
+        system = costs_of_run(config, system, len(positions))
         cloud, edges = self._plan_of_owners(system, positions, owners, progress)
         save_plan(config.out / "plan.json", cloud, edges, warnings=warn_about_predictions(config, system, edges, progress))
         save_system(config.out, system)

@@ -34,7 +34,7 @@ BESIDE_EPOCHS_AT_CLOUD = 0.05
 """The same at the cloud, which renders less beside: 0.5 to 0.7 of 12 s in no epoch
 (docs/experiments/planner.md)."""
 KNOWN_POSES_SHARE = 0.65
-"""Of structure from motion that profiles measure, what points for given poses take: 10 to 18 of 18
+"""Of structure from motion that profiles measure, what points for given poses take: 10 to 18 of 17
 to 23 s with 13 photographs of the town, in three runs (docs/experiments/planner.md)."""
 
 
@@ -138,8 +138,9 @@ def with_own_frames(system: System, num_cameras: int, *, known_poses: bool = Fal
         return own if frames_s is None else replace(own, aggregate_s=_with_frames(own.aggregate_s, frames_s, len(own.devices)))
 
     cloud, merge_s = system.cloud, system.cloud.merge_s
-    if merge_s is not None and cloud.frames_s is not None and not known_poses:
-        cloud = replace(cloud, merge_s=_with_frames(merge_s, cloud.frames_s, len(system.edges)))
+    frames_s = None if known_poses or cloud.profile is None else cloud.profile.frames_alone_s
+    if merge_s is not None and frames_s is not None:
+        cloud = replace(cloud, merge_s=_with_frames(merge_s, frames_s, len(system.edges)))
     return replace(system, edges=tuple(map(bringing_together, system.edges)), cloud=cloud)
 
 
@@ -149,10 +150,11 @@ def _with_frames(join_s: CostCurve, frames_s: float, num_models: int) -> CostCur
 
 
 def predicts_frames(system: System) -> bool:
-    """Whether profiles of edges and the cloud, where these have some, say what it takes to bring
-    models into one frame."""
-    cloud = system.cloud.merge_s is None or system.cloud.frames_s is not None or len(system.edges) < 2
-    return cloud and all(edge.profile is None or edge.profile.frames_s is not None for edge in system.edges)
+    """Whether profiles of edges and the cloud say what it takes to bring models into one frame,
+    where these have a profile and several models to join."""
+    cloud = system.cloud.profile
+    at_cloud = cloud is None or cloud.frames_alone_s is not None or len(system.edges) < 2
+    return at_cloud and all(edge.profile is None or edge.profile.frames_s is not None or len(edge.devices) < 2 for edge in system.edges)
 
 
 def _slowness(device: Device) -> float:

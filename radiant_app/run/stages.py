@@ -54,7 +54,7 @@ ATTEMPTS = 3
 """Starts of a node whose process or machine was lost; more failures are no chance."""
 FRAMES_UNPREDICTED = (
     "what it takes to bring models that GPS has placed into one frame is in no profile: edges and the cloud will take longer than is "
-    "predicted; make the profile anew with `radiant profile`, which measures that."
+    "predicted; make the profile anew with `radiant profile` and photographs that overlap, which measures that."
 )
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of a retraining on the plain PyTorch backend."""
@@ -79,11 +79,7 @@ def plan_stage(
     BadInput when no plan fits.
     """
     train = planned_training(config.train.preset, config.train.overrides)
-    if config.train.step_policy == "per_photograph":
-        system = with_step_law(system, train, len(positions))
-    system = with_short_joins(system, train, len(positions), config.aggregate.config)
-    if config.frames != "shared":
-        system = with_own_frames(system, len(positions), known_poses=config.frames == "known")
+    system = costs_of_run(config, system, len(positions))
     if config.plan.file is not None:
         # Captured photographs stay on their devices, whatever memory those have.
         system = place_edges_by_raster(system, positions, origin, config.cell_m, config.seed)
@@ -102,6 +98,15 @@ def plan_stage(
     )
     save_system(config.out, system)
     return system, cloud_plan, edge_plans
+
+
+def costs_of_run(config: RunConfig, system: System, num_cameras: int) -> System:
+    """The system with what profiles know of this run: its steps, epochs and frames."""
+    train = planned_training(config.train.preset, config.train.overrides)
+    if config.train.step_policy == "per_photograph":
+        system = with_step_law(system, train, num_cameras)
+    system = with_short_joins(system, train, num_cameras, config.aggregate.config)
+    return system if config.frames == "shared" else with_own_frames(system, num_cameras, known_poses=config.frames == "known")
 
 
 def _make_plan(

@@ -11,15 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiant_app.config.run_config import RunConfig, SfmOptions
+from radiant_app.config.run_config import PlanOptions, RunConfig, SfmOptions
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system
+from radiant_app.run.captured import Captured
+from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.predictions import (
     BESIDE_EPOCHS,
     BESIDE_EPOCHS_AT_CLOUD,
     KNOWN_POSES_SHARE,
     depends_on_training,
+    planned_training,
     predicts_frames,
     refining_law_of,
     with_camera_limits,
@@ -131,7 +134,8 @@ def test_models_that_gps_has_placed_cost_the_joins_what_one_frame_takes() -> Non
     (edge,) = system_of(None, None, None).edges
     edge = replace(edge, profile=profile, aggregate_s=curve, aggregate_alone_s=alone)
     system = System(
-        edges=(edge, replace(edge, id="other", devices=(replace(edge.devices[0], id="lone"),))), cloud=Cloud(merge_s=curve, frames_s=9.0)
+        edges=(edge, replace(edge, id="other", devices=(replace(edge.devices[0], id="lone"),))),
+        cloud=Cloud(merge_s=curve, profile=replace(MEASURED, frames_alone_s=9.0)),
     )
     three, one = with_own_frames(system, 60).edges
     cloud = with_own_frames(system, 60).cloud
@@ -139,11 +143,43 @@ def test_models_that_gps_has_placed_cost_the_joins_what_one_frame_takes() -> Non
     assert float(three.aggregate_s(40)) == 21.0 + 2 * 8.0 and three.aggregate_alone_s == alone
     assert one.aggregate_s == curve and cloud.merge_s is not None and float(cloud.merge_s(40)) == 21.0 + 9.0
     assert with_own_frames(system, 60, known_poses=True) == system
-    unknown = System(edges=tuple(replace(own, profile=MEASURED) for own in system.edges), cloud=replace(system.cloud, frames_s=None))
+    unknown = System(edges=tuple(replace(own, profile=MEASURED) for own in system.edges), cloud=replace(system.cloud, profile=MEASURED))
     assert with_own_frames(unknown, 60) == unknown
     assert predicts_frames(system) and not predicts_frames(unknown)
     assert not predicts_frames(replace(system, cloud=unknown.cloud)) and not predicts_frames(replace(unknown, cloud=system.cloud))
     assert predicts_frames(System(edges=(three,), cloud=unknown.cloud)), "one edge's model is alone at the cloud"
+    assert predicts_frames(System(edges=(replace(one, profile=MEASURED),))), "as one device's is at its edge"
+    spelt_out = System(edges=tuple(replace(own, profile=None) for own in system.edges), cloud=Cloud(merge_s=curve))
+    assert predicts_frames(spelt_out) and with_own_frames(spelt_out, 60) == spelt_out, "what a file spells out is believed"
+
+
+def test_devices_with_folders_of_their_own_are_predicted_and_warned_of_as_dealt_ones_are(tmp_path: Path) -> None:
+    known = replace(MEASURED, frames_s=8.0, sfm_s=FittedCurve(curve=CostCurve(linear=2.0), smallest_count=5, largest_count=24))
+    xy = np.random.default_rng(0).uniform(-50, 50, (30, 2))
+    for profile, expected in ((known, []), (MEASURED, [FRAMES_UNPREDICTED])):
+        (edge,) = system_of(profile, profile).edges
+        system = System(edges=(replace(edge, profile=profile, aggregate_s=CostCurve(linear=0.5), position=(0.0, 0.0)),))
+        out = tmp_path / profile.name.replace(".", "") / str(len(expected))
+        out.mkdir(parents=True)
+        owners = tuple(device.id for device in system.devices for _ in range(15))
+        names = tuple(f"{row:02d}.jpg" for row in range(30))
+        captured = Captured(
+            names=names, owners=owners, positions=np.column_stack([xy, np.full(30, 50.0)]), origin=np.array([47.0, 8.0, 400.0])
+        )
+        config = RunConfig(source=tmp_path, out=out, frames="gps", plan=PlanOptions(raster_cell_m=0.0))
+        manifest = Manifest(folder=out, config={})
+        progress = Progress(manifest=manifest, listener=lambda event: None, clock=lambda: 0.0, started_s=0.0)
+        photographs = DevicePhotographs(config=config, captured=captured, folders=dict.fromkeys(owners, tmp_path), poses=None)
+        plan = photographs.make_plan(system, progress)
+        assert [message for message in manifest.warnings if message == FRAMES_UNPREDICTED] == expected
+        (planned_edge,) = plan.system.edges
+        by_frames = planned_edge.aggregate_s.constant - with_short_joins(system, *_run_of(config, 27)).edges[0].aggregate_s.constant
+        assert by_frames == pytest.approx(0.0 if expected else 8.0)
+        assert (float(planned_edge.devices[0].init_s(15)) > float(edge.devices[0].init_s(15)) + 2) == (not expected)
+
+
+def _run_of(config: RunConfig, num_cameras: int) -> tuple[TrainConfig, int, AggregateConfig]:
+    return planned_training(config.train.preset, config.train.overrides), num_cameras, config.aggregate.config
 
 
 @pytest.mark.parametrize(("frames", "of_profile", "expected"), [("gps", True, 1), ("known", True, 0), ("gps", False, 0)])

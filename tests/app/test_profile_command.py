@@ -27,12 +27,13 @@ from radiant_app.files.profile_file import load_profile
 from radiant_app.files.run_folder import Manifest, recorded_config
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.predictions import planned_training
+from radiant_app.workers.inbox import save_joining
 from radiant_app.workers.nodes import run_node
 from radiant_app.workers.tasks import receive_task
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.frames import Frame
+from radiant_core.frames import Frame, Sim3
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.io.messages import load_uncertainty, save_task
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
@@ -177,31 +178,54 @@ def test_edges_are_timed_at_what_a_run_has_them_do(scene: Path, tmp_path: Path, 
     assert all(summary["num_steps"] > 0 and summary["num_steps"] % views == 0 for views, summary in merges.items())
 
 
-@pytest.mark.parametrize("matches", [True, False])
+@pytest.mark.parametrize("outcome", ["moved", "alone", "refused", "fails"])
+@pytest.mark.parametrize("num_workers", [1, 2])
 def test_what_one_frame_takes_is_a_joins_time_with_frames_by_gps_less_that_with_exact_ones(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, matches: bool
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, outcome: str, num_workers: int
 ) -> None:
-    """Beside the epoch, which both take; models whose ground does not match are turned away sooner."""
+    """Beside the epoch, which both take; models that are not brought together take less, which is no measure."""
     spent_s = {"exact": 3.0, "unsure": 11.5, "alone": 9.5}
+    still = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
+    asked: list[str] = []
 
     def play(self: Measuring, kind: str, tasks: Mapping[Path, Task]) -> list[float]:
         if not all(folder.parent.name == "frames" for folder in tasks):
-            return in_this_process(self, kind, tasks)
+            return in_this_process(replace(self, num_workers=1), kind, tasks)
+        (name,) = {folder.name.split("-")[0] for folder in tasks}
+        asked.append(name)
+        if outcome == "fails" and name == "unsure":
+            raise StageFailed("no memory")
         for folder in tasks:
-            name = folder.name.split("-")[0]
             given = [load_uncertainty(place) for place in (folder / "inbox").iterdir()]
             assert len(given) == 2 and all((own is None) == (name == "exact") for own in given)
             write_json(folder / "summary.json", {"train_s": 2.0 if name == "exact" else 2.5})
-            write_json(folder / "refused.json", {} if matches else {"model-2": "it does not fit"})
-        return [spent_s[folder.name.split("-")[0]] for folder in tasks]
+            moved = outcome == "moved" and name != "exact"
+            second = None if outcome == "refused" and name != "exact" else replace(still, scale=1.001) if moved else still
+            save_joining(folder, {"model-1": replace(still, scale=0.999) if moved else still, "model-2": second}, {}, None)
+        return [spent_s[name] for _ in tasks]
 
     monkeypatch.setattr(Measuring, "_run", play)
     events: list[Event] = []
-    measured = replace(measuring_in(tmp_path, scene), listen=events.append).measure(1.0)
-    assert measured.frames_s == (pytest.approx(8.0) if matches else None)
-    assert measured.frames_alone_s == (pytest.approx(6.0) if matches else None)
+    measured = replace(measuring_in(tmp_path, scene), listen=events.append, num_workers=num_workers).measure(1.0)
+    known = outcome == "moved"
+    assert measured.frames_s == (pytest.approx(8.0) if known else None)
+    assert measured.frames_alone_s == (pytest.approx(8.0 if num_workers == 1 else 6.0) if known else None)
+    assert asked == ["exact", "unsure", "alone"][: 3 if known and num_workers > 1 else 2]
     said = [event.message for event in events if isinstance(event, Warned) and "frames of 2 models" in event.message]
-    assert len(said) == (not matches)
+    assert len(said) == (not known)
+
+
+def test_own_structure_from_motion_is_measured_of_few_and_of_many_where_time_allows(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(Measuring, "_place", lambda self, count, start_s: now_s.append(now_s.pop() + 2.0 * count) or 2.0 * count)
+    measuring = replace(measuring_in(tmp_path, scene), clock=lambda: now_s[0])
+    for time_s, expected in ((200.0, [13, 52]), (129.0, [13]), (1.0, [13])):
+        now_s[0] = 0.0
+        assert measuring._placements([6, 13, 26, 52, 100], 0.0, time_s) == [(count, 2.0 * count) for count in expected]
+    now_s[0] = 0.0
+    assert measuring._placements([6, 8], 0.0, 1e9) == [(8, 16.0)] and measuring._placements([3], 0.0, 1e9) == []
 
 
 def measuring_in(folder: Path, scene: Path) -> Measuring:
@@ -235,7 +259,7 @@ def planned_with(folder: Path, scene: Path, name: str, value: int) -> str:
     return result["warnings"]
 
 
-def run_folder(folder: Path, *, emulated: bool = False) -> Path:
+def run_folder(folder: Path, *, emulated: bool = False, frames: Any = "shared") -> Path:
     """What a finished run keeps of its times: three devices of one edge with 4, 6 and 10 photographs."""
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng(0)
@@ -245,7 +269,7 @@ def run_folder(folder: Path, *, emulated: bool = False) -> Path:
     (edge,) = split_edges(positions, cloud, system)  # type: ignore[arg-type]
     edge = type(edge)(**{**vars(edge), "device_of_camera": np.repeat([0, 1, 2], [4, 6, 10])})
     save_plan(folder / "plan.json", cloud, (edge,))  # type: ignore[arg-type]
-    config = RunConfig(source=folder, out=folder, emulate=Path("s.toml") if emulated else None)
+    config = RunConfig(source=folder, out=folder, emulate=Path("s.toml") if emulated else None, frames=frames)
     manifest = Manifest(folder=folder, config=recorded_config(config))
     for name, count in (("d0", 4), ("d1", 6), ("d2", 10)):
         device = folder / "devices" / name
@@ -276,6 +300,10 @@ def test_a_run_whose_times_are_played_or_missing_is_refused(tmp_path: Path) -> N
     with pytest.raises(BadInput, match="emulated"):
         profile_of_run(played, tmp_path / "a.toml")
     run = run_folder(tmp_path / "real")
+    (tmp_path / "gps").mkdir()
+    own_frames = run_folder(tmp_path / "gps" / "run", frames="gps")
+    with pytest.raises(BadInput, match="made with --frames gps"):
+        profile_of_run(own_frames, tmp_path / "a.toml")
     shutil.rmtree(run / "devices")
     with pytest.raises(BadInput, match="no times of a device"):
         profile_of_run(run, tmp_path / "a.toml")

@@ -126,7 +126,9 @@ def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | st
     all; then each at its own, which finds what lies far from its GPS.
     """
     reason = ""
-    for num_views, together in ((FEW_COARSE_VIEWS, True), (MAX_COARSE_VIEWS, True), (MAX_COARSE_VIEWS, False)):
+    has_more = max(len(overlap.a_cameras), len(overlap.b_cameras)) > FEW_COARSE_VIEWS
+    few = [(FEW_COARSE_VIEWS, True)] if has_more else []
+    for num_views, together in (*few, (MAX_COARSE_VIEWS, True), (MAX_COARSE_VIEWS, False)):
         found = _at_common_cameras(a, b, overlap, num_views) if together else _at_own_cameras(a, b, overlap)
         if not found:
             reason = reason or "no view shows features of both"

@@ -162,9 +162,8 @@ class Cloud:
     merge_s: CostCurve | None = None
     """Seconds of joining the edges' models against the scene's cameras; None: not known. The same
     for every plan of a scene, so that no plan depends on it."""
-    frames_s: float | None = None
-    """Seconds of bringing one more edge's model into the frame of the others, where GPS alone
-    places them; None: not known."""
+    profile: Profile | None = None
+    """What `merge_s` comes from; None where it was spelt out."""
 
     def __post_init__(self) -> None:
         for name in ("memory_bytes", "time_s", "max_cameras"):

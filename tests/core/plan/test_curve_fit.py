@@ -158,15 +158,3 @@ def test_errors_may_be_off_by_a_millionth() -> None:
     with pytest.raises(BadInput, match=r"a curve states rmse 0\.0 and worst_error 2e-06, its samples give 0 and 0: profile again"):
         FittedCurve(**right, rmse=0.0, worst_error=2e-6)
     FittedCurve(curve=CostCurve(), smallest_count=1, largest_count=1, rmse=0.0, worst_error=0.0)
-
-
-def test_few_counts_get_a_power_where_values_grow_clearly_faster_than_they() -> None:
-    """Of 6 and 13 photographs structure from motion takes 6 and 18 s; a line through both starts below 0."""
-    grown = fit_curve([6, 13], [5.8, 18.1])
-    np.testing.assert_allclose(grown.curve([6, 13]), [5.8, 18.1], rtol=0.02)
-    assert 1 < grown.curve.exponent <= 2
-    # Nearly in proportion, and two counts close to each other, say nothing of a power.
-    for counts, values in (([6, 13], [6.0, 14.0]), ([10, 13], [5.0, 10.0])):
-        assert fit_curve(counts, values).curve.power_coefficient == 0.0
-    steep = fit_curve([10, 20, 40], [1.0, 16.0, 256.0])
-    assert steep.curve.exponent == 2.0, "no steeper, since few counts are extrapolated far"

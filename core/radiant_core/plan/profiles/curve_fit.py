@@ -1,9 +1,8 @@
 """Cost curves from measurements: a + b·c + d·c^p with a, b, d ≥ 0, and the range they hold for.
 
 For each exponent of a grid the non-negative least squares of the relative error (Lawson, Hanson,
-1974); the best exponent wins, or the simpler curve where the power term gains less than 1 %. Fewer
-than four counts get a power term only where values grow clearly faster than their counts, which no
-constant and line can follow. Once per profile.
+1974); the best exponent wins, or the simpler curve where the power term gains less than 1 %. Once
+per profile.
 """
 
 from __future__ import annotations
@@ -22,12 +21,7 @@ from radiant_core.plan.profiles.cost_curves import CostCurve
 EXTRAPOLATION = 2.0
 """A curve is trusted up to this many times the largest measured count."""
 _EXPONENTS = np.arange(0.25, 3.01, 0.125)
-_OF_FEW = _EXPONENTS[(_EXPONENTS > 1) & (_EXPONENTS <= 2)]
 _WORTH_A_TERM = 0.99
-_CLEAR_ERROR = 0.1
-"""Root mean square error of a line beyond which few counts, of which the largest is twice the
-smallest or more, get a power: structure from motion of 6 and 13 photographs of the town takes 6 and
-18 s."""
 _SAME_ERROR = 1e-6
 """How far errors that a file states may be off its samples': rounding of numbers as text."""
 
@@ -85,11 +79,12 @@ def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -
         plain[:, 0] = 0  # One count says nothing about a constant: in proportion.
     coefficients, error = _fit_terms(plain, values)
     curve = CostCurve(constant=coefficients[0], linear=coefficients[1])
-    for exponent in _exponents_for(counts, error / np.sqrt(len(counts))):
-        more, new_error = _fit_terms(np.column_stack([plain, counts**exponent]), values)
-        if new_error < _WORTH_A_TERM * error:
-            error = new_error
-            curve = CostCurve(constant=more[0], linear=more[1], power_coefficient=more[2], exponent=float(exponent))
+    if len(np.unique(counts)) >= 4:
+        for exponent in _EXPONENTS[_EXPONENTS != 1]:
+            more, new_error = _fit_terms(np.column_stack([plain, counts**exponent]), values)
+            if new_error < _WORTH_A_TERM * error:
+                error = new_error
+                curve = CostCurve(constant=more[0], linear=more[1], power_coefficient=more[2], exponent=float(exponent))
     rmse, worst = _errors(curve, counts, values)
     return FittedCurve(
         curve=curve,
@@ -99,13 +94,6 @@ def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -
         rmse=rmse,
         worst_error=worst,
     )
-
-
-def _exponents_for(counts: FloatArray, line_error: float) -> FloatArray:
-    """The exponents to try at such counts (S,), where a line leaves so large an error."""
-    if len(np.unique(counts)) >= 4:
-        return _EXPONENTS[_EXPONENTS != 1]
-    return _OF_FEW if counts.max() >= 2 * counts.min() and line_error > _CLEAR_ERROR else _EXPONENTS[:0]
 
 
 def _require_costs(counts: FloatArray, values: FloatArray) -> None:

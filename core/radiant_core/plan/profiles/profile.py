@@ -83,7 +83,7 @@ class Profile:
     frames_s: float | None = None
     """Bringing two models into one frame, where GPS alone places them: a part of F_m for each
     device but the first. Renders of up to 14 views of each are compared, so that it hardly depends
-    on their photographs."""
+    on how many photographs they have."""
     frames_alone_s: float | None = None
     """The same with no process beside it, as at the cloud: for each edge but the first."""
     memory_bytes: float | None = None
