@@ -263,7 +263,8 @@ class Measuring:
     def _frames(self, count: int, num_steps: int) -> tuple[float, float] | tuple[None, None]:
         """Seconds of bringing two models of so many photographs into one frame, as edges do side by
         side and as the cloud does alone: what a join takes beside its epoch with frames that GPS
-        gave, less the same with exact ones. None, and a warning, where their ground does not match."""
+        gave, less the same with exact ones. None, and a warning, where their ground does not
+        match."""
         self.note = f"frames of 2 models of {count} photographs"
         together = min(self.num_workers, NUM_MODELS)
         try:

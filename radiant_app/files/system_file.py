@@ -36,7 +36,7 @@ is taken at the steps that a run gives so many photographs; `train_s` that stand
 as it is. An edge may also have aggregate_alone_s: what it costs where one device has all its
 cameras, so that nothing is retrained. Where a run or plan writes its system, the costs stand there
 as numbers, and costs_from names their profile: "measured mine.toml", "estimate rtx-3090"; what
-profiles know beside (structure from motion, frames by GPS) stands there as far as it was in the costs.
+profiles know beside (structure from motion, frames by GPS) stands there as far as it was in them.
 
 For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model
 sent) and `max_cameras` in place of devices, uplink and aggregate_s: the cloud plans its region, and
