@@ -63,13 +63,12 @@ _RETRAIN_STEP_COST = 2.0
 UPLOAD = "float16"
 NUM_MODELS = 2
 """Of each count of photographs: an edge joins them."""
-MAX_PLACED = 16
-"""Photographs of the first own structure from motion; up to so many all pairs are compared."""
-MAX_PLACED_LATER = 64
-"""Of the second, where neighbours are compared and a photograph takes less."""
+MAX_PLACED, MAX_PLACED_LATER = 16, 64
+"""Photographs of the first own structure from motion and of the second: of the town 13 take 20 s
+and 52 take 105 s, where 6 take 6 s."""
 OVERTIME = 1.2
-"""Share of the time up to which the second is expected to end, or it is left out: the first one's
-time per photograph goes on then, which overstates larger ones."""
+"""Share of the time up to which the second is expected to end, or it is left out: larger ones are
+predicted in proportion to the first then, 52 of the town a quarter too short."""
 UNSURE = FrameUncertainty(position_m=2.0, scale=0.02, rotation_rad=0.02)
 """As GPS places a model of a dozen photographs."""
 Task = DeviceTask | EdgeTask | CloudTask | SfmTask
