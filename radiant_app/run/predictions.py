@@ -35,7 +35,7 @@ BESIDE_EPOCHS_AT_CLOUD = 0.05
 (docs/experiments/planner.md)."""
 KNOWN_POSES_SHARE = 0.65
 """Of structure from motion that profiles measure, what points for given poses take: 10 to 18 of 17
-to 23 s with 13 photographs of the town, in three runs (docs/experiments/planner.md)."""
+to 23 s with 13 photographs of the town, in four runs (docs/experiments/planner.md)."""
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
