@@ -258,9 +258,11 @@ class Cell:
 
     @cached_property
     def centralised_model(self) -> DeviceModel:
-        """One model of all photographs, with the steps of all devices together."""
+        """One model of all photographs, with the steps of all devices together and room for as many
+        Gaussians: a run's limit is that of one device."""
         num_steps = sum(int(model.summary["num_steps"]) for model in self.devices.values())
-        return self.model_of(self.scene.training, num_steps=num_steps, max_epochs=None)
+        most = self.recipe.train.max_num_splats * len(self.devices)
+        return self.model_of(self.scene.training, num_steps=num_steps, max_num_splats=most, max_epochs=None)
 
 
 def bench_settings(long_side_px: int, num_steps: int, upload: UploadFormat = "float16") -> DeviceSettings:

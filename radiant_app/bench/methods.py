@@ -1,7 +1,8 @@
 """Benchmark of joining: every method on the same device models, split and seams. Once per (layout,
 placement, seed).
 
-    centralised     one model of all photographs, with all devices' steps; reference of the seams
+    centralised     one model of all photographs, with all devices' steps and limits of Gaussians;
+                    reference of the seams
     one device      one model of all photographs, with the steps of one device, nothing joined
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each

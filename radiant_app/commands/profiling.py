@@ -69,6 +69,8 @@ and 52 take 105 s, where 6 take 6 s."""
 OVERTIME = 1.2
 """Share of the time up to which the second is expected to end, or it is left out: larger ones are
 predicted in proportion to the first then, 52 of the town a quarter too short."""
+_FRAMES_S, _PLACED_S = 8.0, 1.5
+"""Guesses for the time left alone: of the frames of two models, and of placing a photograph."""
 UNSURE = FrameUncertainty(position_m=2.0, scale=0.02, rotation_rad=0.02)
 """As GPS places a model of a dozen photographs."""
 Task = DeviceTask | EdgeTask | CloudTask | SfmTask
@@ -127,6 +129,12 @@ def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
     return counts, None if held_out in counts else held_out
 
 
+def _counts_to_place(sizes: Sequence[int]) -> list[int]:
+    """Which of the measured counts of photographs get an own structure from motion: one or two."""
+    largest = (max((size for size in sizes if MIN_PHOTOGRAPHS <= size <= most), default=0) for most in (MAX_PLACED, MAX_PLACED_LATER))
+    return sorted({count for count in largest if count})
+
+
 def shorten_training(train: TrainConfig, num_steps: int) -> TrainConfig:
     """The same training in fewer steps, with as many rounds of density control and Gaussians."""
     density = train.density
@@ -181,7 +189,8 @@ class Measuring:
 
         num_epochs = epochs_in((1 - _TRAINING_SHARE) * free_s)
         self.left_s = [start_s + step_s * num_steps] * len(sizes)
-        self.left_s += [start_s + view_s * num_epochs * 2 * count for count in joined] + [start_s] * (num_joins - len(joined))
+        self.left_s += [start_s + view_s * num_epochs * 2 * count for count in joined] + [start_s] * (num_joins - len(joined) - 2)
+        self.left_s += [start_s + _FRAMES_S] * 2 + [_PLACED_S * count for count in _counts_to_place(sizes)]
         devices, edges, merges = [], [], []
         for count in sizes:
             self.note = f"{count} photographs, {num_steps:,} steps"
@@ -309,12 +318,11 @@ class Measuring:
         """Photographs and seconds of own structures from motion, begun with those that can be
         expected to end in `time_s`."""
         sfm: list[tuple[int, float]] = []
-        for most in (MAX_PLACED, MAX_PLACED_LATER):
-            count = max((size for size in sizes if MIN_PHOTOGRAPHS <= size <= most), default=0)
-            known = sfm[-1] if sfm else (count, 0.0)
-            is_late = self._elapsed_s + known[1] * count / max(known[0], 1) > time_s
-            if not count or (sfm and (count == known[0] or is_late)):
+        for count in _counts_to_place(sizes):
+            expected_s = sfm[-1][1] * count / sfm[-1][0] if sfm else _PLACED_S * count
+            if sfm and self._elapsed_s + expected_s > time_s:
                 continue
+            self.left_s = [expected_s]
             seconds = self._place(count, start_s)
             if seconds is not None:
                 sfm.append((count, seconds))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.bench.cells import Layout, layout_of, random_sites
+from radiant_app.bench.cells import Layout, ModelCache, bench_settings, deal_cell, layout_of, load_bench_scene, random_sites
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.rivals import RIVALS
@@ -93,6 +93,14 @@ def test_one_device_has_all_photographs_and_its_own_steps(bench: MethodBench) ->
     assert 0 < alone.training_px < whole.training_px and alone.psnr_db != whole.psnr_db
     mean = alone.training_px * bench.layout.num_edges * bench.layout.num_devices if bench.layout else 0
     assert mean == pytest.approx(whole.training_px, rel=0.2), "as many as each of the devices, which make up the other's"
+
+
+def test_one_model_of_all_has_room_for_as_many_gaussians_as_all_devices(hamlet_scene: Path, tmp_path: Path) -> None:
+    scene, settings = load_bench_scene(hamlet_scene, 64), bench_settings(64, 200)
+    settings = replace(settings, train=replace(settings.train, max_num_splats=150))
+    cell = deal_cell(scene, ModelCache(folder=tmp_path), settings, Layout(num_edges=2, num_devices=1))
+    own = [len(model.splats) for model in cell.devices.values()]
+    assert max(own) <= 150 < len(cell.centralised_model.splats) <= 300
 
 
 def test_rivals_train_and_join_on_the_same_work(bench: MethodBench) -> None:

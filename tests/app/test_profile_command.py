@@ -120,6 +120,8 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     progress = [event for event in events if isinstance(event, StageProgress) and event.stage == "profile"]
     assert isinstance(next(event for event in events if getattr(event, "stage", "") == "profile"), StageStarted)
     assert all(0 <= event.done <= event.total for event in progress) and any("photographs" in event.note for event in progress)
+    left_s = [event.total - event.done for event in progress]
+    assert max(left_s) > 20, "what frames and own structure from motion take is expected from the beginning"
     assert any(isinstance(event, StageDone) and event.stage == "profile" for event in events)
     warnings = planned_with(tmp_path, scene, "long_side_px", 48)
     assert warnings == "none"
