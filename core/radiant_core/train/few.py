@@ -113,7 +113,7 @@ def choose_for_few(config: TrainConfig, views: TrainingViews, score: Score) -> C
         return Choice(config=plain, decisions=(_not_asked(asked, len(views), why_not),))
     parts = _parts(views)
     start = _by_number(plain, len(views))
-    twice, half = (_resized(start, factor, views, parts) if _grows_by_pixels(plain) else None for factor in (2.0, 0.5))
+    twice, half = (_resized(start, factor, views, parts) if _grows_by_pixels(plain, len(views)) else None for factor in (2.0, 0.5))
     num_candidates = 1 + sum(own is not None for own in (twice, half)) + (plain.drop_gaussians == "auto")
     if why_not := _why_not_these(parts, num_candidates):
         return Choice(config=plain, decisions=(_not_asked(asked, len(views), why_not),))
@@ -226,15 +226,15 @@ def _not_asked(asked: str, num_views: int, reason: str) -> Decision:
     )
 
 
-def _grows_by_pixels(config: TrainConfig) -> bool:
+def _grows_by_pixels(config: TrainConfig, num_views: int) -> bool:
     # Where dense points begin a model it does not grow.
     open_ = getattr(config.density, "pixels_per_splat", None) == "auto" and config.dense_points == "none"
-    return open_ and pixels_per_splat(config) is not None
+    return open_ and pixels_per_splat(config, num_views) is not None
 
 
 def _by_number(config: TrainConfig, num_views: int) -> TrainConfig:
     config = fit_dropping(config, num_views)[0]
-    return _with_pixels(config, pixels_per_splat(config)) if _grows_by_pixels(config) else config
+    return _with_pixels(config, pixels_per_splat(config, num_views)) if _grows_by_pixels(config, num_views) else config
 
 
 def _with_pixels(config: TrainConfig, pixels: int | None) -> TrainConfig:
@@ -245,7 +245,7 @@ def _with_pixels(config: TrainConfig, pixels: int | None) -> TrainConfig:
 def _resized(start: TrainConfig, factor: float, views: TrainingViews, parts: Sequence[NDArray[np.bool_]]) -> TrainConfig | None:
     """With so many times the Gaussians; None where that is the same training, of all or in a
     trial."""
-    candidate = _with_pixels(start, round((pixels_per_splat(start) or 1) / factor))
+    candidate = _with_pixels(start, round((pixels_per_splat(start, len(views)) or 1) / factor))
     trained_on = (views, *(views.select(np.flatnonzero(~held)) for held in parts))
     return candidate if all(most_splats(candidate, own) != most_splats(start, own) for own in trained_on) else None
 
@@ -257,4 +257,4 @@ def _dropping_the_other_way(best: TrainConfig) -> TrainConfig:
 def _words(config: TrainConfig, views: TrainingViews) -> str:
     drops = config.drop_gaussians == "always"
     dropped = f"up to {config.drop_share:.0%} of the Gaussians left out at each step" if drops else "none left out"
-    return dropped if pixels_per_splat(config) is None else f"{dropped} and growth to {most_splats(config, views):,}"
+    return dropped if pixels_per_splat(config, len(views)) is None else f"{dropped} and growth to {most_splats(config, views):,}"

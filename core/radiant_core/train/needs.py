@@ -23,8 +23,9 @@ FEW_PHOTOGRAPHS = 36
 """With fewer than these to train on, leaving Gaussians out at random gains on photographs left
 out (docs/experiments/training.md)."""
 PIXELS_PER_SPLAT, PIXELS_OF_FEW = 80, 40
-"""Training pixels for each Gaussian that growth may reach, and the same where Gaussians are left
-out at random: few photographs show a place less often, and what they do not fix is held back."""
+"""Training pixels for each Gaussian that growth may reach, and the same of few photographs, or
+where Gaussians are left out at random: few show a place less often, so that each of their pixels
+tells more (docs/experiments/training.md)."""
 _WHY_NO_MORE = {
     PIXELS_PER_SPLAT: "cost time and gained nothing on photographs left out",
     PIXELS_OF_FEW: "gain on some sets of few photographs and lose on others, for up to twice the time",
@@ -123,7 +124,7 @@ def fit_to_views(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig
 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """Where growth has a limit to reach, at most one Gaussian per `pixels_per_splat` pixels."""
-    per_splat, most = pixels_per_splat(config), most_splats(config, views)
+    per_splat, most = pixels_per_splat(config, len(views)), most_splats(config, views)
     if most >= config.max_num_splats:
         return config, ()
     num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
@@ -144,20 +145,21 @@ def _why_no_more(config: TrainConfig, per_splat: int | None) -> str:
     return _WHY_NO_MORE[per_splat]
 
 
-def pixels_per_splat(config: TrainConfig) -> int | None:
-    """Training pixels for each Gaussian that growth may reach, where leaving Gaussians out is
-    decided; None: growth has no such limit."""
+def pixels_per_splat(config: TrainConfig, num_views: int) -> int | None:
+    """Training pixels for each Gaussian that growth may reach with so many photographs, where
+    leaving Gaussians out is decided; None: growth has no such limit."""
     density = config.density
     if isinstance(density, NoDensification) or density.kind == "adc":
         return None
     if density.pixels_per_splat == "auto":
-        return PIXELS_OF_FEW if config.drop_gaussians == "always" else PIXELS_PER_SPLAT
+        is_few = num_views < FEW_PHOTOGRAPHS or config.drop_gaussians == "always"
+        return PIXELS_OF_FEW if is_few else PIXELS_PER_SPLAT
     return density.pixels_per_splat
 
 
 def most_splats(config: TrainConfig, views: TrainingViews) -> int:
     """How many Gaussians growth may reach with these photographs."""
-    per_splat = pixels_per_splat(config)
+    per_splat = pixels_per_splat(config, len(views))
     if per_splat is None:
         return config.max_num_splats
     num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())

@@ -133,8 +133,8 @@ class TestChoice:
 
     def test_what_the_user_set_is_not_asked(self) -> None:
         fixed = with_settings(ASKED, {"drop_gaussians": "none"})
-        choice, trainings = chosen({("none", 80): 20.0, ("none", 40): 21.0}, fixed)
-        assert choice == ("none", 40) and trainings.candidates == [("none", 80), ("none", 40)]
+        choice, trainings = chosen({("none", 40): 20.0, ("none", 20): 21.0}, fixed)
+        assert choice == ("none", 20) and trainings.candidates == [("none", 40), ("none", 20)]
         fixed = with_settings(ASKED, {"density.pixels_per_splat": 60})
         choice, trainings = chosen({("always", 60): 20.0, ("none", 60): 21.0}, fixed)
         assert choice == ("none", 60) and len(trainings.asked) == 4 == trainings.most

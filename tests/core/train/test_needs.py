@@ -69,10 +69,10 @@ class TestSize:
         assert config.max_num_splats == 50 * 160 * 120 // 80 and [d.topic for d in decisions] == ["number of Gaussians"]
 
     @pytest.mark.parametrize("density", [Adc(kind="planned"), Mcmc()])
-    def test_where_gaussians_are_left_out_at_random_there_may_be_more(self, density) -> None:
-        pixels = 160 * 120
-        wishes = {"always": (40, 50), "none": (80, 50), "auto": (40, FEW_PHOTOGRAPHS - 1)}
-        for wish, (per_splat, count) in wishes.items():
+    def test_of_few_photographs_and_where_gaussians_are_left_out_at_random_there_may_be_more(self, density) -> None:
+        pixels, few = 160 * 120, FEW_PHOTOGRAPHS - 1
+        wishes = [("always", 40, 50), ("none", 80, 50), ("none", 80, few + 1), ("none", 40, few), ("auto", 40, few), ("auto", 80, few + 1)]
+        for wish, per_splat, count in wishes:
             views = scene_of(count, size_wh=(160, 120))[1]
             config, decisions = fit_to_views(TrainConfig(density=density, max_epochs=None, drop_gaussians=wish), views)
             assert config.max_num_splats == count * pixels // per_splat, wish
