@@ -1,9 +1,10 @@
 """Benchmark of joining: every method on the same device models, split and seams. Once per (layout,
 placement, seed).
 
-    centralised     one model of all photographs, with all devices' steps and limits of Gaussians;
-                    reference of the seams
-    one device      one model of all photographs, with the steps of one device, nothing joined
+    centralised     one model of all photographs, with the steps of all devices and room for the
+                    Gaussians of all; reference of the seams
+    one device      one model of all photographs, with the steps and the room of one device,
+                    nothing joined
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each
     ours            the default of `radiant run`; in a run's own cell, the run's settings
@@ -316,7 +317,7 @@ def _paper_arm(name: str, make: Callable[[Cell, Recipe], Made] = join, **changes
 METHODS: Mapping[str, Arm] = {
     arm.name: arm
     for arm in (
-        Arm(name="centralised", make=_make_centralised_model),
+        Arm(name="centralised", make=_make_centralised_model, settings="room for the Gaussians of all"),
         Arm(name="one device", make=_make_model_of_one_device),
         Arm(name="crop", make=_crop),
         _paper_arm("paper"),

@@ -318,11 +318,13 @@ class Measuring:
         """Photographs and seconds of own structures from motion, begun with those that can be
         expected to end in `time_s`."""
         sfm: list[tuple[int, float]] = []
-        for count in _counts_to_place(sizes):
-            expected_s = sfm[-1][1] * count / sfm[-1][0] if sfm else _PLACED_S * count
-            if sfm and self._elapsed_s + expected_s > time_s:
+        counts = _counts_to_place(sizes)
+        for index, count in enumerate(counts):
+            each_s = sfm[-1][1] / sfm[-1][0] if sfm else _PLACED_S
+            self.left_s = [each_s * each for each in counts[index:]]
+            if sfm and self._elapsed_s + self.left_s[0] > time_s:
+                self.left_s = []
                 continue
-            self.left_s = [expected_s]
             seconds = self._place(count, start_s)
             if seconds is not None:
                 sfm.append((count, seconds))

@@ -111,7 +111,7 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     assert 92 * 100 < made.model_bytes.curve(5) <= 92 * 600 * 1.3
     assert made.aggregate_s is not None and made.aggregate_alone_s is not None and made.merge_s is not None
     assert "epochs of retraining at edges" in made.source
-    # A device of a run leaves out no Gaussians at random, and so has fewer of them.
+    # A device of a run leaves out no Gaussians at random.
     assert {task.train.drop_gaussians for task in tasks} == {"none"}
     rows = {row["quantity"]: row for row in result["check"]}
     assert {"start-up", "training", "device", "model"} <= rows.keys()

@@ -21,9 +21,9 @@ MIN_PLANNED = 4_000
 """Planned growth may always reach this number of Gaussians."""
 FEW_PHOTOGRAPHS = 36
 """With fewer than these to train on, leaving Gaussians out at random gains on photographs left
-out (docs/experiments/training.md)."""
+out, and so do more Gaussians (docs/experiments/training.md)."""
 PIXELS_PER_SPLAT, PIXELS_OF_FEW = 80, 40
-"""Training pixels for each Gaussian that growth may reach, and the same of few photographs, or
+"""Training pixels for each Gaussian that growth may reach, and the same for few photographs, or
 where Gaussians are left out at random: few show a place less often, so that each of their pixels
 tells more (docs/experiments/training.md)."""
 _WHY_NO_MORE = {
@@ -146,8 +146,8 @@ def _why_no_more(config: TrainConfig, per_splat: int | None) -> str:
 
 
 def pixels_per_splat(config: TrainConfig, num_views: int) -> int | None:
-    """Training pixels for each Gaussian that growth may reach with so many photographs, where
-    leaving Gaussians out is decided; None: growth has no such limit."""
+    """Training pixels for each Gaussian that growth may reach with so many photographs, once
+    `drop_gaussians` is no longer "auto"; None: growth has no such limit."""
     density = config.density
     if isinstance(density, NoDensification) or density.kind == "adc":
         return None

@@ -60,7 +60,8 @@ class Adc:
     this rule; None is what it does."""
     pixels_per_splat: int | Literal["auto"] | None = "auto"
     """Training pixels for each Gaussian that planned growth may reach; auto: 80, or 40 with
-    fewer than 36 photographs (docs/experiments/training.md); None: any number."""
+    fewer than 36 photographs or where Gaussians are left out at random
+    (docs/experiments/training.md); None: any number."""
 
     def __post_init__(self) -> None:
         require_one_of(self, "kind", ("adc", "planned"))
