@@ -22,16 +22,16 @@ from radiant_core.train.config import TrainConfig
 
 FEW_PER_DEVICE = 10
 """Photographs per device below which fewer devices work: with 4 to 7 each on four devices a joined
-model was 0.3 to 2.1 dB behind that of one device in six of seven cells and level in one; with 12 to
-16 each it was 0.2 to 0.7 dB ahead, in twice the time. Straight lines between cross at 10 to 12."""
+model was 0.2 to 1.9 dB behind that of one device in six of seven cells and 0.1 ahead in one; with
+12 to 16 each it was 0.3 to 0.9 dB ahead, in twice the time. Straight lines cross at 7 to 11."""
 FEW_AT_ALL = 28
-"""Photographs below which one device works, however few there are: beside two devices of half of
-them one was 0.4 to 1.5 dB ahead in four of seven cells and level in three."""
+"""Photographs below which one device works, however few devices there are: beside two one was 0.2 to
+0.8 dB ahead with 15 to 17; with 26 to 28, in their time, between 0.5 dB ahead and 0.2 behind."""
 ENOUGH_PER_DEVICE = 26
 """Photographs of each device that works then, at least."""
 COST = (
-    "one device that had all of 15 to 28 photographs made a model 0.3 to 2.1 dB better than four whose models were joined in six "
-    "of seven cells (level in one), with as many steps as each of them"
+    "one device that had all of 15 to 28 photographs made a model 0.2 to 1.9 dB better than four whose models were joined in six "
+    "of seven cells (0.1 worse in one), with as many steps as each of them"
 )
 
 
