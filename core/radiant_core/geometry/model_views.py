@@ -35,6 +35,8 @@ WINDOW_PX = (15, 15)
 NUM_ITERATIONS = 8
 NUM_LEVELS = 2
 MIN_Z = 1e-6
+MAX_TANGENT = 1e6
+MIN_CURVATURE = 1e-13
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,28 +165,32 @@ def follow(
 
 def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points (P,3) where O rays meet, by least squares of reprojection errors from `start` (P,3);
-    their covariances (P,3,3) m² for 0.5 px of error and RMS errors (P,) px."""
+    their covariances (P,3,3) m² for 0.5 px of error and RMS errors (P,) px, infinite where a point
+    came to lie behind a camera."""
     points, num_points, seen = start.copy(), len(start), rays.points
     poses, Ks = cameras.cam_from_world[rays.cameras], cameras.Ks[rays.cameras]
     focal = Ks[:, [0, 1], [0, 1]]
     H, squares = np.zeros((num_points, 3, 3)), np.zeros(len(seen))
     for _ in range(NUM_ITERATIONS):
         in_camera = np.einsum("oij,oj->oi", poses[:, :3, :3], points[seen]) + poses[:, :3, 3]
-        z = np.maximum(in_camera[:, 2], MIN_Z)
+        # A point that a step took behind a camera has no picture there: that camera no longer holds it.
+        ahead = (in_camera[:, 2] > MIN_Z) & (np.abs(in_camera[:, :2]).max(axis=1, initial=0) < MAX_TANGENT * in_camera[:, 2])
+        in_camera = np.where(ahead[:, None], in_camera, [0.0, 0.0, 1.0])
+        z = in_camera[:, 2]
         residuals = rays.pixels - (in_camera[:, :2] / z[:, None] * focal + Ks[:, :2, 2])
         jacobian = np.zeros((len(seen), 2, 3))
         jacobian[:, 0, 0], jacobian[:, 1, 1] = focal.T / z
         jacobian[:, :, 2] = -focal * in_camera[:, :2] / (z * z)[:, None]
         jacobian = jacobian @ poses[:, :3, :3]
-        squares = np.square(residuals).sum(axis=1)
+        squares = np.where(ahead, np.square(residuals).sum(axis=1), np.inf)
         weights = 1 / (1 + squares / (2 * SIGMA_PX) ** 2)
         H = np.zeros((num_points, 3, 3))
         gradient = np.zeros((num_points, 3))
         np.add.at(H, seen, np.einsum("o,oki,okj->oij", weights, jacobian, jacobian) / SIGMA_PX**2)
         np.add.at(gradient, seen, np.einsum("o,oki,ok->oi", weights, jacobian, residuals) / SIGMA_PX**2)
         # A lone ray, or parallel ones, leave a direction open: 1e-6/m² holds it, and the covariance
-        # of 1000² m² says so.
-        H += 1e-6 * np.eye(3)
+        # of 1000² m² says so; a share of the trace where float64 would round that away.
+        H += (1e-6 + MIN_CURVATURE * np.trace(H, axis1=1, axis2=2))[:, None, None] * np.eye(3)
         points = points + np.linalg.solve(H, gradient[..., None])[..., 0]
     counts = np.maximum(1, np.bincount(seen, minlength=num_points))
     rms_px = np.sqrt(np.bincount(seen, squares, minlength=num_points) / counts)
