@@ -25,8 +25,8 @@ FEW_PER_DEVICE = 10
 model was 0.2 to 1.9 dB behind that of one device in six of seven cells and 0.1 ahead in one; with
 12 to 16 each it was 0.3 to 0.9 dB ahead, in twice the time. Straight lines cross at 7 to 11."""
 FEW_AT_ALL = 28
-"""Photographs below which one device works, however few devices there are: beside two one was 0.2
-to 0.8 dB ahead with 15 to 17; with 26 to 28, in their time, between 0.5 dB ahead and 0.2 behind."""
+"""Photographs below which one device works, however few devices there are: with 15 to 17 one was
+0.2 to 0.8 dB ahead of two; with 26 to 28, given their time, between 0.5 dB ahead and 0.2 behind."""
 ENOUGH_PER_DEVICE = 26
 """Photographs of each device that works then, at least."""
 COST = (

@@ -70,6 +70,12 @@ def solve_frames(centers: FloatArray, priors: Sequence[FrameUncertainty], edges:
     return SolvedFrames(corrections=moves, covariance=covariance)
 
 
+def strains(solved: SolvedFrames, centers: FloatArray, priors: Sequence[FrameUncertainty]) -> FloatArray:
+    """By how many standard deviations (M,7) of its own prior each model was moved."""
+    moved = [xi_about(center, move) / prior.sigmas for center, move, prior in zip(centers, solved.corrections, priors, strict=True)]
+    return np.abs(np.array(moved).reshape(-1, 7))
+
+
 def edge_xi(edge: FrameEdge, a_move: Sim3, b_move: Sim3) -> FloatArray:
     """How far (7,) two corrected models are apart on common ground: ξ of S_a M S_b⁻¹."""
     apart = compose(compose(a_move, edge.fit.a_from_b), b_move.inverse())

@@ -6,7 +6,8 @@
 3. A pair that disagrees with the GPS of both by more than four standard deviations contradicts;
    what agrees holds models together. Of two groups that contradict each other the one with fewer
    photographs is refused, with the figures.
-4. All agreeing pairs and GPS in one least squares (`frame_graph`), without pairs that loops refute.
+4. All agreeing pairs and GPS in one least squares (`frame_graph`), without pairs that loops refute;
+   with `GPS_BIAS_M` where a model is moved by more than four standard deviations.
 GPS stays the gauge: an error common to all models of a group is only averaged down.
 """
 
@@ -22,7 +23,7 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
-from radiant_core.geometry.frame_graph import FrameEdge, SolvedFrames, edge_xi, solve_frames, spread_to
+from radiant_core.geometry.frame_graph import FrameEdge, SolvedFrames, edge_xi, solve_frames, spread_to, strains
 from radiant_core.geometry.frame_matches import IDENTITY, Overlap, find_overlap, match_models
 from radiant_core.geometry.open3d_ops import surface_points
 from radiant_core.geometry.pair_fit import PairFit, xi_about
@@ -122,8 +123,8 @@ def refine_frames(models: Sequence[PlacedModel], report: Report | None = None, s
     if report is not None:
         report(len(overlaps), len(overlaps), "all frames at once")
     centers = np.array([_middle(model) for model in models]).reshape(-1, 3)
-    priors = [_with_bias(model.uncertainty) for model in models]
-    solved, used, dropped = _solve_without_open_loops(centers, priors, [pair for pair in pairs if pair.agrees])
+    priors = [model.uncertainty for model in models]
+    solved, used, dropped = _solve(centers, priors, [pair for pair in pairs if pair.agrees])
     group = _groups(len(models), used)
     sizes = [len(model.cameras) for model in models]
     named = [model.name or f"model {number}" for number, model in enumerate(models, 1)]
@@ -138,12 +139,6 @@ def _largest_m(cameras: Cameras) -> float:
 
 def _middle(model: PlacedModel) -> FloatArray:
     return model.cameras.centers.mean(axis=0)
-
-
-def _with_bias(own: FrameUncertainty) -> FrameUncertainty:
-    """With what no residual of one flight shows. Where lenses bend two models apart in height, the
-    shift takes it up: GPS that fixes places to centimetres would have both tilted by degrees."""
-    return replace(own, position_m=float(np.hypot(own.position_m, GPS_BIAS_M)))
 
 
 def _neighbours(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray]) -> dict[tuple[int, int], Overlap]:
@@ -188,6 +183,20 @@ def _exceeds(xi: FloatArray, limits: FloatArray) -> bool:
 
 def _figures(xi: FloatArray) -> str:
     return f"{np.linalg.norm(xi[:3]):.2f} m, {np.degrees(np.linalg.norm(xi[3:6])):.2f}° and {100 * abs(np.expm1(xi[6])):.2f} % of scale"
+
+
+def _solve(centers: FloatArray, priors: list[FrameUncertainty], agreeing: list[_Pair]) -> tuple[SolvedFrames, list[_Pair], list[_Pair]]:
+    """All frames from the pairs; with the bias of GPS where a model is moved further than its own
+    residuals allow.
+
+    Lenses that few photographs leave open bend models apart in height. GPS that fixes places to
+    centimetres would have them tilted by degrees for it; with the bias they are shifted.
+    """
+    found = _solve_without_open_loops(centers, priors, agreeing)
+    if strains(found[0], centers, priors).max(initial=0) <= MAX_SIGMAS:
+        return found
+    biased = [replace(prior, position_m=float(np.hypot(prior.position_m, GPS_BIAS_M))) for prior in priors]
+    return _solve_without_open_loops(centers, biased, agreeing)
 
 
 def _solve_without_open_loops(

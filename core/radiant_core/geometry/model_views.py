@@ -34,9 +34,13 @@ CONTRAST_SIGMA_PX = 8.0
 WINDOW_PX = (15, 15)
 NUM_ITERATIONS = 8
 NUM_LEVELS = 2
-MIN_Z = 1e-6
+MIN_Z, MAX_Z = 1e-6, 1e12
+"""Depths (m) of a point that a camera holds."""
 MAX_TANGENT = 1e6
+"""Largest |x/z|, |y/z| of it: nearer to the camera's plane float64 loses the Jacobian."""
 MIN_CURVATURE = 1e-13
+"""Share of the trace of a point's normal matrix added to each axis: above the rounding of float64,
+below what two rays fix."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,8 +169,8 @@ def follow(
 
 def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points (P,3) where O rays meet, by least squares of reprojection errors from `start` (P,3);
-    their covariances (P,3,3) m² for 0.5 px of error and RMS errors (P,) px, infinite where a point
-    came to lie behind a camera."""
+    their covariances (P,3,3) m² for 0.5 px of error and RMS errors (P,) px, both before the last
+    step; infinite where the point then lay behind one of its cameras. Pixels must be finite."""
     points, num_points, seen = start.copy(), len(start), rays.points
     poses, Ks = cameras.cam_from_world[rays.cameras], cameras.Ks[rays.cameras]
     focal = Ks[:, [0, 1], [0, 1]]
@@ -174,7 +178,8 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
     for _ in range(NUM_ITERATIONS):
         in_camera = np.einsum("oij,oj->oi", poses[:, :3, :3], points[seen]) + poses[:, :3, 3]
         # A point that a step took behind a camera has no picture there: that camera no longer holds it.
-        ahead = (in_camera[:, 2] > MIN_Z) & (np.abs(in_camera[:, :2]).max(axis=1, initial=0) < MAX_TANGENT * in_camera[:, 2])
+        ahead = (in_camera[:, 2] > MIN_Z) & (in_camera[:, 2] < MAX_Z)
+        ahead &= np.abs(in_camera[:, :2]).max(axis=1) < MAX_TANGENT * np.where(ahead, in_camera[:, 2], 0)
         in_camera = np.where(ahead[:, None], in_camera, [0.0, 0.0, 1.0])
         z = in_camera[:, 2]
         residuals = rays.pixels - (in_camera[:, :2] / z[:, None] * focal + Ks[:, :2, 2])

@@ -107,6 +107,28 @@ def test_few_views_suffice_where_they_agree_clearly_and_more_are_shown_otherwise
         assert np.linalg.norm(places - true, axis=1).max() < 1.0
 
 
+def test_models_that_lenses_bent_apart_in_height_are_shifted_and_not_tilted() -> None:
+    # What GPS says of each is good to centimetres and 0.2°, and yet their common ground is 3 m apart.
+    certain = FrameUncertainty(position_m=0.05, scale=0.002, rotation_rad=np.radians(0.2))
+    apart = Sim3(scale=1.0, rotation=np.eye(3), translation=np.array([0.0, 0, 3]))
+    models = [
+        moved_model(ground_model(WEST, sample=0), cameras_over(WEST), NOTHING, certain),
+        moved_model(ground_model(MIDDLE, sample=1), cameras_over(MIDDLE), apart, certain),
+    ]
+    frames = refine_frames(models)
+    assert [frame.status for frame in frames] == ["ok", "ok"]
+    turns = [np.degrees(np.linalg.norm(Rotation.from_matrix(frame.correction.rotation).as_rotvec())) for frame in frames]
+    assert max(turns) < 0.8, turns
+    centers = [model.cameras.centers.mean(axis=0) for model in models]
+    up = [frame.correction.apply(center[None])[0, 2] - center[2] for frame, center in zip(frames, centers, strict=True)]
+    assert up[0] - up[1] == pytest.approx(3, abs=0.3)
+    # A model that is sure of its place keeps it where the other is not.
+    unsure = replace(models[1], uncertainty=SURE)
+    kept, moved = refine_frames([models[0], unsure])
+    assert abs(kept.correction.apply(centers[0][None])[0, 2] - centers[0][2]) < 0.1
+    assert kept.uncertainty.position_m < 0.1 < 2.5 < abs(moved.correction.apply(centers[1][None])[0, 2] - centers[1][2])
+
+
 def test_three_models_with_gps_like_errors_come_together() -> None:
     ranges = [WEST, MIDDLE, EAST]
     moves = [gps_like_move(middle_of(x), seed) for seed, x in enumerate(ranges)]

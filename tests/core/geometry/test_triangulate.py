@@ -66,9 +66,10 @@ def test_points_are_those_of_scipy_with_the_same_loss() -> None:
         (0.5, 0.0, 2 * MIN_Z),
         (0.5, 1e6, 1e-5),
         (1e200, 0.0, 5.0),
+        (1e308,) * 3,
         (np.nan,) * 3,
     ],
-    ids=["behind", "far behind", "in the plane", "before the plane", "grazing", "huge", "not a number"],
+    ids=["behind", "far behind", "in the plane", "before the plane", "grazing", "huge", "largest", "not a number"],
 )
 def test_a_point_that_no_camera_can_hold_is_unsure_and_spoils_no_other(start: tuple[float, float, float]) -> None:
     cameras, true = row_of_cameras(2), np.array([[0.5, 0.2, 8.0], [1.0, -0.4, 6.0]])
