@@ -177,7 +177,7 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
     H, squares = np.zeros((num_points, 3, 3)), np.zeros(len(seen))
     for _ in range(NUM_ITERATIONS):
         in_camera = np.einsum("oij,oj->oi", poses[:, :3, :3], points[seen]) + poses[:, :3, 3]
-        # A point that a step took behind a camera has no picture there: that camera no longer holds it.
+        # A point that a step took behind a camera has no picture there: it no longer counts.
         ahead = (in_camera[:, 2] > MIN_Z) & (in_camera[:, 2] < MAX_Z)
         ahead &= np.abs(in_camera[:, :2]).max(axis=1) < MAX_TANGENT * np.where(ahead, in_camera[:, 2], 0)
         in_camera = np.where(ahead[:, None], in_camera, [0.0, 0.0, 1.0])
