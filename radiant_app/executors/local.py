@@ -25,6 +25,7 @@ from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
 from radiant_app.executors.fork_server import ForkedProcess, ForkServer, open_server, start_server
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_app.interrupts import defer_interrupts
+from radiant_app.workers.memory import EDGES_AT_ONCE
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, StageFailed
 from radiant_core.io.run_store import disk_is_full, is_sealed
@@ -72,7 +73,8 @@ class LocalExecutor:
         """See `Executor.fold`."""
         width = max(1, sum(1 for node in tree if not node.children))
         threads = self.num_threads or max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, width)))
-        runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads)
+        edges_at_once = min(self.num_workers, sum(node.tier == "edge" for node in tree))
+        runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads, edges_at_once=edges_at_once)
         if self.command is worker_command and sum(1 for _ in tree) >= LEAST_FORKED:
             runner.server = partial(open_server, IMPORTED, worker_environment(threads))
         fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
@@ -100,6 +102,7 @@ class Processes:
     num_workers: int
     command: Callable[[NodeTask], list[str]]
     num_threads: int
+    edges_at_once: int = 1
     server: Callable[[], ForkServer | None] = lambda: None
     """Opens what forks processes once one is to start; None: they start anew."""
     lines: queue.Queue[tuple[str, str | None]] = field(default_factory=queue.Queue)
@@ -151,7 +154,7 @@ class Processes:
                 running.reader.join()
 
     def _spawn(self, command: list[str], folder: Path, server: ForkServer | None) -> Process:
-        environment = worker_environment(self.num_threads)
+        environment = worker_environment(self.num_threads, self.edges_at_once)
         with log_path(folder).open("w") as log:
             if server is not None and command[:2] == [sys.executable, "-m"]:
                 # It may have been killed.
@@ -188,10 +191,11 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
     return NodeEnded(error=StageFailed(message), crashed=True)
 
 
-def worker_environment(num_threads: int) -> dict[str, str]:
-    """The variables of a worker."""
+def worker_environment(num_threads: int, edges_at_once: int = 1) -> dict[str, str]:
+    """The variables of a worker; edges that may join side by side on its machine share its memory."""
     # Without the last, OpenMP's threads spin after their part and take a core of the rasterizer's.
-    return {**os.environ, "OMP_NUM_THREADS": str(num_threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
+    own = {"OMP_NUM_THREADS": str(num_threads), EDGES_AT_ONCE: str(max(1, edges_at_once))}
+    return {**os.environ, **own, "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
 
 
 def log_path(folder: Path) -> Path:

@@ -127,7 +127,8 @@ class _Cluster:
         except BaseException:
             self.__exit__()
             raise
-        self._send(leaves=[resource_of(node) for node in self.tree if not node.children])
+        leaves = [resource_of(node) for node in self.tree if not node.children]
+        self._send(leaves=leaves, num_edges=sum(node.tier == "edge" for node in self.tree))
 
     def __exit__(self, *exc_info: object) -> None:
         assert self.process is not None and self.process.stdin is not None and self.process.stdout is not None

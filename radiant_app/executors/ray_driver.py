@@ -1,6 +1,6 @@
 """The process connected to a Ray cluster, started by `RayExecutor`: submits tasks, forwards output.
 
-    in    {"leaves": [place…]} once, {"start": node, command, folder…}, {"stop": node}; ends with it
+    in    {"leaves": [place…], "num_edges"} once, {"start": node, command, folder…}, {"stop": node}; ends with it
     out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code"}
 
 A task is a generator: its first item says where it runs, then come the lines of the node's worker
@@ -35,6 +35,7 @@ import ray
 from ray.exceptions import RayError
 
 from radiant_app.events import Failed, encode
+from radiant_app.executors.local import worker_environment
 from radiant_core.errors import RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
@@ -67,6 +68,7 @@ class _Driver:
     commands: queue.Queue[dict[str, Any] | None] = field(default_factory=queue.Queue)
     tasks: dict[str, _Task] = field(default_factory=dict)
     leaves: Sequence[str] = ()
+    num_edges: int = 1
     checked_s: float = 0.0
 
     def run(self) -> None:
@@ -91,7 +93,7 @@ class _Driver:
 
     def _execute(self, command: dict[str, Any]) -> None:
         if "leaves" in command:
-            self.leaves = command["leaves"]
+            self.leaves, self.num_edges = command["leaves"], command["num_edges"]
         elif "start" in command:
             self._start(command)
         elif command["stop"] in self.tasks:
@@ -107,7 +109,8 @@ class _Driver:
         message["threads"] = threads = _num_threads(fit, self.leaves)
         message["resources"] = {message["place"]: PLACE_SHARE} if pinned else {}
         task = _run_node.options(num_cpus=threads, num_gpus=int(message["gpu"]), resources=message["resources"])
-        items = task.remote(message["command"], message["folder"], message["stage"], message["task_sha256"], threads)
+        at_once = min(self.num_edges, max(int(machine["Resources"]["CPU"]) // threads for machine in fit))
+        items = task.remote(message["command"], message["folder"], message["stage"], message["task_sha256"], threads, at_once)
         self.tasks[message["start"]] = _Task(message=message, items=items)
 
     def _forward_items(self) -> None:
@@ -144,7 +147,9 @@ class _Driver:
 
 
 @ray.remote(max_retries=0, num_returns="streaming")
-def _run_node(command: list[str], folder: str, stage: str, task_sha256: str | None, threads: int) -> Iterator[dict[str, Any]]:
+def _run_node(
+    command: list[str], folder: str, stage: str, task_sha256: str | None, threads: int, edges_at_once: int
+) -> Iterator[dict[str, Any]]:
     """On the node's machine: run its worker process, yield its lines, then its code and seal."""
     yield {"began": socket.gethostname()}
     place = Path(folder)
@@ -155,7 +160,7 @@ def _run_node(command: list[str], folder: str, stage: str, task_sha256: str | No
         yield {"line": encode(Failed(stage=stage, message=str(error), exit_code=StageFailed.exit_code))}
         yield {"code": StageFailed.exit_code, "seal_sha256": None}
         return
-    environment = {**os.environ, "OMP_NUM_THREADS": str(threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
+    environment = worker_environment(threads, edges_at_once)
     # The first word is the Python of the machine that started the run. The child keeps the lock
     # while it lives, even without this process, and ends when its standard input closes.
     with (place / "log.txt").open("w") as log:

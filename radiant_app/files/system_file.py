@@ -5,7 +5,7 @@
     position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54]; else among the cameras
     uplink_mbit_per_s = 100.0
     aggregate_s = { constant = 5.0, linear = 0.5 }
-    memory_gb = 4.0                      # what joining may hold; beyond it models are only cut
+    memory_gb = 4.0                      # what joining may hold; beyond it by tiles, or cut
 
     [[edge.device]]
     id = "north-1"
@@ -23,8 +23,8 @@
 The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
 both has relative_speed and speed 0.5.
 
-    [cloud]                              # limits of fitting there; beyond them models are only cut
-    memory_gb = 16.0                     # left out: four fifths of what is free
+    [cloud]                              # limits of fitting there; beyond them models are cut
+    memory_gb = 16.0                     # beyond it by tiles first; left out: 4/5 of what is free
     time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000
     merge_s = { linear = 0.5 }           # of joining there; left out: not predicted

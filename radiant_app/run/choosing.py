@@ -20,7 +20,7 @@ from radiant_app.run.dealing import Dealer
 from radiant_app.workers.evaluation import SCENE_NAME
 from radiant_core.choices import Version
 from radiant_core.hierarchy.choosing import CUT, choose_version, is_comparison
-from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN
+from radiant_core.hierarchy.join_limits import JOIN_AGAIN, UNREFINED_CUT_COSTS
 from radiant_core.io.ply import load_ply
 from radiant_core.io.run_store import read_json
 
@@ -42,7 +42,7 @@ def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[s
     dealer.chosen = None
     scenes: dict[Version, Path] = {name: folder / SCENE_NAME for name, folder in dealer.versions.items()}
     if next(iter(scenes)) == CUT:
-        listen(Warned(stage=STAGE, message=f"{NOBODY_REFINED} {CUT_COSTS} {JOIN_AGAIN}."))
+        listen(Warned(stage=STAGE, message=f"{NOBODY_REFINED} {UNREFINED_CUT_COSTS} {JOIN_AGAIN}."))
     scores = dict(score(scenes))
     compared = {machine: read_json(path, ("versions",))["versions"] for machine, path in scores.items()}
     for machine, figures in list(compared.items()):

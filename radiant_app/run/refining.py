@@ -63,6 +63,8 @@ def fold_rounds(rounds: Sequence[Refining], fold: Callable[[Refining, Tree], Non
     tried: list[Refining] = []
     for decision in rounds[0].plan.decisions:
         listen(Decided(decision=decision))
+    for message in rounds[0].plan.warnings:
+        listen(Warned(stage=rounds[0].node("cloud"), message=message))
     for each in rounds:
         if (tree := each.tree) is None:
             break

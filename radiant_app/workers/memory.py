@@ -11,6 +11,8 @@ from radiant_core.errors import BadInput
 from radiant_core.io.run_store import read_json, write_json
 
 BASE_NAME = "memory.json"
+EDGES_AT_ONCE = "RADIANT_EDGES_AT_ONCE"
+"""Variable of a worker: how many edges may join side by side on its machine."""
 OUT_OF_MEMORY = "not enough memory: lower --max-splats or --long-side-px, free some, or raise the limit (ulimit -v)."
 
 

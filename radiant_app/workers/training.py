@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from radiant_app.workers.delivering import sign_upload
-from radiant_app.workers.memory import available_bytes, base_bytes_in, resident_bytes
+from radiant_app.workers.memory import EDGES_AT_ONCE, available_bytes, base_bytes_in, resident_bytes
 from radiant_app.workers.reporting import EventReporter
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ def make_machine(folder: Path, checkpoint_every_s: float, reporter: EventReporte
         return kept
 
     base_bytes = base_bytes_in(folder, resident_bytes()) if limited else 0
-    return Machine(base_bytes=base_bytes, free_bytes=available_bytes, checkpoints=checkpoints, scratch=folder)
+    num_edges = int(os.environ.get(EDGES_AT_ONCE, "1"))
+    return Machine(base_bytes=base_bytes, free_bytes=available_bytes, num_edges=num_edges, checkpoints=checkpoints, scratch=folder)
 
 
 def remove_checkpoints(folder: Path) -> None:

@@ -60,7 +60,8 @@ def test_without_a_limit_in_any_file_the_machine_decides_and_trained_models_are_
     assert ample.choice.startswith("retraining") and ample.warnings == []
     np.testing.assert_array_equal(ample.splats.means, scene.means)  # to the bit what no limit gave
     # 0.8 dB were measured here; half of it is far beyond what another seed changes.
-    assert held_out_db(trained, scene) > held_out_db(trained, plainly_cut(trained)) + 0.4
+    cut_db, refined_db = held_out_db(trained, plainly_cut(trained)), held_out_db(trained, load_ply(trained / "scene.ply"))
+    assert held_out_db(trained, scene) > cut_db + 0.4 and refined_db > cut_db + 1.0, (cut_db, refined_db)
 
 
 def test_what_the_cloud_cannot_join_is_cut_with_a_warning_and_what_its_edges_joined_stays_so(

@@ -39,7 +39,7 @@ def test_a_real_set_becomes_a_scene(name: str, tmp_path: Path) -> None:
     # Nothing limits joining but the machine; what a limit leaves is worth no more.
     ample, cut = (joined_again(out, tmp_path / str(limit), memory_bytes=limit) for limit in (1.6e10, 1e8))
     assert ample.warnings == [] and len(cut.warnings) == 1
-    np.testing.assert_array_equal(ample.splats.means, load_ply(out / "scene.ply").means)
+    np.testing.assert_array_equal(ample.splats.means, load_ply(out / "cloud" / "scene.ply").means)
     joined_db, cut_db = held_out_db(out, ample.splats), held_out_db(out, cut.splats)
     print(f"{name}: {joined_db:.2f} dB joined, {cut_db:.2f} dB cut")
     assert joined_db >= cut_db

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,8 +23,9 @@ from radiant_core.aggregate.extend import NewRegion, extend_scene
 from radiant_core.aggregate.join import Joined, cut_at_borders, join_models
 from radiant_core.aggregate.join_memory import JoinMemory, plan_join_memory
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.hierarchy.decisions import CUT_COSTS, JOIN_AGAIN, join_decisions, report_join_memory
+from radiant_core.hierarchy.decisions import join_decisions
 from radiant_core.hierarchy.device import training_summary
+from radiant_core.hierarchy.join_limits import CUT_AT_CLOUD_COSTS, JoinLimit, limit_of_machine, report_join_memory, ways_to_lift
 from radiant_core.hierarchy.joining import Arrivals, admit, join_key
 from radiant_core.hierarchy.messages import ONLY_FADED, CloudTask, EdgeModel, Extension, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
@@ -31,8 +33,6 @@ from radiant_core.plan.regions.claims import Claims, claims_of_cells
 from radiant_core.plan.system import Cloud
 from radiant_core.train.trainer import FitOptions
 
-MACHINE_SHARE = 0.8
-"""Of the free memory of its machine, what joining may take where the system file has no limit."""
 RAISE_LIMIT = "raise that limit under [cloud] in the system file of the next run"
 
 
@@ -114,35 +114,30 @@ def _can_average(task: CloudTask, arrivals: Arrivals) -> bool:
 
 
 def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: Reporter, machine: Machine) -> _Choice:
-    """Whether and how models are joined; without a limit, in `MACHINE_SHARE` of what is free."""
+    """Whether and how models are joined; without a limit, in a share of what is free."""
     times_s = None if task.edge_times_s is None else [task.edge_times_s[row] for row in rows]
     given = task.limits or Cloud()
     limits, memory_of = given, "the cloud's limit"
-    free_bytes = machine.free_bytes()
-    if given.memory_bytes is None and np.isfinite(free_bytes):
-        limits = replace(given, memory_bytes=MACHINE_SHARE * free_bytes)
-        memory_of = f"{MACHINE_SHARE:.0%} of what this machine has free, a limit"
-    most_bytes = float("inf") if limits.memory_bytes is None else limits.memory_bytes
-    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, most_bytes, task.aggregate.most_tiles)
+    if given.memory_bytes is not None:
+        own = JoinLimit(num_bytes=given.memory_bytes, whose="[cloud] memory_gb", lift=RAISE_LIMIT)
+    else:
+        own = limit_of_machine(machine)
+        if np.isfinite(own.num_bytes):
+            limits, memory_of = replace(given, memory_bytes=own.num_bytes), f"{own.whose}, a limit"
+    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, own.num_bytes, task.aggregate.most_tiles)
     needs = cloud_needs(arrivals.models, arrivals.cameras, memory, times_s)
     retrains, decision = choose_at_cloud(needs, limits, reporter.stage, memory_of=memory_of)
     reporter.decide(decision)
-    can_join_again = arrivals.uncertainty is None
+    lift = partial(ways_to_lift, can_join_again=arrivals.uncertainty is None)
     if retrains:
         if len(arrivals.models) > 1:
             # A join in tiles is finished: no --resume does it anew.
-            free = "free memory there before the next run"
-            lift = _ways_to_lift(free if limits is not given else RAISE_LIMIT, can_join_again=can_join_again)
-            report_join_memory(memory, most_bytes, lift, reporter)
+            report_join_memory(memory, replace(own, lift=lift(own.lift)), CUT_AT_CLOUD_COSTS, reporter)
         return _Choice(retrains=True, memory=memory, cut_for_memory=False)
     by_machine = choose_at_cloud(needs, given, reporter.stage)[0]
-    lift = _ways_to_lift("free memory there and go on with --resume" if by_machine else RAISE_LIMIT, can_join_again=can_join_again)
-    reporter.warn(f"{decision.choice}: {decision.reason}. {CUT_COSTS} To join them {lift}.")
+    ways = lift("free memory there and go on with --resume" if by_machine else RAISE_LIMIT)
+    reporter.warn(f"{decision.choice}: {decision.reason}. {CUT_AT_CLOUD_COSTS} To join them {ways}.")
     return _Choice(retrains=False, memory=memory, cut_for_memory=by_machine)
-
-
-def _ways_to_lift(lift: str, *, can_join_again: bool) -> str:
-    return f"{lift}; or {JOIN_AGAIN}" if can_join_again else lift
 
 
 def _join(

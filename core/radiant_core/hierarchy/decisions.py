@@ -12,16 +12,11 @@ if TYPE_CHECKING:
     from radiant_core.aggregate.balance import Balance
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.join import Check, Joined
-    from radiant_core.aggregate.join_memory import JoinMemory
     from radiant_core.hierarchy.recipe import Recipe
-    from radiant_core.hierarchy.reporter import Reporter
     from radiant_core.splats import Splats
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.shapes import ShapeCounts
 
-CUT_COSTS = "On three scenes that were joined both ways a cut came out 0.3 to 0.8 dB lower."
-TILES_COST = "Tiles take longer, and on a small scene two of them came out 0.06 dB lower, four 0.11."
-JOIN_AGAIN = "`radiant aggregate RUN --out JOINED.ply` joins the models of a run without a limit, on any machine"
 BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
@@ -117,29 +112,6 @@ def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Dec
         reason="joining shows models only pictures of models; devices show it their photographs",
         changes_nothing=not num_refined,
     )
-
-
-def report_join_memory(memory: JoinMemory, limit_bytes: float, lift: str, reporter: Reporter) -> None:
-    """Decide and warn where a limit of memory divides a join into tiles, or makes it a cut; `lift`
-    says in words how to have more."""
-    if memory.fits and memory.num_tiles == 1:
-        return
-    if memory.fits:
-        choice = f"models are joined in {memory.num_tiles} tiles, one after another"
-    else:
-        choice = "models are cut at their borders instead of retrained"
-    decision = Decision(
-        stage=reporter.stage,
-        topic="memory",
-        choice=choice,
-        figure=limit_bytes / 1e6,
-        unit="MB allowed",
-        reason=f"that is predicted to take {memory.needed_bytes / 1e6:,.0f} MB",
-        forced=True,
-    )
-    reporter.decide(decision)
-    costs, wanted = (TILES_COST, "To join them at once") if memory.fits else (CUT_COSTS, "To join them")
-    reporter.warn(f"{choice}: {decision.reason}, where {limit_bytes / 1e6:,.0f} MB are allowed. {costs} {wanted} {lift}.")
 
 
 def check_decision(stage: str, check: Check) -> Decision:

@@ -9,8 +9,9 @@ A device's model meets its neighbour's here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,9 @@ from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import NO_CAMERAS, Cameras, concatenate_cameras
-from radiant_core.hierarchy.decisions import JOIN_AGAIN, join_decisions, report_join_memory
+from radiant_core.hierarchy.decisions import join_decisions
 from radiant_core.hierarchy.device import training_summary
+from radiant_core.hierarchy.join_limits import CUT_AT_EDGE_COSTS, JoinLimit, limit_of_machine, report_join_memory, ways_to_lift
 from radiant_core.hierarchy.joining import admit, join_key, received_files
 from radiant_core.hierarchy.messages import DeviceModel, EdgeModel, EdgeTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
@@ -50,7 +52,8 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]
     strips = [np.array(task.strips[task.devices.index(name)]).reshape(-1, 2) for name in arrivals.senders]
     options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
-    joined = _join(task, teachers, strips, options, reporter)
+    lift = partial(ways_to_lift, can_join_again=arrivals.uncertainty is None)
+    joined = _join(task, teachers, strips, options, _limit(task, machine, lift), reporter)
     # Along a Z curve the order of the Gaussians no longer says how many devices there were and
     # which is whose.
     splats = joined.trained.splats.select(morton_order(joined.trained.splats.means))
@@ -67,15 +70,24 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     )
 
 
-def _join(task: EdgeTask, teachers: list[Teacher], strips: Sequence[Any], options: FitOptions, reporter: Reporter) -> Joined:
+def _limit(task: EdgeTask, machine: Machine, lift: Callable[[str], str]) -> JoinLimit:
+    """What the join may hold: what the system file says, else a share of what is free."""
+    if task.memory_bytes is None:
+        limit = limit_of_machine(machine, machine.num_edges)
+        return replace(limit, lift=lift(limit.lift))
+    whose = "memory_gb of this edge"
+    return JoinLimit(num_bytes=task.memory_bytes, whose=whose, lift=lift(f"raise {whose} for the next run"))
+
+
+def _join(
+    task: EdgeTask, teachers: list[Teacher], strips: Sequence[Any], options: FitOptions, limit: JoinLimit, reporter: Reporter
+) -> Joined:
     """The models retrained together, or cut where the edge's memory holds no part of that."""
-    claims = claims_of_polygons(strips)
-    if task.memory_bytes is None or len(teachers) < 2:
-        num_tiles = 1
-    else:
+    claims, num_tiles = claims_of_polygons(strips), 1
+    if len(teachers) > 1:
         models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
-        memory = plan_join_memory(models, cameras, task.train.long_side_px, task.memory_bytes, task.aggregate.most_tiles)
-        report_join_memory(memory, task.memory_bytes, f"raise memory_gb of this edge for the next run; or {JOIN_AGAIN}", reporter)
+        memory = plan_join_memory(models, cameras, task.train.long_side_px, limit.num_bytes, task.aggregate.most_tiles)
+        report_join_memory(memory, limit, CUT_AT_EDGE_COSTS, reporter)
         if not memory.fits:
             return cut_at_borders(teachers, claims)
         num_tiles, options = memory.num_tiles, replace(options, statistics_bytes=memory.statistics_bytes)

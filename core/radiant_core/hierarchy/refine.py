@@ -22,7 +22,7 @@ from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.decisions import Decision
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.messages import RefineTask
-from radiant_core.hierarchy.refining_plan import MAX_STEPS, refining_steps
+from radiant_core.hierarchy.refining_plan import MAX_STEPS, refining_steps, warning_of
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.light.canonical import MIN_SPREAD
 from radiant_core.light.lights import in_canonical_light
@@ -64,7 +64,9 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     if task.memory_bytes is not None:
         memory = plan_join_memory([start], [views.cameras], task.train.long_side_px, task.memory_bytes, most_tiles=1)
         if len(start) and not memory.fits:
-            reporter.decide(_skipped(reporter.stage, memory.needed_bytes, task.memory_bytes))
+            skipped = _skipped(reporter.stage, memory.needed_bytes, task.memory_bytes)
+            reporter.decide(skipped)
+            reporter.warn(warning_of(skipped))
             return nothing
         bare = replace(bare, statistics_bytes=memory.statistics_bytes)
     if not len(start):
@@ -150,5 +152,5 @@ def _skipped(stage: str, needed_bytes: float, limit_bytes: float) -> Decision:
         choice="the scene is not refined by this device's photographs",
         figure=needed_bytes / 1e9,
         unit="GB needed",
-        reason=f"its memory_gb allows {limit_bytes / 1e9:.2f}",
+        reason=f"memory_gb of the device allows {limit_bytes / 1e9:.2f}",
     )

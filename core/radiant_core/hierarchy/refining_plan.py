@@ -22,6 +22,7 @@ from radiant_core.aggregate.config import (
 )
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.decisions import Decision
+from radiant_core.hierarchy.join_limits import UNREFINED_COSTS
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.plan.timeline.refining import LEAST_DEVICES
 
@@ -44,6 +45,8 @@ class RefiningPlan:
     devices: Mapping[str, Sequence[str]]
     """Edge → its devices that refine; empty where the scene stays as it was joined."""
     decisions: tuple[Decision, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """Of the decisions those that a limit of memory forced, with what it costs and how to lift it."""
 
 
 def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_splats: int) -> RefiningPlan:
@@ -63,7 +66,8 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
     needed, of_edge = (average_bytes(num_splats, degree, renders=renders) for renders in (False, True))
     cloud, limits = recipe.system.cloud, {edge.id: edge.memory_bytes for edge in recipe.system.edges}
     if cloud.memory_bytes is not None and cloud.memory_bytes < needed:
-        return RefiningPlan(devices={}, decisions=(_too_large("the scene is not refined", needed, "the cloud", cloud.memory_bytes),))
+        decision = _too_large("the scene is not refined", needed, "the cloud", cloud.memory_bytes)
+        return RefiningPlan(devices={}, decisions=(decision,), warnings=(warning_of(decision),))
     kept, decisions = {}, []
     for edge, devices in present.items():
         limit = limits.get(edge)
@@ -71,9 +75,10 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
             decisions.append(_too_large(f"the scene is not refined by {', '.join(devices)}", of_edge, edge, limit))
         elif devices:
             kept[edge] = tuple(devices)
+    warnings = tuple(map(warning_of, decisions))
     if (num_left := sum(map(len, kept.values()))) < LEAST_DEVICES:
-        return RefiningPlan(devices={}, decisions=(*decisions, _too_few(num_left)))
-    return RefiningPlan(devices=kept, decisions=(*decisions, _rounds(recipe)))
+        return RefiningPlan(devices={}, decisions=(*decisions, _too_few(num_left)), warnings=warnings)
+    return RefiningPlan(devices=kept, decisions=(*decisions, _rounds(recipe)), warnings=warnings)
 
 
 def choose_rounds(recipe: Recipe) -> int:
@@ -84,6 +89,12 @@ def choose_rounds(recipe: Recipe) -> int:
 def refining_steps(epochs: int, num_views: int) -> int:
     """Steps of a device with so many photographs: their epochs within `MAX_STEPS`, at least one."""
     return max(num_views, min(epochs * num_views, MAX_STEPS))
+
+
+def warning_of(decision: Decision) -> str:
+    """What a decision that a limit of memory forced costs, and how to lift the limit."""
+    said = f"{decision.choice}: {decision.figure:.2f} {decision.unit}, {decision.reason}."
+    return f"{said} {UNREFINED_COSTS} Raise it in the system file of the next run."
 
 
 def _rounds(recipe: Recipe) -> Decision:

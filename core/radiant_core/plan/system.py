@@ -73,9 +73,9 @@ class Edge:
     """Latitude and longitude instead of `position`, turned into metres about the scene's origin."""
     aggregate_s: CostCurve
     """F_m: seconds to aggregate against cameras. An edge whose cameras several devices share takes
-    a + b · views whatever the cut, as it retrains on every view, or pools and makes a picture per
-    view; if only views at borders were shown, it would depend on where these run, and makespan over
-    bound could only be reported for this model."""
+    a + b · views whatever the cut, as it retrains on every view; if only views at borders were shown,
+    it would depend on where these run, and makespan over bound could only be reported for this
+    model."""
     uplink_bytes_per_s: float
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]
@@ -95,7 +95,8 @@ class Edge:
     max_cameras: int | None = None
     """How many cameras its devices can hold together; only with `time_s`."""
     memory_bytes: float | None = None
-    """What joining may hold; beyond it models are cut at their borders. None without a limit."""
+    """What joining may hold; beyond it models are joined in tiles, and cut at their borders where no
+    tile fits. None: a share of what its machine has free."""
 
     def __post_init__(self) -> None:
         require_id("edge", self.id)
@@ -150,8 +151,8 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
-    """What the cloud can spend on joining the scene, beyond which models are cut; None: no limit
-    but the machine's memory."""
+    """What the cloud can spend on joining the scene; None: no limit but the machine's memory. Beyond
+    its memory models are joined in tiles, and cut where no tile fits or another limit is exceeded."""
 
     memory_bytes: float | None = None
     """Memory of the cloud's process."""

@@ -11,7 +11,7 @@ from radiant_core.aggregate.join_memory import JoinMemory, join_bytes, pixels_of
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.tiles import most_fitted, tiles_of
 from radiant_core.cameras import Cameras, concatenate_cameras
-from radiant_core.hierarchy.decisions import CUT_COSTS, TILES_COST, report_join_memory
+from radiant_core.hierarchy.join_limits import CUT_AT_EDGE_COSTS, TILES_COST, JoinLimit, report_join_memory
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
@@ -90,21 +90,25 @@ def test_more_of_anything_never_takes_less() -> None:
     assert join_bytes(0, 0, 236, []) > 0
 
 
-@pytest.mark.parametrize(("num_tiles", "fits", "costs"), [(4, True, TILES_COST), (MAX_TILES, False, CUT_COSTS)])
+def limit_of(num_bytes: float) -> JoinLimit:
+    return JoinLimit(num_bytes=num_bytes, whose="memory_gb of this edge", lift="raise memory_gb of this edge")
+
+
+@pytest.mark.parametrize(("num_tiles", "fits", "costs"), [(4, True, TILES_COST), (MAX_TILES, False, CUT_AT_EDGE_COSTS)])
 def test_a_limit_that_bites_is_decided_and_warned_of(num_tiles: int, fits: bool, costs: str) -> None:
     reporter = Recorder(stage="edges/a")
     memory = JoinMemory(num_tiles=num_tiles, needed_bytes=9e8, statistics_bytes=0, fits=fits)
-    report_join_memory(memory, 1e8, "raise memory_gb of this edge", reporter)
+    report_join_memory(memory, limit_of(1e8), CUT_AT_EDGE_COSTS, reporter)
     (decision,), (warning,) = reporter.decisions, reporter.warnings
     assert decision.choice.startswith("models are joined in 4 tiles" if fits else "models are cut at their borders")
     assert (decision.stage, decision.topic, decision.figure, decision.forced) == ("edges/a", "memory", 100, True)
-    assert "predicted to take 900 MB, where 100 MB are allowed" in warning
+    assert "predicted to take 900 MB, where memory_gb of this edge allows 100 MB" in warning
     assert costs in warning and "raise memory_gb of this edge" in warning
 
 
 def test_all_at_once_is_no_decision() -> None:
     reporter = Recorder()
-    report_join_memory(planned(1e12), 1e12, "raise it", reporter)
+    report_join_memory(planned(1e12), limit_of(1e12), CUT_AT_EDGE_COSTS, reporter)
     assert not reporter.decisions and not reporter.warnings
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -112,17 +112,20 @@ class Ground:
     truth: Splats
     photographs: tuple[NDArray[np.uint8], ...]
 
-    def model(self, rows: list[int], num_steps: int) -> Splats:
-        """What a device learns of these photographs."""
-        cameras = CAMERAS.select(rows)
-        scene = SfmScene(
-            cameras=cameras,
+    def scene(self, rows: Sequence[int]) -> SfmScene:
+        """Some of the cameras, and every other centre as a sparse point."""
+        return SfmScene(
+            cameras=CAMERAS.select(rows),
             points=self.truth.means.astype(np.float64)[::2],
             colors=(255 * (0.5 + SH_C0 * self.truth.sh0[::2, 0])).clip(0, 255).astype(np.uint8),
             observations=np.zeros((0, 2), np.int64),
             frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
         )
-        views = TrainingViews(cameras=cameras, images=tuple(self.photographs[row] for row in rows))
+
+    def model(self, rows: Sequence[int], num_steps: int) -> Splats:
+        """What a device learns of these photographs."""
+        scene = self.scene(rows)
+        views = TrainingViews(cameras=scene.cameras, images=tuple(self.photographs[row] for row in rows))
         train = replace(TRAIN, num_steps=num_steps)
         return train_device(DeviceTask(scene=scene, train=train, backend="native"), views, Recorder()).splats
 

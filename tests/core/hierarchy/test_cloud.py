@@ -14,7 +14,8 @@ from radiant_core.aggregate.extend import NewRegion, extend_scene
 from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
-from radiant_core.hierarchy.cloud import MACHINE_SHARE, join_cloud
+from radiant_core.hierarchy.cloud import join_cloud
+from radiant_core.hierarchy.join_limits import MACHINE_SHARE
 from radiant_core.hierarchy.messages import EdgeModel, Extension, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.plan.system import Cloud

@@ -93,6 +93,19 @@ def test_a_limit_of_memory_limits_gaussians_and_what_the_process_holds_counts(gi
     assert most_splats(replace(many, train=TRAIN), views) == TRAIN.max_num_splats
 
 
+def test_a_limit_that_leaves_no_room_for_sparse_points_is_warned_of(given: tuple[DeviceTask, TrainingViews]) -> None:
+    task, views = given
+    reporter = Recorder()
+    prepare_training(task, views, reporter)
+    assert not reporter.warnings
+    few = len(task.scene.points) // 2
+    prepared = prepare_training(replace(task, train=replace(TRAIN, max_num_splats=few)), views, reporter)
+    (warning,) = reporter.warnings
+    assert f"of {len(task.scene.points):,} sparse points begin the model, within the limit of {few:,} Gaussians" in warning
+    assert "gained 1.2 dB" in warning and "Raise --max-splats" in warning
+    assert len(prepared.initial) <= few
+
+
 def test_a_limit_beyond_what_was_asked_for_changes_no_bit(given: tuple[DeviceTask, TrainingViews]) -> None:
     task, views = given
     limited = prepare_training(replace(task, memory_bytes=4e9), views, Recorder())

@@ -12,6 +12,7 @@ from radiant_core.aggregate import join_memory
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.hierarchy.edge import join_edge
+from radiant_core.hierarchy.join_limits import MACHINE_SHARE
 from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.splats import Splats, morton_order
 from tests.core.hierarchy.grounds import AGGREGATE, CAMERAS, NAMES, device_models, edge_task, part
@@ -103,7 +104,9 @@ def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_joi
     reporter = Recorder(stage="edges/north")
     found = join_edge(edge_task("a", "b", memory_bytes=1e8), models, reporter)
     (warning,) = reporter.warnings
-    assert "where 100 MB are allowed" in warning and "raise memory_gb of this edge" in warning and "radiant aggregate" in warning
+    assert (
+        "memory_gb of this edge allows 100 MB" in warning and "raise memory_gb of this edge" in warning and "radiant aggregate" in warning
+    )
     assert choices(reporter, "memory") == ["models are cut at their borders instead of retrained"]
     assert found.splats is not None and found.summary["num_steps"] == 0
     assert 0 < len(found.splats) < sum(len(model.splats) for model in models.values())
@@ -112,6 +115,27 @@ def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_joi
         join_edge(edge_task("a", "b", memory_bytes=1e9), models, enough).splats, join_edge(edge_task("a", "b"), models, Recorder()).splats
     )
     assert not enough.warnings
+
+
+def test_without_a_limit_edges_share_what_their_machine_has_free() -> None:
+    models = {name: device_models()[name] for name in "ab"}
+    needed = plan_join_memory([part(0), part(1)], CAMERAS[:2], 48, np.inf).needed_bytes
+    free = 1.01 * needed / MACHINE_SHARE
+    plain = join_edge(edge_task("a", "b"), models, Recorder())
+    alone, among_two = Recorder(), Recorder()
+    assert_same(join_edge(edge_task("a", "b"), models, alone, Machine(free_bytes=lambda: free)).splats, plain.splats)
+    assert not alone.warnings
+    found = join_edge(edge_task("a", "b"), models, among_two, Machine(free_bytes=lambda: free, num_edges=2))
+    (warning,) = among_two.warnings
+    assert found.summary["num_steps"] == 0, "half of the memory holds no tile of so small models"
+    assert "80% of what this machine has free, shared by 2 edges at a time, allows" in warning
+    assert "free memory there before the next run, or give it fewer workers" in warning and "radiant aggregate RUN" in warning
+    # What the system file says counts before what is free.
+    given = Recorder()
+    assert_same(
+        join_edge(edge_task("a", "b", memory_bytes=1.01 * needed), models, given, Machine(free_bytes=lambda: 1.0)).splats, plain.splats
+    )
+    assert not given.warnings
 
 
 def test_what_exceeds_an_edges_memory_by_little_is_joined_in_tiles(monkeypatch: pytest.MonkeyPatch) -> None:

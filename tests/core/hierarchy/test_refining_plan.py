@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from radiant_core.aggregate.averaging import average_bytes
+from radiant_core.hierarchy.join_limits import UNREFINED_COSTS
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining
 from radiant_core.plan.system import Cloud
@@ -48,10 +49,15 @@ def test_memory_of_the_cloud_and_of_edges_is_kept_to(recipe: Recipe) -> None:
     none = plan_refining(with_limits(recipe, needed - 1, {}), PRESENT, NUM_SPLATS)
     assert not none.devices and [decision.figure for decision in none.decisions] == [pytest.approx(needed / 1e9)]
     assert "memory_gb of the cloud" in none.decisions[0].reason
+    (warning,) = none.warnings
+    assert warning.startswith("the scene is not refined: ") and UNREFINED_COSTS in warning and "Raise it in the system file" in warning
     without = plan_refining(with_limits(recipe, None, {"edge-2": of_edge - 1}), PRESENT, NUM_SPLATS)
     assert list(without.devices) == ["edge-1"] and [decision.choice for decision in without.decisions] == [
         "the scene is not refined by edge-2-device-1",
         f"devices refine the scene in {choose_rounds(recipe)} {'round' if choose_rounds(recipe) == 1 else 'rounds'} of at most 8 epochs",
     ]
+    (warning,) = without.warnings
+    assert warning.startswith("the scene is not refined by edge-2-device-1: ") and "memory_gb of edge-2 allows" in warning
     alone = plan_refining(with_limits(recipe, None, {"edge-1": of_edge - 1}), PRESENT, NUM_SPLATS)
-    assert not alone.devices and len(alone.decisions) == 2
+    assert not alone.devices and len(alone.decisions) == 2 and len(alone.warnings) == 1
+    assert not plan_refining(recipe, PRESENT, NUM_SPLATS).warnings
