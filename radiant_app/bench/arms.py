@@ -26,6 +26,7 @@ from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import CutBy
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
+from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import flip, psnr_db, ssim
 from radiant_core.evaluate.lpips import Lpips
 from radiant_core.evaluate.seam_error import SeamMasks, band_and_interior_psnr_db, seam_masks
@@ -88,8 +89,9 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRow:
-    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph, band and interior
-    where enough pixels show a border. CPU seconds and pixels exclude the devices' trainings."""
+    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph, psnr_cc_db after an
+    affine correction of a render's colours to the photograph's; band and interior where enough
+    pixels show a border. CPU seconds and pixels exclude the devices' trainings."""
 
     scene: str
     cell: str
@@ -108,6 +110,8 @@ class ArmRow:
     """At views that were never flown, where there are some."""
     flip: tuple[float | None, ...] = ()
     """Per held-out photograph; empty in rows that were kept before it was measured."""
+    psnr_cc_db: tuple[float, ...] = ()
+    """As flip."""
     num_parameters: int = 0
     """Of a field, which has no Gaussians."""
     rounds: tuple[Round, ...] = ()
@@ -260,6 +264,7 @@ class Arms:
             psnr_db=tuple(psnr_db(image, photograph) for image, photograph in pairs),
             ssim=tuple(ssim(image, photograph) for image, photograph in pairs),
             flip=tuple(flip(image, photograph) for image, photograph in pairs),
+            psnr_cc_db=tuple(psnr_db(correct_colors(image, photograph), photograph) for image, photograph in pairs),
             num_gaussians=0 if made.splats is None else len(made.splats),
             cpu_s=made.cpu_s,
             training_px=made.training_px,
@@ -284,7 +289,7 @@ class Arms:
 def _row_of(record: dict[str, Any]) -> ArmRow:
     nodes = tuple(NodeWork(**node) for node in record.get("nodes", ()))
     rounds = tuple(Round(**one) for one in record.get("rounds", ()))
-    figures = {name: tuple(record.get(name, ())) for name in ("psnr_db", "ssim", "flip")}
+    figures = {name: tuple(record.get(name, ())) for name in ("psnr_db", "ssim", "flip", "psnr_cc_db")}
     return ArmRow(**{**record, **figures, "nodes": nodes, "rounds": rounds})
 
 

@@ -30,7 +30,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -343,11 +343,12 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:
-    """A line per scene and method: mean PSNR and FLIP, seams' excess, Gaussians, CPU seconds of all
-    nodes, those until the scene is done if all work at once (`joining_s`), and pixels."""
+    """A line per scene and method: mean PSNR, the same after a correction of colours, FLIP, seams'
+    excess, Gaussians, CPU seconds of all nodes, those until the scene is done if all work at once
+    (`joining_s`), and pixels."""
     lines = [
-        "| scene | method | PSNR dB | FLIP | seam excess dB | Gaussians, or parameters | CPU s | all nodes at once s | training Mpx |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| scene | method | PSNR dB | corrected | FLIP | seam excess dB | Gaussians, or numbers | CPU s | at once s | training Mpx |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
     for (scene, method), group in _group_rows(rows).items():
@@ -356,19 +357,20 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
         names = ("mean_psnr_db", "num_gaussians", "num_parameters", "cpu_s", "training_px")
         means = {name: float(np.mean([getattr(row, name) for row in group])) for name in names}
         at_once = f"{np.mean([joining_s(row.nodes) for row in group]):.0f}" if all(row.nodes for row in group) else "–"
-        flip = "–" if (known := mean_flip(group)) is None else f"{known:.4f}"
+        flip = "–" if (known := mean_of_all(group, "flip")) is None else f"{known:.4f}"
+        corrected = "–" if (known := mean_of_all(group, "psnr_cc_db")) is None else f"{known:.2f}"
         size = size_text(means["num_gaussians"], means["num_parameters"])
         lines.append(
-            f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {flip} | {seam} | {size} |"
+            f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {corrected} | {flip} | {seam} | {size} |"
             f" {means['cpu_s']:.0f} | {at_once} | {means['training_px'] / 1e6:.0f} |"
         )
         lines += rounds_lines(method, group)
     return "\n".join(lines)
 
 
-def mean_flip(rows: Sequence[ArmRow]) -> float | None:
-    """FLIP over all photographs of the rows; None where it is not known of every one of them."""
-    known = [value for row in rows for value in row.flip if value is not None]
+def mean_of_all(rows: Sequence[ArmRow], figure: Literal["flip", "psnr_cc_db"]) -> float | None:
+    """A figure over all photographs of the rows; None where it is not known of every one of them."""
+    known = [value for row in rows for value in getattr(row, figure) if value is not None]
     return float(np.mean(known)) if known and len(known) == sum(len(row.psnr_db) for row in rows) else None
 
 
@@ -384,7 +386,7 @@ def rounds_lines(method: str, rows: Sequence[ArmRow]) -> list[str]:
         sent_mb = float(np.mean([one.sent_bytes for one in same])) / 1e6
         known = [one.psnr_db for one in same if one.psnr_db is not None]
         psnr = f"{np.mean(known):.2f}" if known else "not scored"
-        lines.append(f"| | {method}, round {number} | {psnr} | | | {sent_mb:.1f} MB sent | | | |")
+        lines.append(f"| | {method}, round {number} | {psnr} | | | | {sent_mb:.1f} MB sent | | | |")
     return lines
 
 
@@ -418,8 +420,10 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
         key = f"methods.{scene}.{method.replace(' ', '_')}"
         psnr = float(np.mean([row.psnr_db for row in group]))
         metrics.append(Metric(key=f"{key}.psnr_db", value=psnr, unit="dB", direction="higher"))
-        if (flip := mean_flip(group)) is not None:
+        if (flip := mean_of_all(group, "flip")) is not None:
             metrics.append(Metric(key=f"{key}.flip", value=flip, unit="1", direction="lower"))
+        if (corrected := mean_of_all(group, "psnr_cc_db")) is not None:
+            metrics.append(Metric(key=f"{key}.psnr_cc_db", value=corrected, unit="dB", direction="higher"))
         for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("num_parameters", "1"), ("training_px", "px")):
             value = float(np.mean([getattr(row, name) for row in group]))
             metrics.append(Metric(key=f"{key}.{name}", value=value, unit=unit, direction="info"))

@@ -23,7 +23,7 @@ LEAST_FREE_GIB = 2.0
 DISK_BYTES_PER_PHOTOGRAPH = 3_600_000
 """A run's folder beside its photographs, once: `du -sb` of 12 photographs of the sample town with
 `--train-preset draft --steps 200`, 43 MB with figures and pictures."""
-ELSEWHERE = "not known here; 18 took 1.5 min and 75 took 6.9 min elsewhere on two cores (docs/benchmarks.md)"
+ELSEWHERE = "not known here; 18 took 1.5 min and 75 took 8.4 min elsewhere on two cores (docs/benchmarks.md)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +164,7 @@ def _run_of(num_photographs: int, profile: Path | None, *, has_scenes: bool) -> 
     if profile is None:
         # Without photographs it measures on a sample scene.
         photographs = "" if has_scenes else "PHOTOGRAPHS "
-        advice = f"radiant profile {photographs}--out machine.toml (4 minutes), then radiant doctor --profile machine.toml"
+        advice = f"radiant profile {photographs}--out machine.toml (5 minutes), then radiant doctor --profile machine.toml"
         return Finding(name=name, ok=False, needed=False, found=ELSEWHERE, advice=advice)
     found = forecast(num_photographs, profile, available_bytes())
     text = found.text

@@ -28,8 +28,8 @@ from radiant_core.train.config import Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend, step_law_of
 
 BESIDE_EPOCHS = 0.15
-"""Of a join in all of its epochs, what it takes in none: of the edges of three scenes 1.1 to 1.3 of
-8.7 to 9.5 CPU s, by one and two epochs (docs/experiments/aggregation.md)."""
+"""Of a join in all of its epochs, what it takes in none: of the edges of three scenes 1.1 to 1.3
+CPU s in no epoch, of 9 in all (docs/experiments/planner.md)."""
 BESIDE_EPOCHS_AT_CLOUD = 0.05
 """The same at the cloud, which renders less beside: 0.5 to 0.7 of 12 s in no epoch
 (docs/experiments/planner.md)."""

@@ -45,8 +45,11 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     assert table.count("\n") == len(rows) + 1 and "| scene | ours |" in table
     flips = [value for value in made["ours"].flip if value is not None]
     flip = f"{np.mean(flips):.4f}" if len(flips) == 2 else "–"
-    assert f"| scene | ours | {made['ours'].mean_psnr_db:.2f} | {flip} |" in table
-    assert f"| scene | ours | {made['ours'].mean_psnr_db:.2f} | – |" in methods_table([replace(row, flip=()) for row in rows])
+    assert f"| scene | ours | {made['ours'].mean_psnr_db:.2f} | {np.mean(made['ours'].psnr_cc_db):.2f} | {flip} |" in table
+    assert f"| scene | ours | {made['ours'].mean_psnr_db:.2f} | – | – |" in methods_table(
+        [replace(row, flip=(), psnr_cc_db=()) for row in rows]
+    )
+    assert all(corrected >= plain - 1e-6 for row in rows for corrected, plain in zip(row.psnr_cc_db, row.psnr_db, strict=True))
     assert set(curves_of(rows)) == set(made)
     stamps = {path: path.stat().st_mtime_ns for path in (bench.out / "joined").iterdir()}
     again, _ = bench_methods(replace(bench, methods=("paper",)))

@@ -164,8 +164,8 @@ def _warn_of_thinned(num_points: int, num_kept: int, limit: int, reporter: Repor
     nothing can grow."""
     if num_points > num_kept:
         reporter.warn(
-            f"{max(1, num_kept):,} of {num_points:,} sparse points begin the model, within the limit of {limit:,} Gaussians, and hardly any can "
-            "grow. On sixteen devices of 88 photographs twice the limit gained 1.2 dB (docs/experiments/paper_size.md). "
+            f"{max(1, num_kept):,} of {num_points:,} sparse points begin the model, within the limit of {limit:,} Gaussians: hardly "
+            "any can grow. On sixteen devices of 88 photographs twice the limit gained 1.2 dB (docs/experiments/paper_size.md). "
             "Raise --max-splats, or the memory where that sets the limit."
         )
 
