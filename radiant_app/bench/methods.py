@@ -369,7 +369,7 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
 
 
 def mean_of_all(rows: Sequence[ArmRow], figure: Literal["flip", "psnr_cc_db"]) -> float | None:
-    """A figure over all photographs of the rows; None where it is not known of every one of them."""
+    """A figure over all photographs of the rows; None where one of them has none."""
     known = [value for row in rows for value in getattr(row, figure) if value is not None]
     return float(np.mean(known)) if known and len(known) == sum(len(row.psnr_db) for row in rows) else None
 

@@ -192,7 +192,7 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
 
 
 def worker_environment(num_threads: int, edges_at_once: int = 1) -> dict[str, str]:
-    """The variables of a worker; edges that may join side by side on its machine share its memory."""
+    """The variables of a worker; edges that join side by side on its machine share its memory."""
     # Without the last, OpenMP's threads spin after their part and take a core of the rasterizer's.
     own = {"OMP_NUM_THREADS": str(num_threads), EDGES_AT_ONCE: str(max(1, edges_at_once))}
     return {**os.environ, **own, "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}

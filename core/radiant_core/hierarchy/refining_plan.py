@@ -46,7 +46,7 @@ class RefiningPlan:
     """Edge → its devices that refine; empty where the scene stays as it was joined."""
     decisions: tuple[Decision, ...] = ()
     warnings: tuple[str, ...] = ()
-    """Of the decisions those that a limit of memory forced, with what it costs and how to lift it."""
+    """Of decisions that a limit of memory forced: what it costs, and how to lift it."""
 
 
 def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_splats: int) -> RefiningPlan:

@@ -95,8 +95,8 @@ class Edge:
     max_cameras: int | None = None
     """How many cameras its devices can hold together; only with `time_s`."""
     memory_bytes: float | None = None
-    """What joining may hold; beyond it models are joined in tiles, and cut at their borders where no
-    tile fits. None: a share of what its machine has free."""
+    """What joining may hold; beyond it models are joined in tiles, and cut at their borders where
+    no tile fits. None: a share of what its machine has free."""
 
     def __post_init__(self) -> None:
         require_id("edge", self.id)
@@ -151,8 +151,9 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
-    """What the cloud can spend on joining the scene; None: no limit but the machine's memory. Beyond
-    its memory models are joined in tiles, and cut where no tile fits or another limit is exceeded."""
+    """What the cloud can spend on joining the scene; None: no limit but the machine's memory.
+    Beyond its memory models are joined in tiles, and cut where no tile fits or another limit is
+    exceeded."""
 
     memory_bytes: float | None = None
     """Memory of the cloud's process."""
