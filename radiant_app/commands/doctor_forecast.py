@@ -2,7 +2,8 @@
 
 A run without options: two edges with two devices each, `num_workers` processes at a time.
 
-    sfm(N) + ⌈4 / W⌉ (G + F) + ⌈2 / W⌉ F_m(N/2) + merge(N) + rounds (⌈4 / W⌉ r + G / 2) + (rounds + 1) / 2 · ⌈2 / W⌉ G
+    sfm(N) + ⌈4 / W⌉ (G + F) + ⌈2 / W⌉ F_m(N/2) + merge(N)
+    + rounds (⌈4 / W⌉ r + G / 2) + (rounds + 1) / 2 · ⌈2 / W⌉ G
 
 seconds, with W workers, G and F of N/4 photographs and r what `plan.timeline.refining` says of a
 device's round. Few photographs are one device's, whose model nobody joins or refines:

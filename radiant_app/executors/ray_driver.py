@@ -1,6 +1,7 @@
 """The process connected to a Ray cluster, started by `RayExecutor`: submits tasks, forwards output.
 
-    in    {"leaves": [place…], "num_edges"} once, {"start": node, command, folder…}, {"stop": node}; ends with it
+    in    {"leaves": [place…], "num_edges"} once, {"start": node, command, folder…}, {"stop": node};
+          ends with it
     out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code"}
 
 A task is a generator: its first item says where it runs, then come the lines of the node's worker

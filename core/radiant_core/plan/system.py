@@ -73,9 +73,9 @@ class Edge:
     """Latitude and longitude instead of `position`, turned into metres about the scene's origin."""
     aggregate_s: CostCurve
     """F_m: seconds to aggregate against cameras. An edge whose cameras several devices share takes
-    a + b · views whatever the cut, as it retrains on every view; if only views at borders were shown,
-    it would depend on where these run, and makespan over bound could only be reported for this
-    model."""
+    a + b · views whatever the cut, as it retrains on every view; if only views at borders were
+    shown, it would depend on where these run, and makespan over bound could only be reported for
+    this model."""
     uplink_bytes_per_s: float
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]
