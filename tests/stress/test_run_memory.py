@@ -2,8 +2,8 @@
 file allows them.
 
 Growth is made so fast that every device gets to its limit of Gaussians. A cloud that may hold
-enough retrains what edges pool; one that may not leaves retraining to the edges, within their own
-limits, and merges. Figures: docs/experiments/faults.md.
+enough fits what edges join, at once or in tiles; one that may not cuts it. Figures:
+docs/experiments/faults.md.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
+from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 
 pytestmark = pytest.mark.stress
@@ -27,11 +27,11 @@ FAST_GROWTH = {
     "density.every": 1,
     "density.min_gradient": 0.0,
 }
-DEVICE_GB, EDGE_GB = 0.45, 0.5
+DEVICE_GB, EDGE_GB = 0.45, 0.7
 
 
-@pytest.mark.parametrize(("cloud_gb", "retrains"), [(0.75, True), (0.45, False)])
-def test_every_worker_keeps_to_its_limit(cloud_gb: float, retrains: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("cloud_gb", "fits"), [(0.75, True), (0.45, False)])
+def test_every_worker_keeps_to_its_limit(cloud_gb: float, fits: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     edges = "".join(
         f'[[edge]]\nid = "{edge}"\nmemory_gb = {EDGE_GB}\n'
         + "".join(f'[[edge.device]]\nid = "{edge}-{number}"\nmemory_gb = {DEVICE_GB}\n' for number in (1, 2))
@@ -44,7 +44,16 @@ def test_every_worker_keeps_to_its_limit(cloud_gb: float, retrains: bool, tmp_pa
         (project / name).symlink_to(sample_scenes_folder() / "hamlet" / folder)
     training = TrainOptions(long_side_px=160, num_steps=40, max_num_splats=400_000, settings=FAST_GROWTH)
     execution = ExecutionOptions(max_workers=1)
-    result = run(RunConfig(source=project, out=tmp_path / "run", system=tmp_path / "system.toml", train=training, execution=execution))
+    # After so short trainings edges would join in one epoch and the cloud in none.
+    config = RunConfig(
+        source=project,
+        out=tmp_path / "run",
+        system=tmp_path / "system.toml",
+        train=training,
+        aggregate=AggregateOptions(settings={"edge_epochs": 2, "num_epochs": 2}),
+        execution=execution,
+    )
+    result = run(config)
     allowed_gb = {"devices": DEVICE_GB, "edges": EDGE_GB, "cloud": cloud_gb}
     held_gb = {node: peak / 1e9 for node, peak in result.metrics["peak_bytes"].items() if node.split("/")[0] in allowed_gb}
     with capsys.disabled():
@@ -52,6 +61,8 @@ def test_every_worker_keeps_to_its_limit(cloud_gb: float, retrains: bool, tmp_pa
     counts = [json.loads(path.read_text())["num_splats"] for path in tmp_path.glob("run/devices/*/summary.json")]
     assert len(held_gb) == 7 and min(counts) > 5_000, "growth was held by the limit alone"
     assert all(held <= allowed_gb[node.split("/")[0]] for node, held in held_gb.items())
-    assert ("num_steps" in json.loads((tmp_path / "run/cloud/summary.json").read_text())) == retrains
-    assert (json.loads((tmp_path / "run/edges/a/summary.json").read_text())["num_steps"] == 0) == retrains
+    steps = {node: json.loads((tmp_path / "run" / node / "summary.json").read_text())["num_steps"] for node in ("edges/a", "cloud")}
+    with capsys.disabled():
+        print(steps)
+    assert steps["edges/a"] > 0 and (steps["cloud"] > 0) == fits
     assert "at most" in result.report.read_text(), "the report says what a limit cost"
