@@ -128,7 +128,7 @@ class _Cluster:
             self.__exit__()
             raise
         leaves = [resource_of(node) for node in self.tree if not node.children]
-        self._send(leaves=leaves, num_edges=sum(node.tier == "edge" for node in self.tree))
+        self._send(leaves=leaves, edges=[resource_of(node) for node in self.tree if node.tier == "edge"])
 
     def __exit__(self, *exc_info: object) -> None:
         assert self.process is not None and self.process.stdin is not None and self.process.stdout is not None

@@ -1,6 +1,6 @@
 """The process connected to a Ray cluster, started by `RayExecutor`: submits tasks, forwards output.
 
-    in    {"leaves": [place…], "num_edges"} once, {"start": node, command, folder…}, {"stop": node};
+    in    {"leaves": [place…], "edges": [place…]} once, {"start": node, command, folder…}, {"stop": node};
           ends with it
     out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code"}
 
@@ -69,7 +69,7 @@ class _Driver:
     commands: queue.Queue[dict[str, Any] | None] = field(default_factory=queue.Queue)
     tasks: dict[str, _Task] = field(default_factory=dict)
     leaves: Sequence[str] = ()
-    num_edges: int = 1
+    edges: Sequence[str] = ()
     checked_s: float = 0.0
 
     def run(self) -> None:
@@ -94,7 +94,7 @@ class _Driver:
 
     def _execute(self, command: dict[str, Any]) -> None:
         if "leaves" in command:
-            self.leaves, self.num_edges = command["leaves"], command["num_edges"]
+            self.leaves, self.edges = command["leaves"], command["edges"]
         elif "start" in command:
             self._start(command)
         elif command["stop"] in self.tasks:
@@ -110,7 +110,7 @@ class _Driver:
         message["threads"] = threads = _num_threads(fit, self.leaves)
         message["resources"] = {message["place"]: PLACE_SHARE} if pinned else {}
         task = _run_node.options(num_cpus=threads, num_gpus=int(message["gpu"]), resources=message["resources"])
-        at_once = min(self.num_edges, max(int(machine["Resources"]["CPU"]) // threads for machine in fit))
+        at_once = min(_num_at(fit, self.edges), max(int(machine["Resources"]["CPU"]) // threads for machine in fit))
         items = task.remote(message["command"], message["folder"], message["stage"], message["task_sha256"], threads, at_once)
         self.tasks[message["start"]] = _Task(message=message, items=items)
 
@@ -231,14 +231,17 @@ def _offers(machine: dict[str, Any], wanted: dict[str, float]) -> bool:
 
 def _num_threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
     """Threads of a node on any of these machines: its CPUs over the leaves that may run there."""
+    return max(1, int(min((machine["Resources"]["CPU"] // _num_at([machine], leaves) for machine in fit), default=1)))
+
+
+def _num_at(fit: Sequence[dict[str, Any]], places: Sequence[str]) -> int:
+    """The most nodes of these places that may run on one of the machines: those of its own place, and
+    an even part of those whose place no machine has; at least 1."""
     machines = _machines()
     named = {name for machine in machines for name in machine["Resources"]}
-    anywhere = sum(leaf not in named for leaf in leaves) / max(1, len(machines))
-    least = math.inf
-    for machine in fit:
-        num_leaves = math.ceil(anywhere + sum(leaf in machine["Resources"] for leaf in leaves))
-        least = min(least, machine["Resources"]["CPU"] // max(1, num_leaves))
-    return max(1, int(least))
+    anywhere = sum(place not in named for place in places) / max(1, len(machines))
+    counts = [math.ceil(anywhere + sum(place in machine["Resources"] for place in places)) for machine in fit]
+    return max([1, *counts])
 
 
 def _connect(address: str, temporary: Path) -> str | None:

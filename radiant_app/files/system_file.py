@@ -5,7 +5,8 @@
     position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54]; else among the cameras
     uplink_mbit_per_s = 100.0
     aggregate_s = { constant = 5.0, linear = 0.5 }
-    memory_gb = 4.0                      # what joining may hold; beyond it by tiles, or cut
+    memory_gb = 4.0                      # what joining may hold; beyond it by tiles, or cut;
+                                         # left out: 4/5 of what is free, divided among edges
 
     [[edge.device]]
     id = "north-1"

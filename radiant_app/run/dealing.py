@@ -17,7 +17,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.photographs import Photographs
 from radiant_app.workers.delivering import DELIVERIES, exchange_keys, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
-from radiant_app.workers.nodes import CUT_SCENE, unseal_cut_scene
+from radiant_app.workers.nodes import CUT_SCENE, unseal_cut
 from radiant_app.workers.sources import masks_folder_of
 from radiant_app.workers.tasks import SIGNED
 from radiant_app.workers.training import MASKS
@@ -126,6 +126,7 @@ class Dealer:
         self._empty_inbox(folder)
         if not num_dealt:
             return None
+        unseal_cut(folder)
         for device in num_dealt:
             self._deliver(f"devices/{device}", folder, folder / "inbox" / device)
         return self.recipe.edge_task(node.name, num_dealt), [folder / "inbox"]
@@ -136,7 +137,7 @@ class Dealer:
         self._empty_inbox(folder)
         if not edges:
             return None
-        unseal_cut_scene(folder)
+        unseal_cut(folder)
         num_dealt = {edge.name: sum(map(self.photographs.num_dealt, self._delivered_devices(edge))) for edge in edges}
         for edge in edges:
             self._deliver(edge.id, folder, folder / "inbox" / edge.name)

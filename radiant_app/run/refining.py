@@ -29,7 +29,7 @@ from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.hierarchy.refining_plan import LEAST_DEVICES, RefiningPlan, choose_rounds, plan_refining
+from radiant_core.hierarchy.refining_plan import LEAST_DEVICES, STAGE, RefiningPlan, choose_rounds, plan_refining
 from radiant_core.io.messages import CAMERAS_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.io.run_store import content_key, file_sha256, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
@@ -64,7 +64,7 @@ def fold_rounds(rounds: Sequence[Refining], fold: Callable[[Refining, Tree], Non
     for decision in rounds[0].plan.decisions:
         listen(Decided(decision=decision))
     for message in rounds[0].plan.warnings:
-        listen(Warned(stage=rounds[0].node("cloud"), message=message))
+        listen(Warned(stage=STAGE, message=message))
     for each in rounds:
         if (tree := each.tree) is None:
             break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ from radiant_core.io.run_store import read_json, write_json
 BASE_NAME = "memory.json"
 EDGES_AT_ONCE = "RADIANT_EDGES_AT_ONCE"
 """Variable of a worker: how many edges may join side by side on its machine."""
+UNKNOWN_BYTES = 2**62
+"""Free memory where the system does not tell it: no limit."""
 OUT_OF_MEMORY = "not enough memory: lower --max-splats or --long-side-px, free some, or raise the limit (ulimit -v)."
 
 
@@ -72,7 +75,9 @@ def _machine_bytes(proc: Path) -> int:
         return int(rows["MemAvailable"].split()[0]) * 1024
     except (OSError, KeyError, ValueError):
         # Without Linux's own figure: what lies wholly unused.
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        with contextlib.suppress(AttributeError, ValueError, OSError):
+            return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return UNKNOWN_BYTES
 
 
 def _container_bytes(proc: Path, groups: Path) -> Iterator[int]:

@@ -136,11 +136,14 @@ def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[
     from radiant_core.io.messages import save_edge_model
 
     models = receive_device_models(folder, task.devices)
+    (folder / CUT_NAME).unlink(missing_ok=True)
     model = join_edge(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
     names = [
         *save_edge_model(folder, model, task.upload, reporter.warn),
         *save_joining(folder, model.corrections, model.refused, model.uncertainty),
     ]
+    if model.cut_for_memory:
+        (folder / CUT_NAME).touch()
     remove_checkpoints(folder)
     return names if model.splats is None else [*names, *sign_upload(folder)]
 
@@ -171,7 +174,7 @@ def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequenc
     return ["scene.ply", *names]
 
 
-def unseal_cut_scene(folder: Path) -> None:
-    """Unseal a cloud that cut its models for lack of memory: more may be free by now."""
+def unseal_cut(folder: Path) -> None:
+    """Unseal an edge or a cloud that cut its models for lack of memory: more may be free by now."""
     if (folder / CUT_NAME).is_file():
         (folder / SEAL_NAME).unlink(missing_ok=True)

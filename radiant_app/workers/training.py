@@ -53,7 +53,14 @@ def make_machine(folder: Path, checkpoint_every_s: float, reporter: EventReporte
 
     base_bytes = base_bytes_in(folder, resident_bytes()) if limited else 0
     num_edges = int(os.environ.get(EDGES_AT_ONCE, "1"))
-    return Machine(base_bytes=base_bytes, free_bytes=available_bytes, num_edges=num_edges, checkpoints=checkpoints, scratch=folder)
+    return Machine(
+        base_bytes=base_bytes,
+        free_bytes=available_bytes,
+        held_bytes=resident_bytes,
+        num_edges=num_edges,
+        checkpoints=checkpoints,
+        scratch=folder,
+    )
 
 
 def remove_checkpoints(folder: Path) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
-from radiant_app.workers.memory import available_bytes
+from radiant_app.workers.memory import UNKNOWN_BYTES, available_bytes
 
 GB = 1_000_000_000
 
@@ -51,3 +52,11 @@ def test_broken_kernel_files_are_passed_over(tmp_path: Path) -> None:
     assert available_bytes(proc, groups) == 8 * GB // 1024 * 1024
     (proc / "meminfo").write_text("MemTotal 3\n")
     assert available_bytes(proc, groups) > 0
+
+
+def test_where_the_system_does_not_tell_there_is_no_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str) -> int:
+        raise ValueError(f"unrecognized configuration name {name}")
+
+    monkeypatch.setattr(os, "sysconf", refuse)
+    assert available_bytes(tmp_path, tmp_path) == UNKNOWN_BYTES

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,9 +25,13 @@ from radiant_app.events import (
 from radiant_app.executors import local
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.workers.memory import EDGES_AT_ONCE
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.training import make_machine
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, CannotWrite, StageFailed
+from radiant_core.hierarchy.join_limits import limit_of_machine
 from radiant_core.io.run_store import SEAL_NAME, seal
 
 DEVICES = tuple(Tree(id=f"devices/{number}", tier="device") for number in "123")
@@ -81,6 +86,25 @@ def test_never_more_processes_than_workers(tmp_path: Path) -> None:
 
     executor({}, num_workers=2).fold(TREE, preparer(tmp_path, []), listen)
     assert most == 2
+
+
+@pytest.mark.parametrize(("num_workers", "at_once"), [(1, 1), (2, 2), (8, 3)])
+def test_a_worker_is_told_how_many_edges_may_share_its_machine(num_workers: int, at_once: int, tmp_path: Path) -> None:
+    edges = tuple(Tree(id=f"edges/{name}", tier="edge", children=(Tree(id=f"devices/{name}", tier="device"),)) for name in "abc")
+    tell = f"open('told', 'w').write(os.environ[{EDGES_AT_ONCE!r}])\n{SEAL}"
+    tree = Tree(id="cloud", tier="cloud", children=edges)
+    executor({"edges/b": tell}, num_workers).fold(tree, preparer(tmp_path, []), lambda event: None)
+    assert (tmp_path / "edges/b/told").read_text() == str(at_once)
+
+
+def test_a_node_divides_free_memory_among_these_edges(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reporter = EventReporter(stage="edges/a", emit=lambda event: None)
+    assert make_machine(tmp_path, 10.0, reporter).num_edges == 1
+    monkeypatch.setenv(EDGES_AT_ONCE, "3")
+    machine = make_machine(tmp_path, 10.0, reporter)
+    assert machine.num_edges == 3 and 0 < machine.held_bytes() < 1e12
+    limit = limit_of_machine(replace(machine, free_bytes=lambda: 3e9), machine.num_edges)
+    assert limit.num_bytes == pytest.approx(machine.held_bytes() + 0.8e9, rel=0.2)
 
 
 def test_events_of_a_worker_reach_the_listener(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100
     assert (result.metrics["refined"], result.metrics["not_refined"]) == (False, {}), "one device alone is left, which knows all"
     decisions = read_json(config.out / "manifest.json")["decisions"]
-    assert [one["choice"] for one in decisions if one["stage"] == "cloud/refine"] == ["no device refines the scene"]
+    assert [one["choice"] for one in decisions if one["stage"] == "refining"] == ["no device refines the scene"]
     progress = read_progress(config.out)
     ended = {stage.stage for stage in progress.stages if stage.state == "done"}
     assert set(progress.expected) <= ended and "cloud/refine" not in progress.expected, "the count of stages ends"

@@ -113,6 +113,18 @@ def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path
     assert held_out_db(trained, load_ply(tmp_path / "joined.ply")) > held_out_db(trained, cut_off.splats) + 0.1
 
 
+def test_an_edge_that_was_cut_for_memory_joins_when_a_run_goes_on(trained: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(trained, folder)
+    edge, before = next(iter(sorted((folder / "edges").iterdir()))), load_ply(folder / "scene.ply")
+    (edge / nodes.CUT_NAME).touch()
+    again: list[Event] = []
+    run(config_of(trained.parent / "town", folder), again.append, resume=True)
+    assert next(event.stage for event in again if isinstance(event, StageDone)) == f"edges/{edge.name}"
+    assert not (edge / nodes.CUT_NAME).exists()
+    np.testing.assert_array_equal(load_ply(folder / "scene.ply").means, before.means)
+
+
 def test_joining_again_names_an_edge_whose_models_are_lost(trained: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(trained, folder)

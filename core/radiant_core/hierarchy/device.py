@@ -29,12 +29,13 @@ from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.dense.seeding import seed_densely
+from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.extent import extent_decision
 from radiant_core.train.few import Trial, choose_for_few, score_apart
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
-from radiant_core.train.needs import fit_to_views
+from radiant_core.train.needs import fit_to_views, most_splats
 from radiant_core.train.results import TrainResult
 from radiant_core.train.trainer import FitOptions, NoCheckpoints, fit_splats
 from radiant_core.train.views import TrainingViews
@@ -81,8 +82,22 @@ def train_device(
     prepared = prepare_training(task, views, reporter, machine, validation)
     # What is trained on may be a copy in another light.
     del views, validation
+    _warn_of_thinned(prepared, reporter)
     result = fit_prepared(prepared, reporter)
     return device_model(prepared, result)
+
+
+def _warn_of_thinned(prepared: PreparedTraining, reporter: Reporter) -> None:
+    """Where a limit other than that of the photographs' pixels leaves no room for the sparse points."""
+    config, num_points = prepared.config, len(prepared.scene.points)
+    law = most_splats(replace(config, max_num_splats=num_points), prepared.views)
+    if isinstance(config.density, NoDensification) or not config.max_num_splats < min(num_points, law):
+        return
+    reporter.warn(
+        f"{num_points:,} sparse points are thinned out to the limit of {config.max_num_splats:,} Gaussians, of which hardly any can grow. "
+        "On sixteen devices of 88 photographs twice the limit gained 1.2 dB (docs/experiments/paper_size.md). "
+        "Raise --max-splats, or the memory where that sets the limit."
+    )
 
 
 def prepare_training(
@@ -108,7 +123,6 @@ def prepare_training(
     _decide(reporter, choice.decisions)
     if choice.num_trials:
         heard = OneOfSeveral(reporter=reporter, number=choice.num_trials, total=choice.num_trials + 1, name="the model itself")
-    limit = config.max_num_splats
     config, decisions = fit_to_views(config, views)
     _decide(reporter, decisions)
     if validation is not None and lights is not None:
@@ -120,8 +134,6 @@ def prepare_training(
     _decide(reporter, decisions)
     initial, num_filled = first_splats(scene, views, config, dense)
     reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=config.fill_in))
-    if config.max_num_splats == limit:
-        _warn_of_thinned(len(scene.points), limit - num_filled, limit, reporter)
     _decide(reporter, [extent_decision(views.cameras, initial, config.max_extent_per_distance)])
     bare = FitOptions(backend=task.backend, validation=validation)
     options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))
@@ -157,17 +169,6 @@ class _Trials:
         figures = score_apart(result.splats, apart, task.backend)
         self.machine.kept_scores.keep(key, figures)
         return figures
-
-
-def _warn_of_thinned(num_points: int, num_kept: int, limit: int, reporter: Reporter) -> None:
-    """Where a limit that the user, a preset or the memory set leaves no room for the sparse points,
-    nothing can grow."""
-    if num_points > num_kept:
-        reporter.warn(
-            f"{max(1, num_kept):,} of {num_points:,} sparse points begin the model, within the limit of {limit:,} Gaussians: hardly "
-            "any can grow. On sixteen devices of 88 photographs twice the limit gained 1.2 dB (docs/experiments/paper_size.md). "
-            "Raise --max-splats, or the memory where that sets the limit."
-        )
 
 
 def _within_cuda(config: TrainConfig, cameras: Cameras, backend: Backend, stage: str) -> tuple[TrainConfig, Sequence[Decision]]:

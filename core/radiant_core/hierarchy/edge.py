@@ -53,7 +53,7 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     strips = [np.array(task.strips[task.devices.index(name)]).reshape(-1, 2) for name in arrivals.senders]
     options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
     lift = partial(ways_to_lift, can_join_again=arrivals.uncertainty is None)
-    joined = _join(task, teachers, strips, options, _limit(task, machine, lift), reporter)
+    joined, fits = _join(task, teachers, strips, options, _limit(task, machine, lift), reporter)
     # Along a Z curve the order of the Gaussians no longer says how many devices there were and
     # which is whose.
     splats = joined.trained.splats.select(morton_order(joined.trained.splats.means))
@@ -66,6 +66,7 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
         uncertainty=arrivals.uncertainty,
         corrections=arrivals.corrections,
         refused=arrivals.refused,
+        cut_for_memory=task.memory_bytes is None and not fits,
         summary={**training_summary(joined.trained), "num_models": len(arrivals.models)},
     )
 
@@ -74,27 +75,28 @@ def _limit(task: EdgeTask, machine: Machine, lift: Callable[[str], str]) -> Join
     """What the join may hold: what the system file says, else a share of what is free."""
     if task.memory_bytes is None:
         limit = limit_of_machine(machine, machine.num_edges)
-        return replace(limit, lift=lift(limit.lift))
+        return replace(limit, lift=lift(f"{limit.lift}, or give this edge memory_gb in its system file"))
     whose = "memory_gb of this edge"
     return JoinLimit(num_bytes=task.memory_bytes, whose=whose, lift=lift(f"raise {whose} for the next run"))
 
 
 def _join(
     task: EdgeTask, teachers: list[Teacher], strips: Sequence[Any], options: FitOptions, limit: JoinLimit, reporter: Reporter
-) -> Joined:
-    """The models retrained together, or cut where the edge's memory holds no part of that."""
+) -> tuple[Joined, bool]:
+    """The models retrained together, or cut where the edge's memory holds no part of that; whether
+    it does."""
     claims, num_tiles = claims_of_polygons(strips), 1
     if len(teachers) > 1:
         models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
         memory = plan_join_memory(models, cameras, task.train.long_side_px, limit.num_bytes, task.aggregate.most_tiles)
         report_join_memory(memory, limit, CUT_AT_EDGE_COSTS, reporter)
         if not memory.fits:
-            return cut_at_borders(teachers, claims)
+            return cut_at_borders(teachers, claims), False
         num_tiles, options = memory.num_tiles, replace(options, statistics_bytes=memory.statistics_bytes)
     joined = join_models(teachers, task.train, task.aggregate.at_edge, options, claims, num_tiles)
     for decision in join_decisions(reporter.stage, task.aggregate, len(teachers), joined):
         reporter.decide(decision)
-    return joined
+    return joined, True
 
 
 def virtual_cameras_of(models: Mapping[str, DeviceModel | str], cameras: Sequence[Cameras], splats: Splats) -> Cameras:

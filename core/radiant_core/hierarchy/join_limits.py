@@ -11,12 +11,12 @@ from radiant_core.hierarchy.reporter import Machine, Reporter
 
 MACHINE_SHARE = 0.8
 """Of the free memory of its machine, what joining may take where the system file has no limit."""
-CUT_AT_EDGE_COSTS = "On three sets devices' models that were only cut came out 1.6 to 2.6 dB lower (docs/experiments/aggregation.md)."
+CUT_AT_EDGE_COSTS = "On three sets edges that only cut cost 0.03 to 0.44 dB, with devices that refine (docs/experiments/aggregation.md)."
 CUT_AT_CLOUD_COSTS = "On four sets edges' models that were only cut came out 0.4 to 0.6 dB lower (docs/benchmarks.md)."
 UNREFINED_CUT_COSTS = "On four sets it came out 0.6 to 1.2 dB below the refined scene (docs/benchmarks.md)."
 UNREFINED_COSTS = "On four sets refining gained 0.1 to 0.6 dB over the joined scene (docs/benchmarks.md)."
-TILES_COST = "Tiles take longer; on a small scene four came out 0.11 dB lower, and within 0.03 dB where devices refine what is joined."
-JOIN_AGAIN = "`radiant aggregate RUN --out JOINED.ply` joins the models of a run without a limit, on any machine, and refines nothing"
+TILES_COST = "Tiles take longer; on two scenes they came out up to 0.18 dB lower, and within 0.03 dB where devices refine what is joined."
+JOIN_AGAIN = "`radiant aggregate RUN --out JOINED.ply` joins the models that lie in a run without a limit, and refines nothing"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,13 +32,13 @@ class JoinLimit:
 
 
 def limit_of_machine(machine: Machine, num_beside: int = 1) -> JoinLimit:
-    """A share of what the machine has free, where the system file says nothing; joins that run
-    `num_beside` at a time share it."""
-    among = f", shared by {num_beside} edges at a time," if num_beside > 1 else ""
+    """Where the system file says nothing: what the process holds already, and a share of what the
+    machine has free, divided among joins that run `num_beside` at a time."""
+    among = f", divided among {num_beside} edges at a time," if num_beside > 1 else ""
     return JoinLimit(
-        num_bytes=MACHINE_SHARE * machine.free_bytes() / num_beside,
+        num_bytes=machine.held_bytes() + MACHINE_SHARE * machine.free_bytes() / num_beside,
         whose=f"{MACHINE_SHARE:.0%} of what this machine has free{among}",
-        lift="free memory there before the next run" + (", or give it fewer workers" if num_beside > 1 else ""),
+        lift="free memory there before the next run",
     )
 
 

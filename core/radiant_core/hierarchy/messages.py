@@ -129,6 +129,8 @@ class EdgeModel:
     received: Mapping[str, str] = field(default_factory=dict, metadata=LOCAL)
     """As of a device's model."""
     summary: Mapping[str, float | int] = field(default_factory=dict, metadata=LOCAL)
+    cut_for_memory: bool = field(default=False, metadata=LOCAL)
+    """Its machine had too little free, so that another try may join."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,6 @@ from radiant_core.aggregate.config import (
     MOST_ROUNDS,
     SHORT_SHOWS,
 )
-from radiant_core.aggregate.tree import refined_at
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.join_limits import UNREFINED_COSTS
 from radiant_core.hierarchy.recipe import Recipe
@@ -29,7 +28,8 @@ from radiant_core.plan.timeline.refining import LEAST_DEVICES
 MAX_STEPS = 200
 """Devices that take many steps between two means drift apart (docs/experiments/aggregation.md): no
 more than were measured to gain, but each photograph once."""
-STAGE = refined_at("cloud")
+STAGE = "refining"
+"""No node's name: notes of a node are dropped when it starts."""
 _WHY = {
     MOST_ROUNDS: f"below {HARDLY_SHOWN} times a fourth and a fifth round still gained",
     MORE_ROUNDS: f"below {ENOUGH_SHOWS} times a second and a third round gained 0.1 to 0.2 dB each",
@@ -62,6 +62,9 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
     """
     if not recipe.aggregate.refines:
         return RefiningPlan(devices={})
+    num_present = sum(map(len, present.values()))
+    if num_present < LEAST_DEVICES:
+        return RefiningPlan(devices={}, decisions=(_too_few(num_present),))
     degree = recipe.train.sh_degree
     needed, of_edge = (average_bytes(num_splats, degree, renders=renders) for renders in (False, True))
     cloud, limits = recipe.system.cloud, {edge.id: edge.memory_bytes for edge in recipe.system.edges}
@@ -94,7 +97,7 @@ def refining_steps(epochs: int, num_views: int) -> int:
 def warning_of(decision: Decision) -> str:
     """What a decision that a limit of memory forced costs, and how to lift the limit."""
     said = f"{decision.choice}: {decision.figure:.2f} {decision.unit}, {decision.reason}."
-    return f"{said} {UNREFINED_COSTS} Raise it in the system file of the next run."
+    return f"{said} {UNREFINED_COSTS} Raise that memory_gb in the system file of the next run."
 
 
 def _rounds(recipe: Recipe) -> Decision:

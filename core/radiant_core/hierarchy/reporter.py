@@ -92,6 +92,8 @@ class Machine:
     """What the process holds before it loads photographs; counts where a task limits its memory."""
     free_bytes: Callable[[], float] = lambda: float("inf")
     """What the process may still take."""
+    held_bytes: Callable[[], float] = lambda: 0.0
+    """What it holds."""
     num_edges: int = 1
     """Edges that may join there side by side."""
     checkpoints: Callable[[Callable[[], str]], Checkpoints] = lambda key: NoCheckpoints()

@@ -19,6 +19,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
+from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.few import KeptScores
 from radiant_core.train.memory import MIN_SPLATS
 from radiant_core.train.needs import PIXELS_OF_FEW
@@ -93,17 +94,20 @@ def test_a_limit_of_memory_limits_gaussians_and_what_the_process_holds_counts(gi
     assert most_splats(replace(many, train=TRAIN), views) == TRAIN.max_num_splats
 
 
-def test_a_limit_that_leaves_no_room_for_sparse_points_is_warned_of(given: tuple[DeviceTask, TrainingViews]) -> None:
+def test_a_limit_that_leaves_no_room_for_sparse_points_is_warned_of_once(given: tuple[DeviceTask, TrainingViews]) -> None:
     task, views = given
-    reporter = Recorder()
-    prepare_training(task, views, reporter)
-    assert not reporter.warnings
     few = len(task.scene.points) // 2
-    prepared = prepare_training(replace(task, train=replace(TRAIN, max_num_splats=few)), views, reporter)
-    (warning,) = reporter.warnings
-    assert f"of {len(task.scene.points):,} sparse points begin the model, within the limit of {few:,} Gaussians" in warning
+
+    def warnings(**changes: object) -> list[str]:
+        reporter = Recorder()
+        train_device(replace(task, train=replace(TRAIN, num_steps=2, **changes)), views, reporter)
+        return reporter.warnings
+
+    assert not warnings()
+    (warning,) = warnings(max_num_splats=few)
+    assert f"{len(task.scene.points):,} sparse points are thinned out to the limit of {few:,} Gaussians" in warning
     assert "gained 1.2 dB" in warning and "Raise --max-splats" in warning
-    assert len(prepared.initial) <= few
+    assert not warnings(max_num_splats=few, density=NoDensification()), "nothing was to grow"
 
 
 def test_a_limit_beyond_what_was_asked_for_changes_no_bit(given: tuple[DeviceTask, TrainingViews]) -> None:

@@ -108,7 +108,7 @@ def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_joi
         "memory_gb of this edge allows 100 MB" in warning and "raise memory_gb of this edge" in warning and "radiant aggregate" in warning
     )
     assert choices(reporter, "memory") == ["models are cut at their borders instead of retrained"]
-    assert found.splats is not None and found.summary["num_steps"] == 0
+    assert found.splats is not None and found.summary["num_steps"] == 0 and not found.cut_for_memory
     assert 0 < len(found.splats) < sum(len(model.splats) for model in models.values())
     enough = Recorder()
     assert_same(
@@ -128,8 +128,12 @@ def test_without_a_limit_edges_share_what_their_machine_has_free() -> None:
     found = join_edge(edge_task("a", "b"), models, among_two, Machine(free_bytes=lambda: free, num_edges=2))
     (warning,) = among_two.warnings
     assert found.summary["num_steps"] == 0, "half of the memory holds no tile of so small models"
-    assert "80% of what this machine has free, shared by 2 edges at a time, allows" in warning
-    assert "free memory there before the next run, or give it fewer workers" in warning and "radiant aggregate RUN" in warning
+    assert "80% of what this machine has free, divided among 2 edges at a time, allows" in warning
+    assert "free memory there before the next run, or give this edge memory_gb" in warning and "radiant aggregate RUN" in warning
+    assert found.cut_for_memory, "another try may join"
+    # What its process holds already is not asked of the memory that is free.
+    holds = Machine(free_bytes=lambda: 1e6, held_bytes=lambda: needed, num_edges=16)
+    assert_same(join_edge(edge_task("a", "b"), models, Recorder(), holds).splats, plain.splats)
     # What the system file says counts before what is free.
     given = Recorder()
     assert_same(

@@ -75,7 +75,7 @@ def test_too_little_memory_or_nothing_in_sight_refines_nothing_and_says_so() -> 
     nothing = refine_device(replace(TASK, memory_bytes=1e6), BLURRED, photographs(0), reporter)
     assert not len(nothing.rows) and [decision.topic for decision in reporter.decisions] == ["refinement"]
     (warning,) = reporter.warnings
-    assert "memory_gb of the device allows 0.00" in warning and "Raise it in the system file of the next run" in warning
+    assert "memory_gb of the device allows 0.00" in warning and "Raise that memory_gb in the system file of the next run" in warning
     away = replace(BLURRED, means=BLURRED.means + np.float32(1e4))
     assert not len(refine_device(TASK, away, photographs(0), Recorder()).rows)
     same = refine_scene(BLURRED, [nothing])

@@ -50,7 +50,11 @@ def test_memory_of_the_cloud_and_of_edges_is_kept_to(recipe: Recipe) -> None:
     assert not none.devices and [decision.figure for decision in none.decisions] == [pytest.approx(needed / 1e9)]
     assert "memory_gb of the cloud" in none.decisions[0].reason
     (warning,) = none.warnings
-    assert warning.startswith("the scene is not refined: ") and UNREFINED_COSTS in warning and "Raise it in the system file" in warning
+    assert (
+        warning.startswith("the scene is not refined: ")
+        and UNREFINED_COSTS in warning
+        and "Raise that memory_gb in the system file" in warning
+    )
     without = plan_refining(with_limits(recipe, None, {"edge-2": of_edge - 1}), PRESENT, NUM_SPLATS)
     assert list(without.devices) == ["edge-1"] and [decision.choice for decision in without.decisions] == [
         "the scene is not refined by edge-2-device-1",
