@@ -1,7 +1,7 @@
 """The process connected to a Ray cluster, started by `RayExecutor`: submits tasks, forwards output.
 
-    in    {"leaves": [place…], "edges": [place…]} once, {"start": node, command, folder…}, {"stop": node};
-          ends with it
+    in    {"leaves": [place…], "edges": [place…]} once, {"start": node, command, folder…},
+          {"stop": node}; ends with it
     out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code"}
 
 A task is a generator: its first item says where it runs, then come the lines of the node's worker
@@ -235,8 +235,8 @@ def _num_threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
 
 
 def _num_at(fit: Sequence[dict[str, Any]], places: Sequence[str]) -> int:
-    """The most nodes of these places that may run on one of the machines: those of its own place, and
-    an even part of those whose place no machine has; at least 1."""
+    """The most nodes of these places that may run on one of the machines: those of its own place,
+    and an even part of those whose place no machine has; at least 1."""
     machines = _machines()
     named = {name for machine in machines for name in machine["Resources"]}
     anywhere = sum(place not in named for place in places) / max(1, len(machines))

@@ -69,6 +69,7 @@ def test_what_the_cloud_cannot_join_is_cut_with_a_warning_and_what_its_edges_joi
 ) -> None:
     by_views = joined_again(trained, tmp_path / "views", max_cameras=10)
     monkeypatch.setattr(training, "available_bytes", lambda: 100_000_000)
+    monkeypatch.setattr(training, "resident_bytes", lambda: 0)
     by_machine = joined_again(trained, tmp_path / "machine")
     assert by_views.choice == by_machine.choice == "models are cut at their borders instead of retrained"
     (views_warning,), (warning,) = by_views.warnings, by_machine.warnings

@@ -88,7 +88,7 @@ def train_device(
 
 
 def _warn_of_thinned(prepared: PreparedTraining, reporter: Reporter) -> None:
-    """Where a limit other than that of the photographs' pixels leaves no room for the sparse points."""
+    """Where a limit beside that of the photographs' pixels leaves no room for the sparse points."""
     config, num_points = prepared.config, len(prepared.scene.points)
     law = most_splats(replace(config, max_num_splats=num_points), prepared.views)
     if isinstance(config.density, NoDensification) or not config.max_num_splats < min(num_points, law):
