@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any
 
+import numpy as np
+
 from radiant_core.decisions import Decision
 from radiant_core.plan.profiles.step_law import StepLaw
 from radiant_core.train.config import TrainConfig, with_settings
@@ -25,11 +27,8 @@ out, and so do more Gaussians (docs/experiments/training.md)."""
 PIXELS_PER_SPLAT, PIXELS_OF_FEW = 80, 40
 """Training pixels for each Gaussian that growth may reach, and the same for few photographs, or
 where Gaussians are left out at random: few show a place less often, so that each of their pixels
-tells more (docs/experiments/training.md)."""
-_WHY_NO_MORE = {
-    PIXELS_PER_SPLAT: "cost time and gained nothing on photographs left out",
-    PIXELS_OF_FEW: "gain on some sets of few photographs and lose on others, for up to twice the time",
-}
+tells more. From `FEW_PHOTOGRAPHS` to twice as many the limit stays where it is, so that more
+photographs never mean fewer Gaussians (docs/experiments/training.md)."""
 MIN_STEPS = 1_500
 """Few photographs never shorten a run below this."""
 
@@ -142,7 +141,9 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
 def _why_no_more(config: TrainConfig, per_splat: int | None) -> str:
     if per_splat is None or getattr(config.density, "pixels_per_splat", None) != "auto":
         return "were not set, nor chosen by trials"
-    return _WHY_NO_MORE[per_splat]
+    if per_splat < PIXELS_PER_SPLAT:
+        return "gain on some sets of few photographs and lose on others, for up to twice the time"
+    return "cost time and gained nothing on photographs left out"
 
 
 def pixels_per_splat(config: TrainConfig, num_views: int) -> int | None:
@@ -152,8 +153,9 @@ def pixels_per_splat(config: TrainConfig, num_views: int) -> int | None:
     if isinstance(density, NoDensification) or density.kind == "adc":
         return None
     if density.pixels_per_splat == "auto":
-        is_few = num_views < FEW_PHOTOGRAPHS or config.drop_gaussians == "always"
-        return PIXELS_OF_FEW if is_few else PIXELS_PER_SPLAT
+        if config.drop_gaussians == "always":
+            return PIXELS_OF_FEW
+        return int(np.clip(round(PIXELS_OF_FEW * num_views / FEW_PHOTOGRAPHS), PIXELS_OF_FEW, PIXELS_PER_SPLAT))
     return density.pixels_per_splat
 
 

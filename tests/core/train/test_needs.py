@@ -3,6 +3,7 @@ is asked for is left alone."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
-from radiant_core.train.needs import FEW_PHOTOGRAPHS, MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_views
+from radiant_core.train.needs import FEW_PHOTOGRAPHS, MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_views, pixels_per_splat
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above
 
@@ -70,8 +71,8 @@ class TestSize:
 
     @pytest.mark.parametrize("density", [Adc(kind="planned"), Mcmc()])
     def test_of_few_photographs_and_where_gaussians_are_left_out_at_random_there_may_be_more(self, density) -> None:
-        pixels, few = 160 * 120, FEW_PHOTOGRAPHS - 1
-        wishes = [("always", 40, 50), ("none", 80, 50), ("none", 80, few + 1), ("none", 40, few), ("auto", 40, few), ("auto", 80, few + 1)]
+        pixels, few = 160 * 120, FEW_PHOTOGRAPHS
+        wishes = [("always", 40, 50), ("none", 56, 50), ("none", 80, 2 * few), ("none", 40, few - 1), ("auto", 40, few), ("auto", 57, 51)]
         for wish, per_splat, count in wishes:
             views = scene_of(count, size_wh=(160, 120))[1]
             config, decisions = fit_to_views(TrainConfig(density=density, max_epochs=None, drop_gaussians=wish), views)
@@ -80,6 +81,13 @@ class TestSize:
             asked = replace(density, pixels_per_splat=60)
             asked_for = TrainConfig(density=asked, max_epochs=None, drop_gaussians=wish)
             assert fit_to_views(asked_for, views)[0].max_num_splats == count * pixels // 60
+
+    def test_more_photographs_never_mean_fewer_gaussians(self) -> None:
+        config = TrainConfig(density=Adc(kind="planned"), drop_gaussians="none")
+        most = [count * 19_200 / (pixels_per_splat(config, count) or 1) for count in range(2, 200)]
+        # Whole pixels per Gaussian round by a hundredth.
+        assert all(after >= 0.98 * before for before, after in itertools.pairwise(most))
+        assert pixels_per_splat(config, FEW_PHOTOGRAPHS) == 40 and pixels_per_splat(config, 2 * FEW_PHOTOGRAPHS) == 80
 
     def test_the_number_of_pixels_can_be_set(self) -> None:
         for text, value in (("auto", "auto"), ("60", 60), ("none", None)):

@@ -15,7 +15,7 @@ from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.views import TrainingViews
 
 PIXELS_PER_POINT = 120
-"""Training pixels for each dense point: growth is planned to one Gaussian per 80 or 40."""
+"""Training pixels for each dense point: growth is planned to one Gaussian per 40 to 80."""
 MIN_POINTS = 100
 """Fewer points than this seed nothing."""
 MAX_SHARE = 0.9

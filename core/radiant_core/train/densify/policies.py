@@ -59,9 +59,9 @@ class Adc:
     of 3DGS passes 20 but clears the radii before it looks at them, so that nothing is pruned by
     this rule; None is what it does."""
     pixels_per_splat: int | Literal["auto"] | None = "auto"
-    """Training pixels for each Gaussian that planned growth may reach; auto: 80, or 40 with
-    fewer than 36 photographs or where Gaussians are left out at random
-    (docs/experiments/training.md); None: any number."""
+    """Training pixels for each Gaussian that planned growth may reach; auto: 40 for up to 36
+    photographs or where Gaussians are left out at random, 80 from 72 on, between them as many
+    Gaussians as for 36 (docs/experiments/training.md); None: any number."""
 
     def __post_init__(self) -> None:
         require_one_of(self, "kind", ("adc", "planned"))
