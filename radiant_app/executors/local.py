@@ -103,6 +103,7 @@ class Processes:
     command: Callable[[NodeTask], list[str]]
     num_threads: int
     edges_at_once: int = 1
+    """Edges that may join side by side, which divide what memory is free."""
     server: Callable[[], ForkServer | None] = lambda: None
     """Opens what forks processes once one is to start; None: they start anew."""
     lines: queue.Queue[tuple[str, str | None]] = field(default_factory=queue.Queue)

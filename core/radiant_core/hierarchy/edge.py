@@ -75,7 +75,7 @@ def _limit(task: EdgeTask, machine: Machine, lift: Callable[[str], str]) -> Join
     """What the join may hold: what the system file says, else a share of what is free."""
     if task.memory_bytes is None:
         limit = limit_of_machine(machine, machine.num_edges)
-        return replace(limit, lift=lift(f"{limit.lift}, or give this edge memory_gb in its system file"))
+        return replace(limit, lift=lift(f"{limit.lift} (--resume tries a cut again), or give this edge memory_gb"))
     whose = "memory_gb of this edge"
     return JoinLimit(num_bytes=task.memory_bytes, whose=whose, lift=lift(f"raise {whose} for the next run"))
 

@@ -26,7 +26,7 @@ class JoinLimit:
     num_bytes: float
     """Infinite: whatever it needs."""
     whose: str
-    """In words, for "… MB are allowed by …"."""
+    """In words, for "where … allows … MB"."""
     lift: str
     """In words, how a next run has more."""
 

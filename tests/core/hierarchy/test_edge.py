@@ -129,7 +129,10 @@ def test_without_a_limit_edges_share_what_their_machine_has_free() -> None:
     (warning,) = among_two.warnings
     assert found.summary["num_steps"] == 0, "half of the memory holds no tile of so small models"
     assert "80% of what this machine has free, divided among 2 edges at a time, allows" in warning
-    assert "free memory there before the next run, or give this edge memory_gb" in warning and "radiant aggregate RUN" in warning
+    assert (
+        "free memory there before the next run (--resume tries a cut again), or give this edge memory_gb" in warning
+        and "radiant aggregate RUN" in warning
+    )
     assert found.cut_for_memory, "another try may join"
     # What its process holds already is not asked of the memory that is free.
     holds = Machine(free_bytes=lambda: 1e6, held_bytes=lambda: needed, num_edges=16)
