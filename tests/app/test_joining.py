@@ -20,6 +20,7 @@ from radiant_app.workers import nodes, training
 from radiant_core.aggregate import join_memory
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
+from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import load_upload
 from radiant_core.plan.regions.claims import claims_of_polygons
 from radiant_core.splats import Splats, concatenate_splats
@@ -62,6 +63,11 @@ def test_without_a_limit_in_any_file_the_machine_decides_and_trained_models_are_
     # 0.8 dB were measured here; half of it is far beyond what another seed changes.
     cut_db, refined_db = held_out_db(trained, plainly_cut(trained)), held_out_db(trained, load_ply(trained / "scene.ply"))
     assert held_out_db(trained, scene) > cut_db + 0.4 and refined_db > cut_db + 1.0, (cut_db, refined_db)
+
+
+def test_how_often_devices_refine_stands_in_the_manifest_when_a_run_is_done(trained: Path) -> None:
+    topics = {(one["stage"], one["topic"]) for one in read_json(trained / "manifest.json")["decisions"]}
+    assert ("refining", "rounds of refining") in topics
 
 
 def test_what_the_cloud_cannot_join_is_cut_with_a_warning_and_what_its_edges_joined_stays_so(
