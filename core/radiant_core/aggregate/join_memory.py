@@ -2,7 +2,7 @@
 
     at once   0.39 GB + N (7 b + 500) + 136 max_v p_v                   bytes, at least
     by tiles  0.39 GB + 6 N b + max_t N_t (4 b + 500) + 136 max_v p_v
-    kept      up to min(36 Σ_v p_v, 1 GiB) more, which saves time alone
+    kept      up to min(36 Σ_v p_v, 0.4 GB) more, which saves time alone
 
 N Gaussians of b bytes each, N_t that tile t and its surroundings take, p_v pixels of view v. 0.39
 GB is a worker with its libraries and its inbox (three clouds of real sets held 356 to 383 MB beside
@@ -25,12 +25,15 @@ from radiant_core.aggregate.config import MAX_TILES
 from radiant_core.aggregate.tiles import most_fitted, tiles_of
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 
 PROCESS_BYTES = 390_000_000
 COPIES, COPIES_BY_TILES, COPIES_OF_A_TILE = 3, 6, 4
 RASTERIZER_BYTES_PER_SPLAT = 500
 STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 36, 100
+MOST_STATISTICS_BYTES = 400_000_000
+"""Memory for what the loss keeps of a join's views: those of some 100 photographs at 384 px. Where
+more are joined they are shown twice or thrice, so that keeping all of them saved 1 to 5 % of the
+time of an edge of 350 for twice its memory (docs/experiments/paper_size.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +71,7 @@ def plan_join_memory(
             num_tiles *= 2
             fitted = most_fitted(merged, views, tiles_of(merged.means, views, num_tiles))
             needed = min(needed, join_bytes(total, fitted, each, pixels, by_tiles=True))
-    kept = min(STATISTICS_BYTES_PER_PX * sum(pixels), STATISTICS_BUDGET_BYTES, max(0.0, memory_bytes - needed))
+    kept = min(STATISTICS_BYTES_PER_PX * sum(pixels), MOST_STATISTICS_BYTES, max(0.0, memory_bytes - needed))
     return JoinMemory(num_tiles=num_tiles, needed_bytes=needed, statistics_bytes=int(kept), fits=needed <= memory_bytes)
 
 

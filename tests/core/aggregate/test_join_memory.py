@@ -7,14 +7,13 @@ import pytest
 
 from radiant_core.aggregate.config import MAX_TILES, AggregateConfig, aggregate_preset
 from radiant_core.aggregate.join import cut_at_borders
-from radiant_core.aggregate.join_memory import JoinMemory, join_bytes, pixels_of, plan_join_memory
+from radiant_core.aggregate.join_memory import MOST_STATISTICS_BYTES, JoinMemory, join_bytes, pixels_of, plan_join_memory
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.tiles import most_fitted, tiles_of
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.hierarchy.join_limits import CUT_AT_EDGE_COSTS, TILES_COST, JoinLimit, report_join_memory
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from tests.core.scenes import cameras_above, ground_splats
 
 SIDE_PX = 200
@@ -44,7 +43,7 @@ def test_what_is_left_is_kept_for_the_loss_and_never_more_than_it_can_use() -> N
     assert [plan.statistics_bytes for plan in plans] == [0, 1000, wanted, wanted]
     assert all(plan.fits and plan.num_tiles == 1 and plan.needed_bytes == least for plan in plans)
     models, cameras = two_models(200)
-    assert plan_join_memory(models, cameras, 2000, np.inf).statistics_bytes == STATISTICS_BUDGET_BYTES
+    assert plan_join_memory(models, cameras, 2000, np.inf).statistics_bytes == MOST_STATISTICS_BYTES
 
 
 def test_below_the_need_of_all_at_once_there_are_the_fewest_tiles_that_fit() -> None:
