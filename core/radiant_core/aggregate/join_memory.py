@@ -31,9 +31,9 @@ COPIES, COPIES_BY_TILES, COPIES_OF_A_TILE = 3, 6, 4
 RASTERIZER_BYTES_PER_SPLAT = 500
 STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 36, 100
 MOST_STATISTICS_BYTES = 400_000_000
-"""Memory for what the loss keeps of a join's views: those of some 100 photographs at 384 px. Where
-more are joined they are shown twice or thrice, so that keeping all of them saved 1 to 5 % of the
-time of an edge of 350 for twice its memory (docs/experiments/paper_size.md)."""
+"""Memory for what the loss keeps of a join's views: of 100 at 384 px, 44 at 576. Others are prepared
+anew whenever they are shown. Up to 1 GiB saved 0 to 3 % of the time of edges that show 350 views
+twice, for 0.7 GB (docs/experiments/paper_size.md); joins of 10 epochs were not timed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,12 @@ def join_bytes(
 
 
 def plan_join_memory(
-    models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, memory_bytes: float, most_tiles: int = MAX_TILES
+    models: Sequence[Splats],
+    cameras: Sequence[Cameras],
+    long_side_px: int,
+    memory_bytes: float,
+    most_tiles: int = MAX_TILES,
+    most_statistics_bytes: int = MOST_STATISTICS_BYTES,
 ) -> JoinMemory:
     """The fewest tiles that join models (M), asked at `cameras` (M), within `memory_bytes`."""
     pixels = pixels_of(cameras, long_side_px)
@@ -71,7 +76,7 @@ def plan_join_memory(
             num_tiles *= 2
             fitted = most_fitted(merged, views, tiles_of(merged.means, views, num_tiles))
             needed = min(needed, join_bytes(total, fitted, each, pixels, by_tiles=True))
-    kept = min(STATISTICS_BYTES_PER_PX * sum(pixels), MOST_STATISTICS_BYTES, max(0.0, memory_bytes - needed))
+    kept = min(STATISTICS_BYTES_PER_PX * sum(pixels), most_statistics_bytes, max(0.0, memory_bytes - needed))
     return JoinMemory(num_tiles=num_tiles, needed_bytes=needed, statistics_bytes=int(kept), fits=needed <= memory_bytes)
 
 

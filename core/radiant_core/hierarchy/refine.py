@@ -30,6 +30,7 @@ from radiant_core.light.solve import lights_from_model
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.densify.policies import NoDensification
+from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews
 
@@ -62,7 +63,9 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     nothing = Refinement(rows=rows[:0], splats=start.select(rows[:0]), weights=np.zeros(0, np.float32))
     bare = FitOptions(backend=task.backend, steps=_steps())
     if task.memory_bytes is not None:
-        memory = plan_join_memory([start], [views.cameras], task.train.long_side_px, task.memory_bytes, most_tiles=1)
+        # It trains: its photographs are shown more often than a join's views.
+        most, side = STATISTICS_BUDGET_BYTES, task.train.long_side_px
+        memory = plan_join_memory([start], [views.cameras], side, task.memory_bytes, most_tiles=1, most_statistics_bytes=most)
         if len(start) and not memory.fits:
             skipped = _skipped(reporter.stage, memory.needed_bytes, task.memory_bytes)
             reporter.decide(skipped)

@@ -27,7 +27,8 @@ from radiant_core.train.device_loss import device_loss, device_statistics
 from radiant_core.train.losses import weighted_loss
 
 STATISTICS_BUDGET_BYTES = 1 << 30
-"""Memory for kept statistics, 36 bytes a pixel; without them the loss takes 1.8 times as long."""
+"""Memory for what a training keeps of its views, 36 bytes a pixel (a join: `join_memory`); without
+them the loss takes 1.8 times as long."""
 STATISTICS_VRAM_SHARE = 0.1
 """Share of a GPU's free memory for them, of what `train.memory` leaves beside the Gaussians."""
 

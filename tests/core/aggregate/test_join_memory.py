@@ -44,6 +44,8 @@ def test_what_is_left_is_kept_for_the_loss_and_never_more_than_it_can_use() -> N
     assert all(plan.fits and plan.num_tiles == 1 and plan.needed_bytes == least for plan in plans)
     models, cameras = two_models(200)
     assert plan_join_memory(models, cameras, 2000, np.inf).statistics_bytes == MOST_STATISTICS_BYTES
+    asked = 2 * MOST_STATISTICS_BYTES
+    assert plan_join_memory(models, cameras, 2000, np.inf, most_statistics_bytes=asked).statistics_bytes == asked
 
 
 def test_below_the_need_of_all_at_once_there_are_the_fewest_tiles_that_fit() -> None:
