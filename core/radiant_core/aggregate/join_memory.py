@@ -31,9 +31,9 @@ COPIES, COPIES_BY_TILES, COPIES_OF_A_TILE = 3, 6, 4
 RASTERIZER_BYTES_PER_SPLAT = 500
 STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 36, 100
 MOST_STATISTICS_BYTES = 400_000_000
-"""Memory for what the loss keeps of a join's views: of 100 at 384 px, 44 at 576. Others are prepared
-anew whenever they are shown. Up to 1 GiB saved 0 to 3 % of the time of edges that show 350 views
-twice, for 0.7 GB (docs/experiments/paper_size.md); joins of 10 epochs were not timed."""
+"""Memory for what the loss keeps of a join's views: of 100 at 384 px, 44 at 576. Others are
+prepared anew whenever they are shown. Up to 1 GiB saved 0 to 3 % of the time of edges that show 350
+views twice, for 0.7 GB (docs/experiments/paper_size.md); joins of 10 epochs were not timed."""
 
 
 @dataclass(frozen=True, kw_only=True)
