@@ -27,11 +27,11 @@ from radiant_core.splats import SH_BASES
 from radiant_core.train.config import Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend, step_law_of
 
-BESIDE_EPOCHS = 0.15
-"""Of a join in all of its epochs, what it takes in none: of the edges of three scenes 1.1 to 1.3
-CPU s in no epoch, of 9 in all (docs/experiments/planner.md)."""
-BESIDE_EPOCHS_AT_CLOUD = 0.05
-"""The same at the cloud, which renders less beside: 0.5 to 0.7 of 12 s in no epoch
+BESIDE_EPOCHS = 0.12
+"""Of a join in all of its epochs, what it takes in none: 0.09 to 0.12 of the edges of four runs
+(docs/experiments/planner.md, "Predicted against measured")."""
+BESIDE_EPOCHS_AT_CLOUD = 0.06
+"""The same at the cloud, which renders less beside: 0.06 to 0.07 of four runs
 (docs/experiments/planner.md)."""
 KNOWN_POSES_SHARE = 0.65
 """Of structure from motion that profiles measure, what points for given poses take: 10 to 18 of 17
@@ -81,7 +81,7 @@ def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photograp
 
 def share_of_epochs(epochs: int, most: int, beside: float = BESIDE_EPOCHS) -> float:
     """Of a join in so many epochs at `most`, what one in fewer takes; `beside`: in none."""
-    return beside + (1 - beside) * epochs / most
+    return 1 - (1 - beside) * (1 - epochs / most)
 
 
 def with_short_joins(system: System, train: TrainConfig, num_cameras: int, aggregate: AggregateConfig) -> System:
