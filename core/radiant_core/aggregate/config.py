@@ -92,8 +92,10 @@ class AggregateConfig:
     (`Trainings.num_epochs`)."""
     refine_rounds: int | None = None
     """How often devices refine the scene, each time from somewhat beyond the mean of what all of
-    them made of it before; the scene travels down and what changed in it up in each. None: by how
-    long devices trained (`Trainings.num_rounds`)."""
+    them made of it before; the scene travels down and what changed in it up in each. Above ten,
+    where the light of photographs differs, the scene's may run away (docs/experiments/
+    aggregation.md, "Lost or unfinished?"). None: by how long devices trained
+    (`Trainings.num_rounds`)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
