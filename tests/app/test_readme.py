@@ -1,4 +1,4 @@
-"""The README's Python is run as it stands there."""
+"""The README's Python is run as it stands there, and its test command is the one that CI runs."""
 
 from __future__ import annotations
 
@@ -20,3 +20,11 @@ def test_the_library_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     exec(compile(example, "README.md", "exec"), {"__name__": "__main__"})
     assert re.search(r"^\d+\.\d dB hamlet_run/report.html$", capsys.readouterr().out, re.MULTILINE)
     assert (tmp_path / "hamlet_run" / "scene.ply").exists()
+
+
+def test_ci_runs_the_readmes_test_command() -> None:
+    """It stands beside the demo, and is a line of its own in CI: no option, no `|| true`."""
+    (block,) = re.findall(r"(?:^    .+\n)*^    \./setup\.sh demo.*\n(?:^    .+\n)*", README, re.MULTILINE)
+    commands = [line.split("#")[0].strip() for line in block.splitlines()]
+    assert "./setup.sh test" in commands
+    assert "./setup.sh test" in (ROOT / ".ci" / "run").read_text().splitlines()
