@@ -47,7 +47,7 @@ def main(arguments: list[str]) -> int:
     code, cpu_s = _run_at_share(command, speed, begun_s)
     if code < 0:
         signal.signal(-code, signal.SIG_DFL)
-        os.kill(os.getpid(), -code)
+        signal.raise_signal(-code)
     if code:
         return code
     share = cpu_s / (time.monotonic() - begun_s)
