@@ -31,8 +31,15 @@ SPARE_BYTES = 64 << 20
 """What stays free on the disk, for the records of what arrives."""
 
 
+FULL = "the disk there is full: it is tried again, free space meanwhile."
+RESERVED = "the disk there has no room beside results of others that arrive now: it is tried again when those are there."
+
+
 class DiskFull(Exception):
-    """There is no room for what was announced."""
+    """There is no room for what was announced, or for a part of it; why is in one sentence."""
+
+    def __init__(self, reason: str = FULL) -> None:
+        super().__init__(reason)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,25 +65,25 @@ class Arrivals:
             shutil.rmtree(place, ignore_errors=True)
         place.mkdir(parents=True, exist_ok=True)
         offsets = self.offsets(task, envelope)
-        if shutil.disk_usage(self.folder).free < envelope.num_bytes - sum(offsets) + promised + SPARE_BYTES:
-            raise DiskFull
+        self._require_room(envelope.num_bytes - sum(offsets) + SPARE_BYTES, promised)
         for number, (_, file) in enumerate(sorted(envelope.files.items())):
             if not file.bytes:
                 self._part(task, number).touch()
         return offsets
 
-    def append(self, task: str, number: int, offset: int, data: bytes, file: SentFile) -> int | None:
-        """Append a part at `offset` and return the new one; None where another one is there, or the
-        part would go beyond the end. Raises DiskFull; then nothing was written."""
-        part = self._part(task, number)
+    def append(self, task: str, number: int, part: tuple[int, bytes], file: SentFile, promised: int = 0) -> int | None:
+        """Append a part, its offset and bytes, and return the new offset; None where another one is
+        there, or the part would go beyond the end. Raises DiskFull where it has no room beside
+        `promised` bytes of others; then nothing was written."""
+        offset, data = part
+        path = self._part(task, number)
         if offset != self._length(task, number) or offset + len(data) > file.bytes:
             return None
-        if shutil.disk_usage(self.folder).free < len(data) + SPARE_BYTES // 2:
-            # The rest is for the database: without room for it nothing could be answered.
-            raise DiskFull
-        is_new = not part.exists()
-        part.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT, 0o600)
+        # The rest is for the database: without room for it nothing could be answered.
+        self._require_room(len(data) + SPARE_BYTES // 2, promised)
+        is_new = not path.exists()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o600)
         try:
             _write_whole(descriptor, data, offset)
             if (offset + len(data)) // FORCED_BYTES != offset // FORCED_BYTES:
@@ -88,8 +95,18 @@ class Arrivals:
             os.close(descriptor)
         if is_new:
             # Else a power cut may leave a result that counts as received without its file.
-            force_to_disk(part.parent)
+            force_to_disk(path.parent)
         return offset + len(data)
+
+    @property
+    def free_bytes(self) -> int:
+        """Bytes of the disk that results may fill."""
+        return max(0, shutil.disk_usage(self.folder).free - SPARE_BYTES)
+
+    def _require_room(self, num_bytes: int, promised: int) -> None:
+        free = shutil.disk_usage(self.folder).free
+        if free < num_bytes + promised:
+            raise DiskFull(FULL if free < num_bytes else RESERVED)
 
     def damaged(self, task: str, envelope: Envelope) -> list[str] | None:
         """Names of files with other bytes than announced, whose parts are removed; None where
