@@ -28,7 +28,9 @@ FORCED_BYTES = 64 << 20
 """Bytes that are forced to the disk at once: a part that a power cut took from a file is found by
 the file's hash, so that nobody has to wait for the disk after each."""
 SPARE_BYTES = 64 << 20
-"""What stays free on the disk, for the records of what arrives."""
+"""What an announcement leaves free on the disk, for the records of what arrives."""
+PART_SPARE_BYTES = SPARE_BYTES // 2
+"""What a part leaves free: the database needs it, without which nothing could be answered."""
 
 
 FULL = "the disk there is full: it is tried again, free space meanwhile."
@@ -71,19 +73,16 @@ class Arrivals:
                 self._part(task, number).touch()
         return offsets
 
-    def append(self, task: str, number: int, part: tuple[int, bytes], file: SentFile, promised: int = 0) -> int | None:
-        """Append a part, its offset and bytes, and return the new offset; None where another one is
-        there, or the part would go beyond the end. Raises DiskFull where it has no room beside
-        `promised` bytes of others; then nothing was written."""
-        offset, data = part
-        path = self._part(task, number)
+    def append(self, task: str, number: int, offset: int, data: bytes, file: SentFile) -> int | None:
+        """Append a part at `offset` and return the new one; None where another one is there, or the
+        part would go beyond the end. Raises DiskFull; then nothing was written."""
+        part = self._part(task, number)
         if offset != self._length(task, number) or offset + len(data) > file.bytes:
             return None
-        # The rest is for the database: without room for it nothing could be answered.
-        self._require_room(len(data) + SPARE_BYTES // 2, promised)
-        is_new = not path.exists()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o600)
+        self._require_room(len(data) + PART_SPARE_BYTES)
+        is_new = not part.exists()
+        part.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT, 0o600)
         try:
             _write_whole(descriptor, data, offset)
             if (offset + len(data)) // FORCED_BYTES != offset // FORCED_BYTES:
@@ -95,15 +94,15 @@ class Arrivals:
             os.close(descriptor)
         if is_new:
             # Else a power cut may leave a result that counts as received without its file.
-            force_to_disk(path.parent)
+            force_to_disk(part.parent)
         return offset + len(data)
 
     @property
     def free_bytes(self) -> int:
-        """Bytes of the disk that results may fill."""
-        return max(0, shutil.disk_usage(self.folder).free - SPARE_BYTES)
+        """Bytes of the disk that parts may fill."""
+        return max(0, shutil.disk_usage(self.folder).free - PART_SPARE_BYTES)
 
-    def _require_room(self, num_bytes: int, promised: int) -> None:
+    def _require_room(self, num_bytes: int, promised: int = 0) -> None:
         free = shutil.disk_usage(self.folder).free
         if free < num_bytes + promised:
             raise DiskFull(FULL if free < num_bytes else RESERVED)

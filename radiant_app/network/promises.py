@@ -5,11 +5,13 @@ announcement and part.
     share      budget / number of members that such results are of
     kept(m)    min(announced − arrived, share − arrived of m), of announcements that are alive
 
-An announcement needs room beside what is kept for other members. Within its share a member's parts
-need room alone; beyond it, room beside what is kept for the others. So results of which each fits
-do not fill a disk with halves of all, and who announces without sending keeps nobody from sending:
-an announcement is alive for `PROMISE_S` from when it was first made, and from each `RENEWED_BYTES`
-that arrived since. Repeating it changes nothing.
+An announcement needs room beside what is kept for other members, so that one member's keep nobody
+out. Of those that were let in a part is taken where, after it, its result can still be finished:
+now, or when others are that can be, and have been taken away (the banker's algorithm, Dijkstra
+1965). So a disk is never filled with halves of all.
+
+An announcement is alive for `PROMISE_S` from when it was first made, and from each `RENEWED_BYTES`
+that arrived since; repeating it changes nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 PROMISE_S = 120.0
 """So long room is kept for a result of which nothing arrives."""
@@ -38,6 +40,10 @@ class Arriving:
     def missing_bytes(self) -> int:
         """What is still to come."""
         return max(0, self.num_bytes - self.arrived_bytes)
+
+    def grown(self, num_bytes: int) -> Arriving:
+        """The same with so many bytes more."""
+        return replace(self, arrived_bytes=self.arrived_bytes + num_bytes)
 
 
 @dataclass(kw_only=True)
@@ -81,10 +87,20 @@ class Promises:
         own = self._promised(member, [each for each in arriving if each.task != task])
         return own + self._kept_for_others(member, arriving, free_bytes)
 
-    def beside_part(self, num_bytes: int, member: str, arriving: Sequence[Arriving], free_bytes: int) -> int:
-        """Bytes to leave free beside a part of so many."""
-        within = _arrived(member, arriving) + num_bytes <= _share(member, arriving, free_bytes)
-        return 0 if within else self._kept_for_others(member, arriving, free_bytes)
+    def may_grow(self, task: str, num_bytes: int, arriving: Sequence[Arriving], free_bytes: int) -> bool:
+        """Whether a result may take so many bytes more: it, and those that are alive, can be
+        finished one after another from what is then free."""
+        grown = [
+            each.grown(num_bytes) if each.task == task else each for each in arriving if each.task == task or self._is_alive(each.task)
+        ]
+        free_bytes -= num_bytes
+        for each in sorted(grown, key=lambda result: result.missing_bytes):
+            if each.missing_bytes > free_bytes:
+                return False
+            if each.task == task:
+                return True
+            free_bytes += each.arrived_bytes
+        return free_bytes >= 0
 
     def _kept_for_others(self, member: str, arriving: Sequence[Arriving], free_bytes: int) -> int:
         share = _share(member, arriving, free_bytes)

@@ -27,7 +27,7 @@ from urllib.parse import parse_qs
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from pydantic import Field, ValidationError
 
-from radiant_app.network.arrivals import PART_BYTES, Arrivals, DiskFull
+from radiant_app.network.arrivals import FULL, PART_BYTES, RESERVED, Arrivals, DiskFull
 from radiant_app.network.kinds import result_problem
 from radiant_app.network.promises import Arriving, Promises
 from radiant_app.network.store import OPEN, HubStore, KnownTask
@@ -338,8 +338,10 @@ class Reception:
         return offsets
 
     def _append(self, task: KnownTask, number: int, part: tuple[int, bytes], file: SentFile) -> bool:
-        beside = self.promises.beside_part(len(part[1]), task.node, self._arriving(), self.arrivals.free_bytes)
-        taken = self.arrivals.append(task.digest, number, part, file, beside) is not None
+        arriving, free = self._arriving(), self.arrivals.free_bytes
+        if not self.promises.may_grow(task.digest, len(part[1]), arriving, free):
+            raise DiskFull(RESERVED if all(each.missing_bytes <= free for each in arriving if each.task == task.digest) else FULL)
+        taken = self.arrivals.append(task.digest, number, *part, file) is not None
         self.promises.arrived(task.digest, self.arrivals.num_bytes(task.digest))
         return taken
 
