@@ -224,6 +224,9 @@ def main() -> NoReturn:
         _say(f"{error} {_how_to_go_on()}".strip() if isinstance(error, CannotWrite) else str(error))
         sys.exit(error.exit_code)
     except (MemoryError, RuntimeError) as error:
+        if str(error).startswith("Symlink loop"):  # of pathlib before Python 3.13
+            _say(f"{error}: links that lead to each other name no file, give another path.")
+            sys.exit(BadInput.exit_code)
         if not is_out_of_memory(error):
             raise
         _say(f"{OUT_OF_MEMORY} {_how_to_go_on()}".strip())
