@@ -198,6 +198,8 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
             error=CannotWrite(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out.")
         )
     reason = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
+    if code == -signal.SIGKILL:
+        reason += " (as systems do where memory runs out)"
     message = f"{task.stage}: its process {reason} before it was done; see {log_path(task.folder)}, then run again with --resume."
     return NodeEnded(error=StageFailed(message), crashed=True)
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from radiant_app.events import Event, StageSkipped
+from radiant_app.events import Event, StageDone, StageSkipped, StageStarted
 from radiant_app.executors import fork_server, local
 from radiant_app.executors.fork_server import CAN_FORK, SWITCH, ForkedProcess, ForkServer, keep_servers, open_server, start_server
 from radiant_app.executors.local import LocalExecutor
@@ -339,3 +339,38 @@ def test_a_system_that_starts_no_process_leaves_no_server_and_is_named(tmp_path:
         StageFailed, match=r"cloud: its process cannot be started \(Argument list too long\): unset variables that are large"
     ):
         LocalExecutor(num_workers=1).fold(Tree(id="cloud", tier="cloud"), lambda node: task, lambda event: None)
+
+
+@pytest.mark.parametrize("kill_after", ["the first has begun", "two have begun", "the first is done"])
+def test_a_fold_whose_server_is_killed_in_its_middle_finishes(
+    kill_after: str, start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nodes that run go on, those to come start anew, and nothing of either is alive afterwards."""
+    monkeypatch.setattr(local, "open_server", lambda names, environment: open_server(NAMES, environment))
+    lines = "import os, sys, time; from pathlib import Path; os.chdir(sys.argv[2]); Path('pid').write_text(str(os.getpid()))\n"
+    (tmp_path / "played_node.py").write_text(f"{lines}time.sleep(0.5)\nos.rename('sealed', {SEAL_NAME!r})\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    devices = tuple(Tree(id=f"devices/{number}", tier="device") for number in range(4))
+    tree = Tree(id="cloud", tier="cloud", children=devices)
+    heard: list[Event] = []
+
+    def prepare(node: Tree) -> NodeTask:
+        folder = tmp_path / node.id
+        folder.mkdir(parents=True)
+        (folder / "made").write_text("x")
+        seal(folder, "key", ["made"])
+        (folder / SEAL_NAME).rename(folder / "sealed")
+        return NodeTask(kind="device", stage=node.id, folder=folder, key="key", module="played_node")
+
+    def listen(event: Event) -> None:
+        heard.append(event)
+        begun, done = (sum(isinstance(each, kind) for each in heard) for kind in (StageStarted, StageDone))
+        if {"the first has begun": begun == 1, "two have begun": begun == 2, "the first is done": done == 1}[kill_after]:
+            only_server()._process.kill()
+
+    LocalExecutor(num_workers=2, num_threads=1).fold(tree, prepare, listen)
+    assert only_server()._process.wait(timeout=20) == -signal.SIGKILL
+    assert {event.stage for event in heard if isinstance(event, StageDone)} == {node.id for node in tree}
+    for node in tree:
+        pid = int((tmp_path / node.id / "pid").read_text())
+        assert not Path(f"/proc/{pid}").exists() or Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
