@@ -1,4 +1,4 @@
-"""Text of others on its way to a terminal: nothing in it moves the cursor, colours, or turns lines."""
+"""Text of others on its way to a terminal: nothing in it moves the cursor, colours or turns it."""
 
 from __future__ import annotations
 
