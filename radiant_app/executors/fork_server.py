@@ -168,7 +168,7 @@ class ForkServer:
         request = {"command": [*command], "environment": {**environment}, "cwd": str(cwd or Path.cwd())}
         told, tell = os.pipe()
         try:
-            # A message is limited to some 200 kB. An environment is not, and six times as long as JSON.
+            # A message is limited to 200 kB. An environment is not, and is longer as JSON.
             with _in_memory(json.dumps(request).encode()) as written:
                 socket.send_fds(self._asking, [REQUEST], [*fds, tell, written.fileno()])
         except BaseException:
