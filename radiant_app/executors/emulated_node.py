@@ -46,7 +46,8 @@ def main(arguments: list[str]) -> int:
     stage, folder, command = arguments[3], Path(arguments[4]), arguments[5:]
     code, cpu_s = _run_at_share(command, speed, begun_s)
     if code < 0:
-        signal.signal(-code, signal.SIG_DFL)
+        if -code != signal.SIGKILL:
+            signal.signal(-code, signal.SIG_DFL)
         signal.raise_signal(-code)
     if code:
         return code

@@ -295,6 +295,7 @@ class Reception:
                 with self._announcing:
                     offsets = self._begin(task, envelope, anew=before is not None and before[0] != text)
                     self.store.put_result(task.digest, text, signature)
+                    self.promises.announced(task.digest, sum(offsets))
             elif before is not None and before[0] == text:
                 offsets = [file.bytes for _, file in sorted(envelope.files.items())]
             else:
@@ -333,9 +334,7 @@ class Reception:
 
     def _begin(self, task: KnownTask, envelope: Envelope, *, anew: bool) -> list[int]:
         beside = self.promises.beside(task.digest, task.node, self._arriving(), self.arrivals.free_bytes)
-        offsets = self.arrivals.begin(task.digest, envelope, anew=anew, promised=beside)
-        self.promises.announced(task.digest, sum(offsets))
-        return offsets
+        return self.arrivals.begin(task.digest, envelope, anew=anew, promised=beside)
 
     def _append(self, task: KnownTask, number: int, part: tuple[int, bytes], file: SentFile) -> bool:
         arriving, free = self._arriving(), self.arrivals.free_bytes
