@@ -330,9 +330,9 @@ def test_a_disk_with_room_for_one_promises_it_to_one(world: World, monkeypatch: 
 
 
 def test_an_announcement_without_a_byte_keeps_no_other_member_out(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    """m1: 329 MB are announced on a disk with 336 MB of room, and nothing is sent."""
+    """Nearly all of the room is announced by one, and nothing sent."""
     monkeypatch.setattr("shutil.disk_usage", lambda folder: type("Usage", (), {"free": SPARE_BYTES + 336 * 10**6}))
-    large = SentFile(bytes=329 * 10**6, sha256="0" * 64)
+    large = SentFile(bytes=336 * 10**6 - 60_000, sha256="0" * 64)
     region = world.hub.offer(RUN, "edges/north", "edge_refine", "edges/north/refine", refining_task(world))
     announced = {"report.json": describe_files({"report.json": world.report})["report.json"], "refined.safetensors": large}
     text = world.announcement(kind="edge_refine", stage="edges/north/refine", answers=region.digest, files=announced)
