@@ -47,6 +47,15 @@ IMPORTED = (
 """What nearly all nodes of a tree import."""
 
 
+_REMEDIES = {
+    errno.E2BIG: "unset variables that are large",
+    errno.EAGAIN: "end other processes, or raise their limit (ulimit -u)",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+    errno.ENFILE: "end other processes: the system has too many files open",
+    errno.ENOMEM: "free memory",
+}
+"""What to do where the system starts no process."""
+
 Process = subprocess.Popen[str] | ForkedProcess
 
 
@@ -180,7 +189,7 @@ class Processes:
 
 
 def _why_not_started(task: NodeTask, error: OSError) -> str:
-    remedy = "unset variables that are large" if error.errno == errno.E2BIG else "end other processes or raise their limit (ulimit -u)"
+    remedy = _REMEDIES.get(error.errno or 0, "check that its Python is there and may be run")
     return f"{task.stage}: its process cannot be started ({error.strerror}): {remedy}, then run again with --resume."
 
 

@@ -26,5 +26,7 @@ def signal_session(pid: int, number: signal.Signals) -> None:
     """
     with contextlib.suppress(ProcessLookupError):
         if pid < FIRST_PID or os.getsid(pid) != pid or pid == os.getsid(0):
-            raise StageFailed(f"process {pid} leads no session of a run, so that it was not sent {number.name}: end it by hand.")
+            raise StageFailed(
+                f"process {pid} leads no session of this run and was sent no {number.name}: `ps` shows what of the run is left."
+            )
         os.killpg(pid, number)

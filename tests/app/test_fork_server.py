@@ -6,6 +6,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import resource
 import signal
 import socket
@@ -326,18 +327,29 @@ def test_a_server_that_answers_nothing_is_given_up(start: Start, monkeypatch: py
     assert server._process.wait(timeout=20) == -signal.SIGKILL
 
 
-def test_a_system_that_starts_no_process_leaves_no_server_and_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+REMEDIES = {
+    errno.E2BIG: "unset variables that are large",
+    errno.EAGAIN: "end other processes, or raise their limit (ulimit -u)",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+    errno.ENOMEM: "free memory",
+    errno.ENOENT: "check that its Python is there and may be run",
+}
+
+
+@pytest.mark.parametrize("number", REMEDIES, ids=errno.errorcode.get)
+def test_a_system_that_starts_no_process_leaves_no_server_and_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
     def refuse(*arguments: Any, **options: Any) -> None:
-        raise OSError(errno.E2BIG, "Argument list too long", "python")
+        raise OSError(number, os.strerror(number), "python")
 
     monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
     monkeypatch.setattr(fork_server.subprocess, "Popen", refuse)
     with keep_servers():
         assert start_server(NAMES, {**os.environ}) is None
     task = NodeTask(kind="cloud", stage="cloud", folder=tmp_path, key="key")
-    with pytest.raises(
-        StageFailed, match=r"cloud: its process cannot be started \(Argument list too long\): unset variables that are large"
-    ):
+    said = f"cloud: its process cannot be started ({os.strerror(number)}): {REMEDIES[number]}, then run again with --resume."
+    with pytest.raises(StageFailed, match=re.escape(said)):
         LocalExecutor(num_workers=1).fold(Tree(id="cloud", tier="cloud"), lambda node: task, lambda event: None)
 
 

@@ -36,7 +36,7 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
 
 @pytest.mark.parametrize("pid", [1, 0, -1, -2, -(2**31)])
 def test_a_number_that_means_more_than_one_process_is_not_signalled(pid: int, sent: list[tuple[int, int]]) -> None:
-    with pytest.raises(StageFailed, match=f"process {pid} leads no session of a run, so that it was not sent SIGTERM: end it by hand"):
+    with pytest.raises(StageFailed, match=f"process {pid} leads no session of this run and was sent no SIGTERM: `ps` shows"):
         signal_session(pid, signal.SIGTERM)
     assert sent == []
 
@@ -45,7 +45,7 @@ def test_a_number_that_means_more_than_one_process_is_not_signalled(pid: int, se
 def test_a_session_that_is_this_process_s_is_not_signalled(whose: str, sent: list[tuple[int, int]]) -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
         pid = {"itself": os.getpid(), "its session": os.getsid(0), "a child of its session": child.pid}[whose]
-        with pytest.raises(StageFailed, match="leads no session of a run"):
+        with pytest.raises(StageFailed, match="leads no session of this run"):
             signal_session(pid, signal.SIGKILL)
         child.communicate(b"\n")
     assert sent == []
