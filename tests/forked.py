@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from radiant_app.executors.fork_server import ForkServer, keep_servers, open_server, start_server
+from radiant_app.executors.sessions import signal_session
 
 IMPORTED = ("zlib", "torch", "pycolmap", "cv2", "pydantic", "scipy.optimize", "scipy.spatial", "shapely", "typer", "rich.progress")
 """Libraries alone, for commands: what the project's modules import, and when, is as in a process that starts anew."""
@@ -66,7 +67,7 @@ def run_module(
         try:
             code = process.wait(timeout_s)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
+            signal_session(process.pid, signal.SIGKILL)
             raise
         output.seek(0)
         errors.seek(0)

@@ -26,6 +26,7 @@ from radiant_app.cli.streams import CannotPrint, make_streams_last
 from radiant_app.cli.survey import change, measure
 from radiant_app.cli.train import train
 from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals, stop_repeating_interrupt
+from radiant_app.plain_text import shown_text
 from radiant_app.quantities import size_wh_of
 from radiant_app.report.tables import finish, print_figures
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory
@@ -223,6 +224,9 @@ def main() -> NoReturn:
         _say(f"{error} {_how_to_go_on()}".strip() if isinstance(error, CannotWrite) else str(error))
         sys.exit(error.exit_code)
     except (MemoryError, RuntimeError) as error:
+        if str(error).startswith("Symlink loop"):  # of pathlib before Python 3.13
+            _say(f"{error}: links that lead to each other name no file, give another path.")
+            sys.exit(BadInput.exit_code)
         if not is_out_of_memory(error):
             raise
         _say(f"{OUT_OF_MEMORY} {_how_to_go_on()}".strip())
@@ -263,7 +267,7 @@ def _where_it_lies() -> str:
 
 
 def _say(message: str) -> None:
-    typer.echo(f"radiant: {message}", err=True)
+    typer.echo(f"radiant: {shown_text(message)}", err=True)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from radiant_app.network.home import (
 from radiant_app.network.overview import NodeRow, read_rows
 from radiant_app.network.serving import require_network
 from radiant_app.network.store import HubStore
+from radiant_app.plain_text import plain_text
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import read_json, write_json
 
@@ -84,6 +85,10 @@ class Running:
     """How worker processes are started; None: as everywhere."""
     poll_s: float | None = None
 
+    def tell(self, text: str) -> None:
+        """Say a line in which other machines may be quoted."""
+        self.say(plain_text(text))
+
     def serve(self, folder: Path, *, offline: bool = False) -> None:
         """Work as an edge: fold devices, join their models; `offline`: only on the task that was
         unpacked, without a connection to the node above. BadInput where the node is refused."""
@@ -97,9 +102,9 @@ class Running:
         if not home.node.startswith("edges/"):
             raise BadInput(f"{folder} is {home.node}: an edge serves, a device works, and at the cloud it is the run that serves.")
         with home.lock(), open_hub(home, self.poll_s) as hub:
-            self.say(f"{home.node} listens at port {hub.port} and {self._source(home, offline)}; Ctrl-C ends it.")
+            self.tell(f"{home.node} listens at port {hub.port} and {self._source(home, offline)}; Ctrl-C ends it.")
             performer = EdgePerformer(hub=hub, command=self.command or worker_command, listen=self._show)
-            Errands(home=home, line=self._way(home, offline), performer=performer, say=self.say).run()
+            Errands(home=home, line=self._way(home, offline), performer=performer, say=self.tell).run()
 
     def work(self, folder: Path, photographs: Path, poses: Path | None, agree: Callable[[str], bool], *, offline: bool = False) -> None:
         """Work as a device, once its owner agreed to what leaves it; `offline` as for `serve`.
@@ -116,9 +121,9 @@ class Running:
             raise BadInput(f"{photographs} is no folder: give that of this device's photographs.")
         _require_consent(home, agree)
         with home.lock():
-            self.say(f"{home.node} {self._source(home, offline)}; Ctrl-C ends it.")
+            self.tell(f"{home.node} {self._source(home, offline)}; Ctrl-C ends it.")
             performer = DevicePerformer(home=home, photographs=photographs, poses=poses, command=self.command or worker_command)
-            Errands(home=home, line=self._way(home, offline), performer=performer, say=self.say).run()
+            Errands(home=home, line=self._way(home, offline), performer=performer, say=self.tell).run()
 
     def _source(self, home: Home, offline: bool) -> str:
         return "works on what was unpacked" if offline else f"asks {home.upper.upper} for work"
@@ -128,17 +133,17 @@ class Running:
         from radiant_app.network.line import Line
 
         way = CarriedWay if offline else Line
-        return way(home=home, ended=self.ended or threading.Event(), say=self.say)
+        return way(home=home, ended=self.ended or threading.Event(), say=self.tell)
 
     def _show(self, event: Event) -> None:
         from radiant_app.events import StageDone, StageStarted, Warned
 
         if isinstance(event, StageStarted):
-            self.say(f"{event.stage}: began.")
+            self.tell(f"{event.stage}: began.")
         elif isinstance(event, StageDone):
-            self.say(f"{event.stage}: done after {event.seconds:.0f} s.")
+            self.tell(f"{event.stage}: done after {event.seconds:.0f} s.")
         elif isinstance(event, Warned):
-            self.say(f"{event.stage}: {event.message}")
+            self.tell(f"{event.stage}: {event.message}")
 
 
 def consent_text(home: Home) -> str:
@@ -196,4 +201,4 @@ def status_lines(record: dict[str, Any]) -> list[str]:
         lines.append(f"above it: {record['upper']['node']} at {record['upper']['url']}, {joined}")
     if "scene" in record:
         lines.append(f"the newest finished scene: {record['scene']}")
-    return [*lines, *(row["text"] for row in record["nodes"])]
+    return [plain_text(line) for line in (*lines, *(row["text"] for row in record["nodes"]))]

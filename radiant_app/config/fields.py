@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from radiant_app.config import run_config as config_module
+from radiant_app.config.paths import path_of_text
 from radiant_app.config.run_config import RUN_PRESETS, Option, PlanOptions, RunConfig, RunPreset, SettingsOf, TrainOptions
 from radiant_core.errors import BadInput
 
@@ -69,7 +70,7 @@ class ConfigField:
     def of_option(self, value: Any) -> Any:
         """The value of an option of that type."""
         if self.is_path:
-            return Path(value).expanduser()
+            return path_of_text(str(value), self.option_name)
         return self.option.parse(value) if self.option is not None and self.option.parse is not None else value
 
     def read(self, value: Any, kind: str | None = None) -> Any:
@@ -88,7 +89,7 @@ class ConfigField:
 
             typed = f"--set '{self.path}={value}': {what_was_expected(error)}."
             raise BadInput(typed if kind is None else problem_sentence(error, kind, self.path)) from error
-        return checked if checked is None or not self.is_path else Path(checked).expanduser()
+        return checked if checked is None or not self.is_path else path_of_text(checked, self.path)
 
 
 @cache

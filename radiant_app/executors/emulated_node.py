@@ -46,8 +46,9 @@ def main(arguments: list[str]) -> int:
     stage, folder, command = arguments[3], Path(arguments[4]), arguments[5:]
     code, cpu_s = _run_at_share(command, speed, begun_s)
     if code < 0:
-        signal.signal(-code, signal.SIG_DFL)
-        os.kill(os.getpid(), -code)
+        if -code != signal.SIGKILL:
+            signal.signal(-code, signal.SIG_DFL)
+        signal.raise_signal(-code)
     if code:
         return code
     share = cpu_s / (time.monotonic() - begun_s)

@@ -9,6 +9,11 @@ is waited for like any process. There is a server for each set of the variables 
 when they are loaded, but for the number of threads, which torch is told; it imports while the run
 plans, and ends with it. Where none can be had, or one is killed, processes start anew, and those
 that it has forked go on.
+
+    to the server     REQUEST with descriptors: three streams, a pipe to tell by, a file in memory
+                      that holds what to run, in which environment: of any size
+    by that pipe      "pid N" of the fork itself, before anything else of it; then "code N" of its
+                      server. What ends without the first was never a process of a run.
 """
 
 from __future__ import annotations
@@ -17,6 +22,7 @@ import contextlib
 import gc
 import json
 import os
+import re
 import select
 import signal
 import socket
@@ -28,6 +34,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
+from radiant_app.executors.sessions import FIRST_PID
 from radiant_app.interrupts import defer_interrupts
 
 READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OPENBLAS_NUM_THREADS", "PYTHONPATH")
@@ -35,10 +42,12 @@ READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OPENBLAS_NUM_THREADS", "PYT
 THREADS = "OMP_NUM_THREADS"
 """Read once as well, but torch can be told another number, and tells the native module. numpy's
 linear algebra keeps that of the server."""
-MAX_REQUEST_BYTES = 1 << 17
 START_S = 60.0
-"""So long imports may take before nodes start anew."""
-READY = b"ready"
+"""So long imports, or a fork, may take before nodes start anew."""
+READY, REQUEST = b"ready", b"fork"
+NUM_FDS = 5
+"""Descriptors of a request."""
+_LINE = re.compile(rb"(pid|code) (-?[0-9]{1,10})\n")
 SWITCH = "RADIANT_FORK"
 """Variable that is "0" where every process is to start anew, as tracing tools need it."""
 
@@ -49,6 +58,7 @@ def _can_fork() -> bool:
         return False
     try:
         os.close(os.pidfd_open(os.getpid()))
+        os.close(os.memfd_create("radiant"))
     except (AttributeError, OSError):
         return False
     return True
@@ -67,14 +77,25 @@ class ForkedProcess:
         self.returncode: int | None = None
         self.stdin: IO[str] | None = None
         self.stdout: IO[str] | None = None
-        self.pid = int(self._line() or 0)
-        if not self.pid:
+        try:
+            self.pid = self._begun()
+        except OSError:
             os.close(told)
-            raise ConnectionError("the server of processes forked none")
+            raise
         self._alive: int | None = None
         # It may have ended already; it runs in any case, and must not be started once more.
         with contextlib.suppress(OSError):
             self._alive = os.pidfd_open(self.pid)
+
+    def _begun(self) -> int:
+        if not _is_readable(self._told, START_S):
+            raise TimeoutError(f"the server of processes forked none within {START_S:.0f} s")
+        what, number = self._line()
+        if what == "code":
+            raise ConnectionError(f"a forked process ended with code {number} before it began")
+        if what != "pid" or number < FIRST_PID:
+            raise ConnectionError("the server of processes forked none")
+        return number
 
     def poll(self) -> int | None:
         """The exit code, below 0 for a signal, or None while the process runs."""
@@ -94,18 +115,20 @@ class ForkedProcess:
             try:
                 if self.returncode is None and _is_readable(self._told if self._alive is None else self._alive, timeout_s):
                     # Its server tells before it lets the process go, or is gone itself.
-                    self.returncode = int(self._line() or 0)
+                    self.returncode = self._line()[1]
                     for fd in {self._told, self._alive} - {None}:
                         os.close(fd)
             finally:
                 self._waiting.release()
         return self.returncode
 
-    def _line(self) -> bytes:
+    def _line(self) -> tuple[str, int]:
+        """The mark of the next line and its number; "" and 0 where its server is gone."""
         line = b""
         while not line.endswith(b"\n") and (byte := os.read(self._told, 1)):
             line += byte
-        return line
+        read = _LINE.fullmatch(line)
+        return (read[1].decode(), int(read[2])) if read else ("", 0)
 
 
 class ForkServer:
@@ -117,10 +140,20 @@ class ForkServer:
         self._asking, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", __spec__.name, str(theirs.fileno()), *names]
         variables, nothing = {**environment, "PYTHONUNBUFFERED": "1"}, subprocess.DEVNULL
-        with theirs:
-            self._process = subprocess.Popen(
-                command, pass_fds=[theirs.fileno()], env=variables, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True
-            )
+        try:
+            with theirs:
+                self._process = subprocess.Popen(
+                    command,
+                    pass_fds=[theirs.fileno()],
+                    env=variables,
+                    stdin=nothing,
+                    stdout=nothing,
+                    stderr=nothing,
+                    start_new_session=True,
+                )
+        except BaseException:
+            self._asking.close()
+            raise
 
     def is_ready(self, timeout_s: float = START_S) -> bool:
         """Whether it has imported all within so long from the first question on."""
@@ -132,16 +165,23 @@ class ForkServer:
 
     def start(self, command: Sequence[str], fds: Sequence[int], environment: Mapping[str, str], cwd: Path | None = None) -> ForkedProcess:
         """Fork `python -m COMMAND` with three streams; OSError where that fails."""
-        told, tell = os.pipe()
         request = {"command": [*command], "environment": {**environment}, "cwd": str(cwd or Path.cwd())}
+        told, tell = os.pipe()
         try:
-            socket.send_fds(self._asking, [json.dumps(request).encode()], [*fds, tell])
-        except OSError:
+            # A message is limited to 200 kB. An environment is not, and is longer as JSON.
+            with _in_memory(json.dumps(request).encode()) as written:
+                socket.send_fds(self._asking, [REQUEST], [*fds, tell, written.fileno()])
+        except BaseException:
             os.close(told)
             raise
         finally:
             os.close(tell)
-        return ForkedProcess(told)
+        try:
+            return ForkedProcess(told)
+        except TimeoutError:
+            # What it may fork yet finds nobody to tell its number to, and ends before its work.
+            self._process.kill()
+            raise
 
     def start_piped(self, command: Sequence[str], log: IO[str], environment: Mapping[str, str]) -> ForkedProcess:
         """The same with pipes as standard input and output, and `log` for errors."""
@@ -149,7 +189,7 @@ class ForkServer:
         from_stdout, stdout = os.pipe()
         try:
             process = self.start(command, (stdin, stdout, log.fileno()), environment)
-        except OSError:
+        except BaseException:
             os.close(to_stdin)
             os.close(from_stdout)
             raise
@@ -200,15 +240,15 @@ def keep_servers() -> Iterator[None]:
 
 def start_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
     """Start the server that `open_server` will be asked for, whose imports take seconds; None as
-    there, but for its imports."""
+    there, but for its imports, and where the system starts no process."""
     if not CAN_FORK or not _kept.num_runs or environment.get(SWITCH) == "0":
         return None
     key = (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED), _num_threads(environment) is None)
     with _kept.lock:
         if key not in _kept.servers:
-            with defer_interrupts():
+            with defer_interrupts(), contextlib.suppress(OSError):
                 _kept.servers[key] = ForkServer(names, environment)
-        return _kept.servers[key]
+        return _kept.servers.get(key)
 
 
 def open_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
@@ -232,6 +272,18 @@ def _is_readable(fd: int, timeout_s: float | None) -> bool:
     return bool(poll.poll(None if timeout_s is None else 1000 * timeout_s))
 
 
+def _in_memory(data: bytes) -> IO[bytes]:
+    """A file without a place that holds `data`."""
+    file = os.fdopen(os.memfd_create("radiant"), "wb")
+    try:
+        file.write(data)
+        file.flush()
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
 def serve(requests: socket.socket) -> None:
     """Fork a process for each request and tell how it ended, until the other end closes."""
     woken, wake = os.pipe()
@@ -248,24 +300,31 @@ def serve(requests: socket.socket) -> None:
             _tell_ended(telling)
         if requests not in ready:
             continue
-        request, fds, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, 4)
+        request, fds, flags, _ = socket.recv_fds(requests, len(REQUEST) + 1, NUM_FDS)
         if not request:
             # Nothing of its own is left to be done, and tearing its libraries down takes seconds.
             os._exit(0)
         process = -1
-        with contextlib.suppress(OSError):
-            process = os.fork()
+        if _is_whole(request, fds, flags):
+            with contextlib.suppress(OSError):
+                process = os.fork()
         if not process:
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             requests.close()
             for fd in (woken, wake, *telling.values()):
                 os.close(fd)
-            return _run(json.loads(request), fds)
+            return _run(fds)
         if process > 0:
-            telling[process] = fds.pop()
+            telling[process] = fds.pop(3)
+        # Where nothing was forked, the end of this pipe tells it.
         for fd in fds:
             os.close(fd)
+
+
+def _is_whole(request: bytes, fds: Sequence[int], flags: int) -> bool:
+    # Of a process that may open no more files the kernel cuts the descriptors off.
+    return request == REQUEST and len(fds) == NUM_FDS and not flags & (socket.MSG_TRUNC | socket.MSG_CTRUNC)
 
 
 def _tell_ended(telling: dict[int, int]) -> None:
@@ -274,18 +333,20 @@ def _tell_ended(telling: dict[int, int]) -> None:
         tell = telling.pop(ended.si_pid)
         code = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
         with contextlib.suppress(BrokenPipeError):
-            os.write(tell, f"{code}\n".encode())
+            os.write(tell, f"code {code}\n".encode())
         os.close(tell)
         os.waitpid(ended.si_pid, 0)
 
 
-def _run(request: dict[str, Any], fds: list[int]) -> None:
+def _run(fds: list[int]) -> None:
     """Become the process that was asked for."""
     os.setsid()
-    os.write(fds[3], f"{os.getpid()}\n".encode())
-    for number, fd in enumerate(fds):
-        if number < 3:
-            os.dup2(fd, number)
+    # First of all: whatever fails from here on is the end of a process that is waited for.
+    os.write(fds[3], f"pid {os.getpid()}\n".encode())
+    for number, fd in enumerate(fds[:3]):
+        os.dup2(fd, number)
+    request: dict[str, Any] = json.loads(_content(fds[4]))
+    for fd in fds:
         os.close(fd)
     os.environ.clear()
     os.environ.update(request["environment"])
@@ -302,6 +363,12 @@ def _run(request: dict[str, Any], fds: list[int]) -> None:
     import runpy
 
     runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+def _content(fd: int) -> bytes:
+    with os.fdopen(fd, "rb", closefd=False) as file:
+        file.seek(0)
+        return file.read()
 
 
 def main(requests: str, *names: str) -> None:

@@ -8,6 +8,7 @@ forks of one that has imported their libraries (`fork_server.py`).
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import queue
 import signal
@@ -24,6 +25,7 @@ from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
 from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
 from radiant_app.executors.fork_server import ForkedProcess, ForkServer, open_server, start_server
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
+from radiant_app.executors.sessions import signal_session
 from radiant_app.interrupts import defer_interrupts
 from radiant_app.workers.memory import EDGES_AT_ONCE
 from radiant_core.aggregate.tree import Tree
@@ -44,6 +46,15 @@ IMPORTED = (
 )
 """What nearly all nodes of a tree import."""
 
+
+_REMEDIES = {
+    errno.E2BIG: "unset variables that are large",
+    errno.EAGAIN: "end other processes, or raise their limit (ulimit -u)",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+    errno.ENFILE: "end other processes: the system has too many files open",
+    errno.ENOMEM: "free memory",
+}
+"""What to do where the system starts no process."""
 
 Process = subprocess.Popen[str] | ForkedProcess
 
@@ -116,7 +127,7 @@ class Processes:
         # It may still be importing, which an interrupt need not wait for.
         server = self.server()
         with defer_interrupts():
-            process = self._spawn(self.command(task), task.folder, server)
+            process = self._spawn(task, server)
             reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
             self.running[node.id] = _Running(task=task, process=process, reader=reader)
             reader.start()
@@ -154,16 +165,19 @@ class Processes:
                     running.process.wait()
                 running.reader.join()
 
-    def _spawn(self, command: list[str], folder: Path, server: ForkServer | None) -> Process:
-        environment = worker_environment(self.num_threads, self.edges_at_once)
-        with log_path(folder).open("w") as log:
+    def _spawn(self, task: NodeTask, server: ForkServer | None) -> Process:
+        command, environment = self.command(task), worker_environment(self.num_threads, self.edges_at_once)
+        with log_path(task.folder).open("w") as log:
             if server is not None and command[:2] == [sys.executable, "-m"]:
                 # It may have been killed.
                 with contextlib.suppress(OSError):
                     return server.start_piped(command[2:], log, environment)
             # A session of its own: Ctrl-C reaches only this process, which stops workers in order.
             pipe, start = subprocess.PIPE, subprocess.Popen
-            return start(command, stdout=pipe, stderr=log, stdin=pipe, text=True, env=environment, start_new_session=True)
+            try:
+                return start(command, stdout=pipe, stderr=log, stdin=pipe, text=True, env=environment, start_new_session=True)
+            except OSError as error:
+                raise StageFailed(_why_not_started(task, error)) from error
 
     def _read(self, node_id: str, process: Process) -> None:
         assert process.stdout is not None and process.stdin is not None
@@ -172,6 +186,11 @@ class Processes:
                 self.lines.put((node_id, line))
             process.wait()
         self.lines.put((node_id, None))
+
+
+def _why_not_started(task: NodeTask, error: OSError) -> str:
+    remedy = _REMEDIES.get(error.errno or 0, "check that its Python is there and may be run")
+    return f"{task.stage}: its process cannot be started ({error.strerror}): {remedy}, then run again with --resume."
 
 
 def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
@@ -188,6 +207,8 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
             error=CannotWrite(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out.")
         )
     reason = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
+    if code == -signal.SIGKILL:
+        reason += " (as systems do where memory runs out)"
     message = f"{task.stage}: its process {reason} before it was done; see {log_path(task.folder)}, then run again with --resume."
     return NodeEnded(error=StageFailed(message), crashed=True)
 
@@ -206,6 +227,4 @@ def log_path(folder: Path) -> Path:
 
 def _signal_group(process: Process, number: signal.Signals) -> None:
     if process.poll() is None:
-        # It may end meanwhile.
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, number)
+        signal_session(process.pid, number)

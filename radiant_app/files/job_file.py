@@ -43,6 +43,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError, create_model
 
 from radiant_app.config.fields import ConfigField, config_fields, config_of, values_of, with_settings
+from radiant_app.config.paths import absolute_path, path_of_text
 from radiant_app.config.run_config import RunConfig
 from radiant_app.files.toml_file import load_toml
 from radiant_app.workers.sources import detect_source
@@ -99,9 +100,9 @@ def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
 
 def _job(given: dict[str, Any], base: Path, folder: Path) -> Job:
     name = given.pop("name")
-    out = (folder / Path(given.pop("out", name)).expanduser()).resolve()
     known = {**_job_options(), "source": config_fields()["source"]}
     try:
+        out = absolute_path(path_of_text(given.pop("out", name), "out"), folder, "out")
         settings = given.pop("set", ())
         values = _make_absolute(
             with_settings({known[key].path: known[key].of_option(value) for key, value in given.items()}, settings), base
@@ -134,7 +135,7 @@ def _check(jobs: Sequence[Job], folder: Path) -> None:
 
 
 def _make_absolute(values: dict[str, Any], base: Path) -> dict[str, Any]:
-    return {path: (base / value).resolve() if isinstance(value, Path) else value for path, value in values.items()}
+    return {path: absolute_path(value, base, path) if isinstance(value, Path) else value for path, value in values.items()}
 
 
 def _dump_given(model: Any) -> dict[str, Any]:

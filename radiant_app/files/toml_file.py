@@ -29,10 +29,25 @@ def load_toml(path: Path, kind: str) -> dict[str, Any]:
         text = data.decode()
         if _DEEP_KEY.search(text):
             raise BadInput(f"{path}: a key of more than {MAX_KEY_PARTS} parts, which no {kind} has: correct it there.")
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: byte {error.start} is not UTF-8 text: give a {kind} in TOML.") from error
     except BadInput:
         raise
     except (ValueError, RecursionError) as error:  # ValueError: also integers of many digits
         raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
+    if (key := _with_nul(tables)) is not None:
+        raise BadInput(f"{path}: {key} holds the character U+0000, which neither a text nor a path of a {kind} has: correct it there.")
+    return tables
+
+
+def _with_nul(value: Any, key: str = "") -> str | None:
+    """The key of a text with NUL, at which the system cuts names off; None where there is none."""
+    if isinstance(value, str):
+        return key if "\0" in value else None
+    if isinstance(value, list):
+        return next((deeper for each in value if (deeper := _with_nul(each, key))), None)
+    if not isinstance(value, dict):
+        return None
+    named = ((f"{key}.{name}" if key else name, each) for name, each in value.items())
+    return next((deeper for path, each in named if (deeper := path.replace("\0", "\\0") if "\0" in path else _with_nul(each, path))), None)

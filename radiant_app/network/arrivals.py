@@ -28,11 +28,20 @@ FORCED_BYTES = 64 << 20
 """Bytes that are forced to the disk at once: a part that a power cut took from a file is found by
 the file's hash, so that nobody has to wait for the disk after each."""
 SPARE_BYTES = 64 << 20
-"""What stays free on the disk, for the records of what arrives."""
+"""What an announcement leaves free on the disk, for the records of what arrives."""
+PART_SPARE_BYTES = SPARE_BYTES // 2
+"""What a part leaves free: the database needs it, without which nothing could be answered."""
+
+
+FULL = "the disk there is full: it is tried again, free space meanwhile."
+RESERVED = "the disk there has no room beside results of others that arrive now: it is tried again when those are there."
 
 
 class DiskFull(Exception):
-    """There is no room for what was announced."""
+    """There is no room for what was announced, or for a part of it; why is in one sentence."""
+
+    def __init__(self, reason: str = FULL) -> None:
+        super().__init__(reason)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +67,7 @@ class Arrivals:
             shutil.rmtree(place, ignore_errors=True)
         place.mkdir(parents=True, exist_ok=True)
         offsets = self.offsets(task, envelope)
-        if shutil.disk_usage(self.folder).free < envelope.num_bytes - sum(offsets) + promised + SPARE_BYTES:
-            raise DiskFull
+        self._require_room(envelope.num_bytes - sum(offsets) + SPARE_BYTES, promised)
         for number, (_, file) in enumerate(sorted(envelope.files.items())):
             if not file.bytes:
                 self._part(task, number).touch()
@@ -71,9 +79,7 @@ class Arrivals:
         part = self._part(task, number)
         if offset != self._length(task, number) or offset + len(data) > file.bytes:
             return None
-        if shutil.disk_usage(self.folder).free < len(data) + SPARE_BYTES // 2:
-            # The rest is for the database: without room for it nothing could be answered.
-            raise DiskFull
+        self._require_room(len(data) + PART_SPARE_BYTES)
         is_new = not part.exists()
         part.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT, 0o600)
@@ -90,6 +96,16 @@ class Arrivals:
             # Else a power cut may leave a result that counts as received without its file.
             force_to_disk(part.parent)
         return offset + len(data)
+
+    @property
+    def free_bytes(self) -> int:
+        """Bytes of the disk that parts may fill."""
+        return max(0, shutil.disk_usage(self.folder).free - PART_SPARE_BYTES)
+
+    def _require_room(self, num_bytes: int, promised: int = 0) -> None:
+        free = shutil.disk_usage(self.folder).free
+        if free < num_bytes + promised:
+            raise DiskFull(FULL if free < num_bytes else RESERVED)
 
     def damaged(self, task: str, envelope: Envelope) -> list[str] | None:
         """Names of files with other bytes than announced, whose parts are removed; None where

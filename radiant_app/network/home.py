@@ -36,6 +36,8 @@ MAX_JOIN_BYTES = 16384
 RESERVED = 1024
 """Counters that are taken from the file at once."""
 TOKEN_BYTES = 32
+SHOWN = ("url", "node", "upper")
+"""Of a join file, what a terminal shows, and whoever follows it agrees to."""
 Identity = Literal["pinned", "signed"]
 """pinned: TLS to the upper node's own key; signed: TLS to whoever the system trusts, such as a
 reverse proxy, which then reads all that passes. What is signed and sealed is so in both."""
@@ -229,4 +231,6 @@ def _invitation(record: Any, path: Path) -> Invitation:
         raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.")
     if not all(isinstance(record[name], str) for name in names):
         raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.")
+    if not all(record[name].isprintable() for name in SHOWN):
+        raise BadInput(f"{path} has characters that cannot be printed in what it names: ask for another by `radiant node invite`.")
     return Invitation(**{name: record[name] for name in names})

@@ -26,6 +26,7 @@ from radiant_app.network.arrivals import PART_BYTES
 from radiant_app.network.certificate import pinned_context
 from radiant_app.network.home import Home, Invitation
 from radiant_app.network.reception import BODY, COUNTER, GONE, JOIN, NODE, OFFSET, REPLY, SEAL
+from radiant_app.plain_text import plain_text
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import content_key, parse_json, read_json, write_json
@@ -71,7 +72,7 @@ class Answer:
     @property
     def reason(self) -> str:
         """Why something was refused."""
-        return str(self.record.get("reason", f"it answered {self.status}."))[:1000]
+        return plain_text(str(self.record.get("reason", f"it answered {self.status}."))[:1000])
 
 
 class Withdrawn(Exception):

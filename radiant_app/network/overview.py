@@ -12,6 +12,7 @@ from typing import Literal
 
 from radiant_app.network.arrivals import INCOMING, Arrivals
 from radiant_app.network.store import OPEN, STORE_NAME, HubStore, KnownTask, Member
+from radiant_app.plain_text import plain_text
 from radiant_core.io.transport.envelope import open_envelope
 
 SILENT_S = 60.0
@@ -48,7 +49,7 @@ class NodeRow:
             parts.append(f"{_megabytes(self.arrived_bytes)} of {_megabytes(self.num_bytes)} MB")
         if self.doing.startswith("refused"):
             parts.append(self.doing)
-        return f"{self.node}: {', '.join(parts)}"
+        return plain_text(f"{self.node}: {', '.join(parts)}")
 
 
 def read_rows(home: Path) -> list[NodeRow]:
@@ -86,8 +87,8 @@ def _row_of(member: Member, task: KnownTask | None, store: HubStore, arrivals: A
         node=member.id,
         state=state,
         silent_s=silent_s,
-        doing=member.note,
-        software=member.software,
+        doing=plain_text(member.note),
+        software=plain_text(member.software),
         task=task,
         arrived_bytes=arrived,
         num_bytes=total,

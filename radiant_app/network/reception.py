@@ -17,18 +17,21 @@ import base64
 import hashlib
 import json
 import re
+import sqlite3
 import threading
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from pydantic import Field, ValidationError
 
-from radiant_app.network.arrivals import PART_BYTES, Arrivals, DiskFull
+from radiant_app.network.arrivals import FULL, PART_BYTES, RESERVED, Arrivals, DiskFull
 from radiant_app.network.kinds import result_problem
+from radiant_app.network.promises import Arriving, Promises
 from radiant_app.network.store import OPEN, HubStore, KnownTask
+from radiant_app.plain_text import plain_text
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import parse_json
@@ -95,7 +98,7 @@ class Refused(Exception):
 
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
-        self.status, self.reason = status, reason
+        self.status, self.reason = status, plain_text(reason)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +138,8 @@ class Reception:
     """How long nodes wait between two polls."""
     heard_of: dict[str, int] = field(default_factory=dict)
     """Node → how many of its requests were admitted by this process."""
+    promises: Promises = field(default_factory=Promises)
+    _announcing: threading.Lock = field(default_factory=threading.Lock)
     _writing: dict[str, threading.Lock] = field(default_factory=dict)
     """Of each task that is written to: one result is checked while others go on to arrive."""
 
@@ -156,9 +161,12 @@ class Reception:
         except Refused as refused:
             reply = _json(refused.status, {"reason": refused.reason})
         except BadInput as error:
-            reply = _json(400, {"reason": str(error)})
-        except DiskFull:
-            reply = _json(507, {"reason": "the disk there is full: it is tried again, free space meanwhile."})
+            reply = _json(400, {"reason": plain_text(str(error))})
+        except DiskFull as error:
+            reply = _json(507, {"reason": str(error)})
+        except (OSError, sqlite3.Error) as error:
+            # The owner of that machine is told by its own commands; who asks tries again.
+            reply = _json(503, {"reason": f"{self.node} cannot use its folder ({_problem(error)}): it is tried again."})
         if reply is None:
             return None
         if asked.method == "HEAD":
@@ -200,12 +208,14 @@ class Reception:
         try:
             return self._answer_node(request, asked)
         except Refused as refused:
-            if key is not None and refused.status != GONE:
+            # A request to join is sealed by whoever makes it.
+            proved = asked.target != JOIN or (key is not None and key == _joining_key(asked))
+            if key is not None and proved and refused.status != GONE:
                 self.store.note(request.node, f"refused: {refused.reason}")
             raise
 
     def _answer_node(self, request: Request, asked: Asked) -> Reply:
-        place = (asked.method, urlsplit(asked.target).path)
+        place = (asked.method, asked.target.partition("?")[0])
         if place == ("POST", JOIN):
             return self._join(request, asked)
         if place == ("POST", "/poll"):
@@ -224,7 +234,7 @@ class Reception:
 
     def _join(self, request: Request, asked: Asked) -> Reply:
         body = _parsed(JoinBody, asked.body)
-        if not self.store.join(request.node, body.token, _decoded(body.key), body.software, request.counter):
+        if not self.store.join(request.node, body.token, _decoded(body.key), plain_text(body.software), request.counter):
             raise Refused(403, f"the join file of {request.node} is used up or not the newest: ask for another one.")
         return _json(200, {"node": request.node})
 
@@ -282,9 +292,10 @@ class Reception:
         with self._lock_of(task):
             before, state = self.store.result(task.digest), self.own_task(task.node, task.digest, DONE).state
             if state not in DONE:
-                anew = before is not None and before[0] != text
-                offsets = self.arrivals.begin(task.digest, envelope, anew=anew, promised=self._promised(task.digest))
-                self.store.put_result(task.digest, text, signature)
+                with self._announcing:
+                    offsets = self._begin(task, envelope, anew=before is not None and before[0] != text)
+                    self.store.put_result(task.digest, text, signature)
+                    self.promises.announced(task.digest, sum(offsets))
             elif before is not None and before[0] == text:
                 offsets = [file.bytes for _, file in sorted(envelope.files.items())]
             else:
@@ -313,7 +324,7 @@ class Reception:
         with self._lock_of(task):
             taken, state = True, self.own_task(task.node, task.digest, DONE).state
             if part is not None and state not in DONE:
-                taken = self.arrivals.append(task.digest, number, *part, file) is not None
+                taken = self._append(task, number, part, file)
                 self._finish(task, envelope)
             offset = file.bytes if self._state(task) in DONE else self.arrivals.offsets(task.digest, envelope)[number]
         return taken, offset, file
@@ -321,12 +332,32 @@ class Reception:
     def _lock_of(self, task: KnownTask) -> threading.Lock:
         return self._writing.setdefault(task.digest, threading.Lock())
 
-    def _promised(self, digest: str) -> int:
-        """Bytes of other results that were announced and are not there yet."""
-        lists = [(other, parse_json(text)["files"]) for other, text in self.store.open_results() if other != digest]
-        return sum(file["bytes"] for _, files in lists for file in files.values()) - sum(
-            self.arrivals.num_bytes(other) for other, _ in lists
-        )
+    def _begin(self, task: KnownTask, envelope: Envelope, *, anew: bool) -> list[int]:
+        beside = self.promises.beside(task.digest, task.node, self._arriving(), self.arrivals.free_bytes)
+        return self.arrivals.begin(task.digest, envelope, anew=anew, promised=beside)
+
+    def _append(self, task: KnownTask, number: int, part: tuple[int, bytes], file: SentFile) -> bool:
+        arriving, free = self._arriving(), self.arrivals.free_bytes
+        if not self.promises.may_grow(task.digest, len(part[1]), arriving, free):
+            raise DiskFull(RESERVED if all(each.missing_bytes <= free for each in arriving if each.task == task.digest) else FULL)
+        taken = self.arrivals.append(task.digest, number, *part, file) is not None
+        self.promises.arrived(task.digest, self.arrivals.num_bytes(task.digest))
+        return taken
+
+    def _arriving(self) -> list[Arriving]:
+        """What was announced and is not whole."""
+        lists = [(task, parse_json(text)) for task, text in self.store.open_results()]
+        arriving = [
+            Arriving(
+                task=task,
+                member=said["sender"],
+                num_bytes=sum(file["bytes"] for file in said["files"].values()),
+                arrived_bytes=self.arrivals.num_bytes(task),
+            )
+            for task, said in lists
+        ]
+        self.promises.forget_all_but(arriving)
+        return arriving
 
     def _state(self, task: KnownTask) -> str:
         found = self.store.task(task.digest)
@@ -355,17 +386,16 @@ def _require_seal(request: Request, asked: Asked, key: Ed25519PublicKey | None) 
         raise Refused(403, f"a request of {request.node} is not sealed by its key: if it was made anew, ask for another join file.")
 
 
+def _problem(error: OSError | sqlite3.Error) -> str:
+    return str(error.strerror or error) if isinstance(error, OSError) else str(error)
+
+
 def _not_new(node: str) -> Refused:
     return Refused(
         409,
         f"a request of {node} is not new: another process uses its key, or its folder was restored from a copy; end the "
         "one, or ask for another join file.",
     )
-
-
-def plain_text(text: str) -> str:
-    """A stranger's text without what moves a terminal's cursor or colours it."""
-    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def _joining_key(asked: Asked) -> Ed25519PublicKey:
@@ -400,20 +430,26 @@ def _part_of_file(task: KnownTask, number: int, asked: Asked) -> Reply:
     again."""
     files = sorted(parse_json(task.text)["files"].items())
     found = re.fullmatch(r"bytes=(\d{1,15})-(\d{1,15})", asked.headers.get("range", ""))
-    if number >= len(files) or found is None or urlsplit(asked.target).query != f"bytes={found[1]}-{found[2]}":
+    if number >= len(files) or found is None or asked.target.partition("?")[2] != f"bytes={found[1]}-{found[2]}":
         raise Refused(404, f"the task has {len(files)} files; bytes=FIRST-LAST stands in the target and as Range.")
     name, about = files[number]
     first, last = int(found[1]), int(found[2])
     last = min(last, first + PART_BYTES - 1, about["bytes"] - 1)
-    with (task.folder / name).open("rb") as file:
-        file.seek(first)
-        data = file.read(max(0, last - first + 1))
+    try:
+        with (task.folder / name).open("rb") as file:
+            file.seek(first)
+            data = file.read(max(0, last - first + 1))
+    except (FileNotFoundError, NotADirectoryError):
+        data = b""
+    if len(data) < last - first + 1:
+        reason = f"{name} of the task {task.stage} is not there any more, or not whole: run it again there with --resume."
+        raise Refused(404, reason)
     return Reply(status=206, body=data, headers={"Content-Range": f"bytes {first}-{first + len(data) - 1}/{about['bytes']}"})
 
 
 def _offset_of(asked: Asked) -> int:
     """Where a part begins, as the sealed target says and tus's header repeats."""
-    values = parse_qs(urlsplit(asked.target).query).get("offset", [])
+    values = parse_qs(asked.target.partition("?")[2]).get("offset", [])
     header = asked.headers.get(OFFSET.lower(), "")
     if len(values) != 1 or not re.fullmatch(r"\d{1,15}", values[0]) or header != values[0]:
         raise Refused(400, "a part says no offset, once in its target and once as Upload-Offset.")

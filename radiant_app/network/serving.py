@@ -31,6 +31,8 @@ IDLE_S = 30
 """How long a connection may stay without a request, or be at the head of one."""
 BODY_S = 120.0
 """How long one body may take: the smallest part at 0.5 kB/s."""
+END_S = 2
+"""So long what is answered at the server's end may take."""
 MAX_CONNECTIONS = 512
 SPARED_BYTES = 1 << 16
 """A refused body of no more is read and thrown away, so that the refusal is not lost with it."""
@@ -69,11 +71,12 @@ def serve(listening: Listening, identity: Path, reception: Reception) -> Iterato
         loop="asyncio",
         timeout_keep_alive=IDLE_S,
         limit_concurrency=MAX_CONNECTIONS,
-        timeout_graceful_shutdown=2,
+        timeout_graceful_shutdown=END_S,
         ssl_context_factory=None if context is None else lambda *_: context,
     )
     # Its log names what is asked for, and what matters is in the store; its errors are our lines.
     logging.getLogger("uvicorn").setLevel(logging.ERROR)
+    logging.getLogger("uvicorn.error").addFilter(is_fault)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, daemon=True)
     thread.start()
@@ -84,6 +87,13 @@ def serve(listening: Listening, identity: Path, reception: Reception) -> Iterato
         server.should_exit = True
         thread.join(START_S)
         bound.close()
+
+
+def is_fault(record: logging.LogRecord) -> bool:
+    """Whether a line of the server's log tells of a fault: what takes too long at its end is cut on
+    purpose, and who asked for it asks again."""
+    error = record.exc_info[1] if record.exc_info else None
+    return "graceful shutdown" not in str(record.msg) and not isinstance(error, asyncio.CancelledError)
 
 
 def _require_started(server: Any, thread: threading.Thread) -> None:
@@ -103,6 +113,11 @@ def _impatient_protocol() -> Any:
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
             self.loop.call_later(IDLE_S, self._check, None)
+
+        def shutdown(self) -> None:
+            super().shutdown()
+            # Over TLS a connection else stays until the other side has said goodbye as well.
+            self.loop.call_later(END_S / 2, self.transport.abort)
 
         def _check(self, before: Any) -> None:
             if self.transport.is_closing():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from radiant_core.errors import BadInput
@@ -81,30 +81,38 @@ def _machine_bytes(proc: Path) -> int:
 
 
 def _container_bytes(proc: Path, groups: Path) -> Iterator[int]:
-    """Bytes that the control groups (v2, v1) of this process leave of their limits; cached files
-    count as free."""
+    """Bytes that the control groups (v2, v1) of this process and those around them leave of their
+    limits; cached files count as free."""
     try:
         lines = [line.split(":", 2) for line in (proc / "self" / "cgroup").read_text().splitlines()]
     except OSError:
         return
     for number, controllers, own in (line for line in lines if len(line) == 3):
         if number == "0":
-            yield from _group_bytes(groups, own, ("memory.max", "memory.current", "inactive_file"))
+            # Where the older version has controllers too, this one is mounted beside them.
+            for root in (groups, groups / "unified"):
+                yield from _group_bytes(root, own, ("memory.max", "memory.high"), ("memory.current", "inactive_file"))
         elif "memory" in controllers.split(","):
-            yield from _group_bytes(groups / "memory", own, ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"))
+            yield from _group_bytes(groups / "memory", own, ("memory.limit_in_bytes",), ("memory.usage_in_bytes", "total_inactive_file"))
 
 
-def _group_bytes(root: Path, own: str, names: tuple[str, str, str]) -> Iterator[int]:
-    limit_name, held_name, cached_row = names
+def _group_bytes(root: Path, own: str, limits: Sequence[str], use: tuple[str, str]) -> Iterator[int]:
     # A container sees its own group at the root, whatever path the group has outside.
     group = root / own.strip("/")
     for folder in (group, *group.parents):
         if not folder.is_relative_to(root):
             return
-        try:
-            limit, held = (int((folder / name).read_text()) for name in (limit_name, held_name))
-            rows = dict(row.split() for row in (folder / "memory.stat").read_text().splitlines())
-            yield limit - held + int(rows[cached_row])
-        except (OSError, KeyError, ValueError):
-            # No limit ("max"), or no such group here.
-            continue
+        # Beyond memory.high nothing is refused, but everything slows down to a standstill.
+        least = min((limit for name in limits if (limit := _figure(folder / name)) is not None), default=None)
+        if least is not None:
+            yield least - (_figure(folder / use[0]) or 0) + (_figure(folder / "memory.stat", use[1]) or 0)
+
+
+def _figure(path: Path, row: str | None = None) -> int | None:
+    """The number in a file of the kernel, or in one of its rows; None without one: no limit
+    ("max"), or no such group here."""
+    try:
+        text = path.read_text(encoding="ascii")
+        return int(text if row is None else dict(line.split() for line in text.splitlines())[row])
+    except (OSError, KeyError, ValueError):
+        return None

@@ -19,6 +19,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from radiant_app.executors.sessions import signal_session
+
 ROOT = Path(__file__).parents[2]
 PORT = 8443
 _LISTENING = "0A"
@@ -114,7 +116,7 @@ class Machines:
     def end(self, name: str) -> None:
         process = self.running.pop(name)
         if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
+            signal_session(process.pid, signal.SIGKILL)
         process.wait()
 
     def log(self, name: str) -> Path:

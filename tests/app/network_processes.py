@@ -20,6 +20,7 @@ from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOption
 from radiant_app.events import encode
 from radiant_app.executors import local, network
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.executors.sessions import signal_session
 from radiant_app.network import hub
 from radiant_app.network import line as lines
 from radiant_app.run import over_network
@@ -90,7 +91,7 @@ class Fleet:
         process = self.running.pop(name)
         alive = process.poll() is None
         if alive:
-            os.killpg(process.pid, signal.SIGKILL)
+            signal_session(process.pid, signal.SIGKILL)
         process.wait()
         if alive and name == self.devices[0]:
             (self.folder / "hold").unlink(missing_ok=True)

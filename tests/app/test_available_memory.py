@@ -39,6 +39,42 @@ def test_a_limit_around_the_process_counts_and_cached_files_are_free(tmp_path: P
     assert available_bytes(proc, groups) == expected
 
 
+@pytest.mark.parametrize(
+    ("most", "high", "expected"),
+    [("max", 4 * GB, 2 * GB), (6 * GB, 4 * GB, 2 * GB), (4 * GB, 6 * GB, 2 * GB), (4 * GB, "max", 2 * GB), ("max", GB, 0)],
+)
+@pytest.mark.parametrize("where", ["job/step", "job", ""])
+def test_a_limit_beyond_which_all_slows_down_counts_as_one(tmp_path: Path, where: str, most: object, high: object, expected: int) -> None:
+    proc, groups = kernel(tmp_path, "0::/job/step\n")
+    files = {"memory.max": most, "memory.high": high, "memory.current": 3 * GB, "memory.stat": f"inactive_file {GB}"}
+    group(groups / where, files)
+    assert available_bytes(proc, groups) == expected
+
+
+@pytest.mark.parametrize("stat", ["anon 5\n", "", None])
+def test_a_limit_counts_also_where_nothing_is_said_of_cached_files(tmp_path: Path, stat: str | None) -> None:
+    proc, groups = kernel(tmp_path, "0::/\n")
+    files = {"memory.max": 4 * GB, "memory.current": 3 * GB, **({} if stat is None else {"memory.stat": stat})}
+    group(groups, files)
+    assert available_bytes(proc, groups) == GB
+
+
+def test_a_limit_of_version_2_beside_version_1_counts(tmp_path: Path) -> None:
+    proc, groups = kernel(tmp_path, "3:cpu:/a\n0::/user.slice/job\n")
+    group(groups / "unified/user.slice", {"memory.high": 4 * GB, "memory.current": 3 * GB, "memory.stat": "inactive_file 0"})
+    assert available_bytes(proc, groups) == GB
+
+
+@pytest.mark.parametrize("around", ["", "slurm", "slurm/uid_0", "slurm/uid_0/job_7", "slurm/uid_0/job_7/step_0"])
+def test_a_limit_of_version_1_counts_wherever_around_the_process_it_is(tmp_path: Path, around: str) -> None:
+    proc, groups = kernel(tmp_path, "9:memory:/slurm/uid_0/job_7/step_0\n")
+    unlimited = {"memory.limit_in_bytes": 9223372036854771712, "memory.usage_in_bytes": GB, "memory.stat": "total_inactive_file 0"}
+    for each in ("", "slurm", "slurm/uid_0", "slurm/uid_0/job_7", "slurm/uid_0/job_7/step_0"):
+        group(groups / "memory" / each, unlimited)
+    group(groups / "memory" / around, {"memory.limit_in_bytes": 3 * GB})
+    assert available_bytes(proc, groups) == 2 * GB
+
+
 def test_a_container_sees_its_own_group_at_the_root_also_in_version_1(tmp_path: Path) -> None:
     proc, groups = kernel(tmp_path, "5:cpu:/docker/a\n4:memory:/docker/a\n0::/docker/a\n")
     files = {"memory.limit_in_bytes": 3 * GB, "memory.usage_in_bytes": 2 * GB, "memory.stat": "total_inactive_file 500000000"}

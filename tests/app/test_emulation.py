@@ -170,7 +170,10 @@ def test_a_device_that_did_not_get_its_share_is_named(tmp_path: Path) -> None:
     assert len(warned) == 1 and "of a core instead of 0.5" in warned[0].message
 
 
-@pytest.mark.parametrize(("script", "told"), [("raise SystemExit(3)", "ended with code 3"), ("os.kill(os.getpid(), 11)", "signal 11")])
+@pytest.mark.parametrize(
+    ("script", "told"),
+    [("raise SystemExit(3)", "ended with code 3"), ("os.kill(os.getpid(), 11)", "signal 11"), ("os.kill(os.getpid(), 9)", "signal 9")],
+)
 def test_how_a_worker_ended_is_told_as_ever(tmp_path: Path, script: str, told: str) -> None:
     with pytest.raises(StageFailed, match=told):
         executor(system(tmp_path, (0.5, 0.5)), {"devices/b": script}).fold(TREE, preparer(tmp_path), lambda event: None)

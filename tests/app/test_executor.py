@@ -143,7 +143,9 @@ def test_a_worker_says_whether_the_disk_or_its_input_is_at_fault(tmp_path: Path)
 
 
 def test_a_killed_worker_is_named_and_resuming_finishes(tmp_path: Path) -> None:
-    with pytest.raises(StageFailed, match=r"devices/3: its process was killed by signal 9 .* --resume"):
+    with pytest.raises(
+        StageFailed, match=r"devices/3: its process was killed by signal 9 \(as systems do where memory runs out\) before .* --resume"
+    ):
         executor({"devices/3": "import os; os.kill(os.getpid(), 9)"}).fold(TREE, preparer(tmp_path, []), lambda event: None)
     times = executor({}).fold(TREE, preparer(tmp_path, []), lambda event: None)
     assert set(times) == {"cloud", "edges/a", "devices/1", "devices/2", "devices/3"}

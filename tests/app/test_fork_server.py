@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import re
 import resource
 import signal
+import socket
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,12 +17,14 @@ from typing import Any
 
 import pytest
 
-from radiant_app.events import Event, StageSkipped
+from radiant_app.events import Event, StageDone, StageSkipped, StageStarted
 from radiant_app.executors import fork_server, local
 from radiant_app.executors.fork_server import CAN_FORK, SWITCH, ForkedProcess, ForkServer, keep_servers, open_server, start_server
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.executors.sessions import signal_session
 from radiant_core.aggregate.tree import Tree
+from radiant_core.errors import StageFailed
 from radiant_core.io.run_store import SEAL_NAME, seal
 
 pytestmark = pytest.mark.skipif(not CAN_FORK, reason="processes are forked on Linux alone")
@@ -88,7 +93,7 @@ def test_an_error_and_a_signal_end_it_as_they_end_any_process(start: Start, tmp_
     assert process.poll() is None
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(timeout=0.1)
-    os.killpg(process.pid, signal.SIGTERM)
+    signal_session(process.pid, signal.SIGTERM)
     assert process.wait(timeout=20) == -signal.SIGTERM
 
 
@@ -228,3 +233,156 @@ def test_where_no_server_can_be_had_a_node_starts_anew(killed: bool, start: Star
     task = NodeTask(kind="cloud", stage="cloud", folder=tmp_path, key="key", module="played_node")
     times = LocalExecutor(num_workers=1).fold(Tree(id="cloud", tier="cloud"), lambda node: task, lambda event: None)
     assert times["cloud"].ended_s > times["cloud"].started_s
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"B1": 100_000 * "a", "B2": 60_000 * "b"},
+        {"B1": 21_000 * "ü"},
+        {f"B{number}": 100_000 * "c" for number in range(4)},
+        {f"B{number}": 40_000 * "字" for number in range(4)},
+    ],
+    ids=["160 kB", "42 kB of umlauts, 126 kB as JSON", "400 kB", "480 kB of other letters"],
+)
+def test_an_environment_of_any_size_arrives_whole(start: Start, variables: dict[str, str]) -> None:
+    lines = """
+import hashlib, json, os
+print(json.dumps({name: hashlib.sha256(value.encode()).hexdigest() for name, value in os.environ.items()}))
+"""
+    process = start(lines, **variables)
+    assert process.stdout is not None
+    had = json.loads(process.stdout.read())
+    assert process.wait(timeout=20) == 0
+    assert {name: had[name] for name in variables} == {
+        name: hashlib.sha256(value.encode()).hexdigest() for name, value in variables.items()
+    }
+
+
+BREAKING = """
+import json, os
+
+def after(number, broken):
+    real, calls = broken, []
+    def call(*arguments):
+        calls.append(1)
+        if len(calls) == number:
+            raise MemoryError("played")
+        return real(*arguments)
+    return call
+"""
+
+
+def test_what_ends_a_fork_before_its_number_is_known_is_an_error_and_no_process(start: Start, tmp_path: Path) -> None:
+    # A fork has a copy of the counter, so that every one of them fails.
+    (tmp_path / "breaking.py").write_text(f"{BREAKING}\nos.setsid = after(1, os.setsid)")
+    with pytest.raises(ConnectionError, match="ended with code 1 before it began"):
+        start("pass", names=("breaking",))
+
+
+def test_what_ends_a_fork_afterwards_is_its_end_and_told_in_its_log(start: Start, tmp_path: Path) -> None:
+    (tmp_path / "breaking.py").write_text(f"{BREAKING}\njson.loads = after(1, json.loads)")
+    assert start("pass", names=("breaking",)).wait(timeout=20) == 1
+    assert "MemoryError: played" in (tmp_path / "log.txt").read_text()
+
+
+def test_a_request_that_the_kernel_cut_forks_nothing_and_the_next_is_served(start: Start, tmp_path: Path) -> None:
+    assert start("pass").wait(timeout=20) == 0
+    server = only_server()
+    for message, num_fds in ((fork_server.REQUEST + b" and more", 5), (fork_server.REQUEST, 3), (b"anything", 5), (fork_server.REQUEST, 9)):
+        told, tell = os.pipe()
+        socket.send_fds(server._asking, [message], [tell] * num_fds)
+        os.close(tell)
+        assert os.read(told, 1) == b"", "all ends of the pipe are closed"
+        os.close(told)
+    assert start("import sys; sys.exit(4)").wait(timeout=20) == 4
+
+
+def test_a_server_without_room_for_descriptors_forks_none(start: Start, tmp_path: Path) -> None:
+    (tmp_path / "few_files.py").write_text(
+        "import os, resource\nresource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir('/proc/self/fd')) + 4, 4096))"
+    )
+    with pytest.raises(ConnectionError, match="forked none"):
+        start("pass", names=("few_files",))
+
+
+@pytest.mark.parametrize("line", [b"", b"1\n", b"4321\n", b"pid 1\n", b"pid 0\n", b"pid -1\n", b"code 1\n", b"pid 12", b"pid 4321 \n"])
+def test_only_a_marked_number_of_a_process_is_taken_for_one(line: bytes) -> None:
+    told, tell = os.pipe()
+    os.write(tell, line)
+    os.close(tell)
+    with pytest.raises(ConnectionError):
+        ForkedProcess(told)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(told)
+
+
+def test_a_server_that_answers_nothing_is_given_up(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert start("pass").wait(timeout=20) == 0
+    server = only_server()
+    server._process.send_signal(signal.SIGSTOP)
+    monkeypatch.setattr(fork_server, "START_S", 0.3)
+    with pytest.raises(TimeoutError, match="forked none within"):
+        start("pass")
+    assert server._process.wait(timeout=20) == -signal.SIGKILL
+
+
+REMEDIES = {
+    errno.E2BIG: "unset variables that are large",
+    errno.EAGAIN: "end other processes, or raise their limit (ulimit -u)",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+    errno.ENOMEM: "free memory",
+    errno.ENOENT: "check that its Python is there and may be run",
+}
+
+
+@pytest.mark.parametrize("number", REMEDIES, ids=errno.errorcode.get)
+def test_a_system_that_starts_no_process_leaves_no_server_and_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refuse(*arguments: Any, **options: Any) -> None:
+        raise OSError(number, os.strerror(number), "python")
+
+    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    monkeypatch.setattr(fork_server.subprocess, "Popen", refuse)
+    with keep_servers():
+        assert start_server(NAMES, {**os.environ}) is None
+    task = NodeTask(kind="cloud", stage="cloud", folder=tmp_path, key="key")
+    said = f"cloud: its process cannot be started ({os.strerror(number)}): {REMEDIES[number]}, then run again with --resume."
+    with pytest.raises(StageFailed, match=re.escape(said)):
+        LocalExecutor(num_workers=1).fold(Tree(id="cloud", tier="cloud"), lambda node: task, lambda event: None)
+
+
+@pytest.mark.parametrize("kill_after", ["the first has begun", "two have begun", "the first is done"])
+def test_a_fold_whose_server_is_killed_in_its_middle_finishes(
+    kill_after: str, start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nodes that run go on, those to come start anew, and nothing of either is alive afterwards."""
+    monkeypatch.setattr(local, "open_server", lambda names, environment: open_server(NAMES, environment))
+    lines = "import os, sys, time; from pathlib import Path; os.chdir(sys.argv[2]); Path('pid').write_text(str(os.getpid()))\n"
+    (tmp_path / "played_node.py").write_text(f"{lines}time.sleep(0.5)\nos.rename('sealed', {SEAL_NAME!r})\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    devices = tuple(Tree(id=f"devices/{number}", tier="device") for number in range(4))
+    tree = Tree(id="cloud", tier="cloud", children=devices)
+    heard: list[Event] = []
+
+    def prepare(node: Tree) -> NodeTask:
+        folder = tmp_path / node.id
+        folder.mkdir(parents=True)
+        (folder / "made").write_text("x")
+        seal(folder, "key", ["made"])
+        (folder / SEAL_NAME).rename(folder / "sealed")
+        return NodeTask(kind="device", stage=node.id, folder=folder, key="key", module="played_node")
+
+    def listen(event: Event) -> None:
+        heard.append(event)
+        begun, done = (sum(isinstance(each, kind) for each in heard) for kind in (StageStarted, StageDone))
+        if {"the first has begun": begun == 1, "two have begun": begun == 2, "the first is done": done == 1}[kill_after]:
+            only_server()._process.kill()
+
+    LocalExecutor(num_workers=2, num_threads=1).fold(tree, prepare, listen)
+    assert only_server()._process.wait(timeout=20) == -signal.SIGKILL
+    assert {event.stage for event in heard if isinstance(event, StageDone)} == {node.id for node in tree}
+    for node in tree:
+        pid = int((tmp_path / node.id / "pid").read_text())
+        assert not Path(f"/proc/{pid}").exists() or Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import ssl
 import threading
@@ -244,6 +245,31 @@ def test_a_refused_request_leaves_its_body_unread(road: Road) -> None:
         one.sendall(b"POST /poll HTTP/1.1\r\nHost: x\r\nContent-Length: 4000000\r\n\r\n")
         one.settimeout(5)
         assert one.recv(1 << 16).startswith(b"HTTP/1.1 400")
+
+
+@pytest.mark.parametrize("sent", [b"", b"POST /poll HTTP/1.1\r\nHost: x\r\nContent-Length: 1000\r\n\r\n"], ids=["idle", "in a body"])
+def test_a_server_that_ends_while_others_are_connected_prints_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, sent: bytes
+) -> None:
+    port = free_port()
+    make_edge(tmp_path, port, port, [])
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with open_hub(open_home(tmp_path / "north")):
+        one = context.wrap_socket(socket.create_connection(("127.0.0.1", port)))
+        one.sendall(sent)
+        time.sleep(0.3)
+    one.close()
+    assert [record.getMessage() for record in caplog.records] == []
+
+
+def test_a_fault_of_the_server_is_still_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    log = logging.Logger("uvicorn.error")
+    log.addFilter(serving.is_fault)
+    log.addHandler(logging.StreamHandler())
+    log.error("Exception in ASGI application", exc_info=ValueError("played"))
+    log.error("Cancel %s running task(s), timeout graceful shutdown exceeded", 0)
+    assert "ValueError: played" in (said := capfd.readouterr().err) and "Cancel" not in said
 
 
 def _wait_for(said: object, seconds: float = 10.0) -> None:

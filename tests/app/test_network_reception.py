@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import random
+import sqlite3
 import stat
 import tempfile
 from dataclasses import replace
@@ -22,7 +23,7 @@ from radiant_app.network.hub import MAX_SAID, Hub
 from radiant_app.network.reception import BODY, COUNTER, NODE, REPLY, SEAL, Asked, Reception, Reply, Said
 from radiant_app.network.store import HubStore, KnownTask
 from radiant_core import __version__
-from radiant_core.io.transport.delivery import describe_files
+from radiant_core.io.transport.delivery import SentFile, describe_files
 from radiant_core.io.transport.envelope import Envelope, Request, open_envelope, sign_envelope
 from radiant_core.io.transport.signing import is_signed_by
 from tests.app.network_nodes import listening
@@ -326,6 +327,123 @@ def test_a_disk_with_room_for_one_promises_it_to_one(world: World, monkeypatch: 
     assert world.ask("POST", f"/results/{other.digest}", text)[0] == 507
     world.answer(world.part(0, world.report.read_bytes()))
     assert world.ask("POST", f"/results/{other.digest}", text)[0] == 200
+
+
+def test_an_announcement_without_a_byte_keeps_no_other_member_out(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nearly all of the room is announced by one, and nothing sent."""
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: type("Usage", (), {"free": SPARE_BYTES + 336 * 10**6}))
+    large = SentFile(bytes=336 * 10**6 - 60_000, sha256="0" * 64)
+    region = world.hub.offer(RUN, "edges/north", "edge_refine", "edges/north/refine", refining_task(world))
+    announced = {"report.json": describe_files({"report.json": world.report})["report.json"], "refined.safetensors": large}
+    text = world.announcement(kind="edge_refine", stage="edges/north/refine", answers=region.digest, files=announced)
+    assert world.ask("POST", f"/results/{region.digest}", text)[0] == 200
+    south = second_member(world)
+    task = world.hub.offer(RUN, "edges/south", "edge_count", "edges/south/count", world.place)
+    text = world.announcement(sender="edges/south", stage="edges/south/count", answers=task.digest)
+    reply = world.answer(world.sealed("POST", f"/results/{task.digest}", text, node="edges/south"))
+    assert reply.status == 200, reply.body
+    headers = {"upload-offset": "0", "content-type": "application/offset+octet-stream"}
+    part = world.sealed("PATCH", f"/results/{task.digest}/0?offset=0", world.report.read_bytes(), node="edges/south", **headers)
+    assert world.answer(part).status == 200
+    found = world.store.task(task.digest)
+    assert south == "edges/south" and found is not None and found.state == "received"
+
+
+def test_a_part_says_whether_the_disk_is_full_or_kept_for_others(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert world.ask("POST", f"/results/{world.task.digest}", world.announcement())[0] == 200
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: type("Usage", (), {"free": SPARE_BYTES // 2 + 10_000}))
+    reply = world.answer(world.part(0, world.report.read_bytes()[:5000]))
+    assert reply.status == 507 and json.loads(reply.body)["reason"] == "the disk there is full: it is tried again, free space meanwhile."
+    monkeypatch.setattr(world.reception.promises, "may_grow", lambda *asked: False)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: type("Usage", (), {"free": 2 * SPARE_BYTES}))
+    reply = world.answer(world.part(0, world.report.read_bytes()[:5000]))
+    assert reply.status == 507 and "no room beside results of others" in json.loads(reply.body)["reason"]
+
+
+def refining_task(world: World) -> Path:
+    place = world.place.parent / "refining"
+    place.mkdir()
+    for name in ("task.json", "scene.ply"):
+        (place / name).write_text("{}")
+    return place
+
+
+def second_member(world: World) -> str:
+    """Another edge, whose key is the same here, so that `world` seals for it too."""
+    world.store.invite("edges/south", "other")
+    assert world.store.join("edges/south", "other", world.key.public_key().public_bytes_raw(), __version__, 1)
+    return "edges/south"
+
+
+MOVES = {
+    "colour and title": "\x1b[31m\x1b]0;owned\x07",
+    "lines": "a\nedges/x: joined\r",
+    "direction": "\u202egnp\u2066",
+    "C1": "\x9b2J\x85",
+}
+
+
+@pytest.mark.parametrize("word", MOVES.values(), ids=MOVES.keys())
+@pytest.mark.parametrize("where", ["software", "doing", "join", "field", "result", "stored"])
+def test_no_word_of_a_member_moves_the_cursor_of_who_looks_at_the_status(world: World, where: str, word: str) -> None:
+    body = json.loads(poll_body())
+    if where == "join":
+        key, world.key = world.key, Ed25519PrivateKey.generate()
+        world.store.invite("edges/north", "again")
+        joining = {"token": "again", "key": base64.b64encode(world.key.public_key().public_bytes_raw()).decode(), "software": word}
+        assert world.ask("POST", "/join", json.dumps(joining).encode())[0] == 200 and key is not world.key
+    elif where == "result":
+        text = world.announcement(software=word)
+        assert world.ask("POST", f"/results/{world.task.digest}", text)[0] == 409
+    elif where == "stored":
+        world.store.note("edges/north", f"refused: {word}", word)
+        world.store.move_task(world.task.digest, "withdrawn", ("offered",), word)
+    else:
+        changed = {"software": {"software": word}, "doing": {"doing": f"refused {word}"}, "field": {word: 1}}[where]
+        world.ask("POST", "/poll", json.dumps({**body, **changed}).encode())
+    record = commands.status(world.home.folder)
+    lines = commands.status_lines(record)
+    assert len(lines) == 2 and all(line.isprintable() for line in lines), lines
+    assert all(row["doing"].isprintable() and row["software"].isprintable() for row in record["nodes"])
+
+
+@pytest.mark.parametrize("method", ["POST", "GET", "PATCH"])
+@pytest.mark.parametrize("word", ["wrong", ""])
+def test_a_stranger_who_joins_in_vain_writes_nothing_into_a_members_status(world: World, method: str, word: str) -> None:
+    world.ask("POST", "/poll", poll_body())
+    before = commands.status_lines(commands.status(world.home.folder))
+    member, world.key = world.key, Ed25519PrivateKey.generate()
+    body = {"token": word, "key": base64.b64encode(world.key.public_key().public_bytes_raw()).decode(), "software": "1"}
+    assert world.ask(method, "/join", json.dumps(body).encode())[0] in (403, 404)
+    assert commands.status_lines(commands.status(world.home.folder)) == before
+    world.key = member
+    world.ask("POST", "/join", json.dumps({**body, "key": base64.b64encode(member.public_key().public_bytes_raw()).decode()}).encode())
+    assert "refused: the join file of edges/north is used up" in commands.status_lines(commands.status(world.home.folder))[1], "its own key"
+
+
+@pytest.mark.parametrize("content", [None, b"{"], ids=["missing", "cut"])
+def test_a_file_of_a_task_that_is_gone_is_refused_with_a_sentence(world: World, content: bytes | None) -> None:
+    (world.place / "task.json").unlink()
+    if content is not None:
+        (world.place / "task.json").write_bytes(content)
+    reply = world.answer(world.sealed("GET", f"/tasks/{world.task.digest}/0?bytes=0-1", range="bytes=0-1"))
+    said = "task.json of the task edges/north/count is not there any more, or not whole: run it again there with --resume."
+    assert (reply.status, json.loads(reply.body)) == (404, {"reason": said})
+
+
+@pytest.mark.parametrize("target", ["//[::1/x", "//[/results", "http://[::1/", "/tasks/\u0662", "/%zz?bytes=%", "?", "", "//"])
+def test_a_target_that_is_no_address_is_refused(world: World, target: str) -> None:
+    assert world.answer(world.sealed("GET", target)).status == 404
+
+
+def test_a_folder_that_cannot_be_used_is_said_and_tried_again(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(error: Exception) -> None:
+        raise error
+
+    for error in (PermissionError(13, "Permission denied", "x"), sqlite3.OperationalError("database or disk is full")):
+        monkeypatch.setattr(world.reception.store, "open_task", lambda node, error=error: fail(error))
+        reply = world.answer(world.sealed("POST", "/poll", poll_body()))
+        assert reply.status == 503 and str(error.args[-1] if len(error.args) == 1 else error.args[1]) in json.loads(reply.body)["reason"]
 
 
 def test_a_result_moves_to_a_run_on_another_disk(world: World) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import time
@@ -18,6 +17,7 @@ from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.executors.ray_cluster import _Cluster
+from radiant_app.executors.sessions import signal_session
 from radiant_app.run.time_left import TimeLeftListener
 from radiant_core.aggregate.tree import Tree
 from radiant_core.io.run_store import seal
@@ -105,9 +105,9 @@ def test_a_run_that_is_suspended_with_its_nodes_gives_nobody_up(tmp_path: Path, 
 
     def suspend() -> None:
         second = pid_of(tmp_path / "devices/2")
-        os.killpg(second, signal.SIGSTOP)
+        signal_session(second, signal.SIGSTOP)
         time.sleep(1.5 * PATIENCE_S)
-        os.killpg(second, signal.SIGCONT)
+        signal_session(second, signal.SIGCONT)
 
     events, lost = folded(tmp_path, "time.sleep(0.4)\nfinish()", suspend)
     assert lost == [] and done(events) == {node.id for node in TREE}

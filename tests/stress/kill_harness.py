@@ -22,6 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+from radiant_app.executors.sessions import signal_session
+
 Moment = float | Callable[[], bool]
 """Seconds after the start, or what becomes true when the kill is to come."""
 POLL_S = 0.002
@@ -71,7 +73,7 @@ def run_killed(
             if moment is not None:
                 _wait_for(moment, process)
                 if process.poll() is None:
-                    os.killpg(process.pid, signal.SIGKILL)
+                    signal_session(process.pid, signal.SIGKILL)
             _, error = process.communicate(timeout=TIMEOUT_S)
         finally:
             _end(process)
@@ -101,7 +103,7 @@ def _wait_for(moment: Moment, process: subprocess.Popen[str]) -> None:
 
 def _end(process: subprocess.Popen[str]) -> None:
     if process.poll() is None:
-        os.killpg(process.pid, signal.SIGKILL)
+        signal_session(process.pid, signal.SIGKILL)
         process.wait()
 
 

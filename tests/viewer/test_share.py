@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import http.client
 import json
+import socket
+import struct
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -179,6 +181,52 @@ def test_only_who_knows_the_secret_is_served_and_only_from_the_folder(tmp_path: 
             pass
     with pytest.raises(ConnectionError):
         answer(address, base)
+
+
+ODD_TARGETS = (
+    "http://[::1/",
+    "//[/",
+    "{base}http://[::1/",
+    "{base}" + 3000 * "a",
+    "{base}" + "a/" * 3000,
+    "{base}loop",
+    "{base}loop/index.html",
+    "{base}a%00b",
+    "{base}%ff%fe",
+    "{base}index.html/x",
+    "{base}%",
+    "?",
+    "*",
+    "{base}\xff",
+)
+
+
+@pytest.mark.parametrize("target", ODD_TARGETS, ids=range(len(ODD_TARGETS)))
+def test_an_odd_address_is_not_found_and_nothing_is_printed(tmp_path: Path, capfd: pytest.CaptureFixture[str], target: str) -> None:
+    (tmp_path / "index.html").write_text("hello")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with served(tmp_path) as address:
+        parts = urlsplit(address)
+        with socket.create_connection((str(parts.hostname), parts.port or 0), timeout=20) as line:
+            line.sendall(f"GET {target.format(base=parts.path)} HTTP/1.0\r\nHost: {parts.netloc}\r\n\r\n".encode("latin-1"))
+            assert line.recv(100).startswith(b"HTTP/1.0 404")
+        assert answer(address, parts.path) == (200, b"hello")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_browser_that_goes_away_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "large").write_bytes(bytes(30_000_000))
+    with served(tmp_path) as address:
+        parts = urlsplit(address)
+        for _ in range(3):
+            line = socket.create_connection((str(parts.hostname), parts.port or 0), timeout=20)
+            # Reset, not closed: bytes that nobody read are lost.
+            line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            line.sendall(f"GET {parts.path}large HTTP/1.0\r\nHost: {parts.netloc}\r\n\r\n".encode())
+            assert line.recv(100)
+            line.close()
+        time.sleep(0.3)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_chromium_draws_what_our_renderer_draws_and_asks_nobody_else(drawing_browser: Any, run: RunView, page_folder: Path) -> None:

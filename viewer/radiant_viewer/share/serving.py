@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import mimetypes
 import secrets
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 from radiant_core.errors import BadInput
 
@@ -36,7 +37,7 @@ def served(folder: Path, port: int = 0) -> Iterator[str]:
 
     Handler.root, Handler.secret = root, secret
     try:
-        server = ThreadingHTTPServer((HOST, port), Handler)
+        server = _Server((HOST, port), Handler)
     except (OSError, OverflowError) as error:
         raise BadInput(f"cannot serve on port {port}: {error}: choose another with --port, or 0 for any.") from error
     server.daemon_threads = True
@@ -48,6 +49,13 @@ def served(folder: Path, port: int = 0) -> Iterator[str]:
         server.shutdown()
         server.server_close()
         worker.join()
+
+
+class _Server(ThreadingHTTPServer):
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing of a browser that went away or dawdled: that is no fault of ours."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -84,10 +92,15 @@ class _Handler(BaseHTTPRequestHandler):
     def _file(self) -> Path | None:
         """The file that is asked for, None where it is not to be had."""
         host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
-        parts = unquote(urlsplit(self.path).path).split("/")
-        known = len(parts) > 2 and secrets.compare_digest(parts[1].encode(), self.secret.encode())
-        if host not in (HOST, "localhost") or not known or "\0" in self.path or "%00" in self.path:
+        # Without urlsplit, which refuses what looks like a broken address of a host.
+        parts = unquote(self.path.partition("?")[0].partition("#")[0]).split("/")
+        known = len(parts) > 2 and not parts[0] and secrets.compare_digest(parts[1].encode(), self.secret.encode())
+        if host not in (HOST, "localhost") or not known:
             return None
         path = self.root.joinpath(*(part for part in parts[2:] if part)) if any(parts[2:]) else self.root / "index.html"
-        resolved = path.resolve()
-        return resolved if resolved.is_relative_to(self.root) and resolved.is_file() else None
+        try:
+            resolved = path.resolve()
+            return resolved if resolved.is_relative_to(self.root) and resolved.is_file() else None
+        except (OSError, ValueError, RuntimeError):
+            # A name that is too long or has a NUL, a link that leads to itself.
+            return None
