@@ -35,6 +35,7 @@ from radiant_app.commands.plan_pictures import (
 from radiant_app.commands.plan_tables import method_row
 from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
 from radiant_app.files.constraints_file import load_constraints
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster, raster_decision
@@ -243,7 +244,7 @@ def _write(
 
     out, flown = request.out, None
     crs = None if request.crs is None else parse_crs(request.crs)
-    with write_folder_atomically(out.parent) as folder:
+    with folder_made_for(out), write_folder_atomically(out.parent) as folder:
         for ending, picture in pictures.items():
             save_png(beside(folder / out.name, ending), picture)
         write_atomic(beside(folder / out.name, SYSTEM), dump_system(made.system).encode())

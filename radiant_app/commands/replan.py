@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from radiant_app.commands.plan import write_folder_atomically
 from radiant_app.commands.plan_pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, beside
 from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import Manifest, read_manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
@@ -251,7 +252,7 @@ def _write(out: Path, before: _Before, new: Replan) -> None:
     to_come = any(row.predicted for row in rows)
     title = "What is still to come, predicted" if to_come else "As it was planned: all is done"
     gantt = gantt_picture(rows if to_come else gantt_rows(new.system, new.edges), title, curves_note(new.system))
-    with write_folder_atomically(out.parent) as folder:
+    with folder_made_for(out), write_folder_atomically(out.parent) as folder:
         save_png(folder / beside(out, MAP).name, picture)
         save_png(folder / beside(out, GANTT).name, gantt)
         write_atomic(folder / beside(out, MOVED).name, _moved_csv(before, new).encode())

@@ -166,7 +166,7 @@ def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) ->
         (tmp_path / "twice.csv", out, None, "1 of 2 waypoints with a position that is not finite, 'wp-2'"),
         (source, tmp_path / "plan.txt", None, r"ends in \.json"),
         (source, tmp_path / "taken.json", None, r"taken_regions\.geojson exists"),
-        (source, tmp_path / "nowhere" / "plan.json", None, "there is no folder"),
+        (source, source / "nowhere" / "plan.json", None, "expected a folder to write"),
         (source, out, tmp_path / "full.toml", "can hold 2 of 12 cameras"),
         (one, out, None, "held out for scoring"),
         (tmp_path, out, None, "no photographs"),
