@@ -40,6 +40,10 @@ def plan(
     whole_lines: options.WholeLinesOption = None,
     flight_format: options.FlightFormatOption = None,
     heights: options.HeightsOption = None,
+    height: options.FlightHeightOption = None,
+    min_height: options.MinHeightOption = None,
+    max_height: options.MaxHeightOption = None,
+    geoid: options.GeoidOption = None,
     speed: options.SpeedOption = 8.0,
     battery: options.BatteryOption = "20m",
     image_width: options.ImageWidthOption = 4000,
@@ -50,7 +54,7 @@ def plan(
     from radiant_app.commands.plan import PlanRequest
     from radiant_app.commands.plan import plan as make_plan
     from radiant_app.commands.plan_content import content_request
-    from radiant_app.commands.plan_flight import DroneText, flight_request
+    from radiant_app.commands.plan_flight import DroneText, HeightOptions, flight_request
     from radiant_app.commands.plan_tables import plan_tables
     from radiant_app.config.fields import plan_options, with_settings
     from radiant_app.report.progress import terminal_display
@@ -71,7 +75,12 @@ def plan(
         constraints=constraints,
         raster_cell_m=raster_cell_m or None,
         crs=crs,
-        flight=flight_request(whole_lines, flight_format, heights, DroneText(speed, battery, image_width, field_of_view)),
+        flight=flight_request(
+            whole_lines,
+            flight_format,
+            HeightOptions(heights, height, min_height, max_height, geoid),
+            DroneText(speed, battery, image_width, field_of_view),
+        ),
         content=content_request(ground, field_of_view, buffer, deadline),
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),

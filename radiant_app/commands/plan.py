@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from radiant_app.commands.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
-from radiant_app.commands.plan_flight import FlightRequest, flight_rows, lines_text, write_routes
+from radiant_app.commands.plan_flight import FlightRequest, as_listed, flight_rows, heights_to_fly, lines_text, write_routes
 from radiant_app.commands.plan_pictures import (
     ENDINGS,
     GANTT,
@@ -59,7 +59,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.georef.crs import parse_crs
 from radiant_core.georef.features import crs_member
-from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson
+from radiant_core.io.export.plan import COLUMNS, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.io.waypoints.reader import FoundWaypoints, exif_waypoints, read_waypoints
@@ -68,13 +68,14 @@ from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.flight.whole_lines import keep_lines
+from radiant_core.plan.heights import said_heights
 from radiant_core.plan.looks import camera_looks
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
-from radiant_core.plan.waypoints import Waypoints
+from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
@@ -83,10 +84,9 @@ if TYPE_CHECKING:
     from radiant_viewer.pictures.images import Image
 
 Report = Callable[[float, float, str], None]
-NO_HEIGHTS = (
-    f"Altitudes are above the sea and stand in the lists as {ABSOLUTE}, which flight planners do not fly: give the ground's with --ground "
-    "for heights above it."
-)
+NO_HEIGHTS = "Heights stand in the lists as {column}, which flight planners do not fly: {advice}."
+GROUND = "give the ground's altitude with --ground for heights above it, or --height with one above take-off for all"
+LEVEL = "give --heights takeoff where the ground is level"
 NO_CONTENT = "content: nobody knows before capture how much each image will show; compare the methods on a scene"
 PHASES = ("reading positions", "planning", "drawing", "writing")
 
@@ -177,8 +177,8 @@ def _require_nothing_to_fly(request: PlanRequest) -> None:
     """Raise BadInput for what only positions before capture have: a scene was flown already."""
     if request.crs is not None:
         raise BadInput("--crs is of the regions' file, and a scene's plan has none: write it with radiant export RUN FILE.geojson --crs.")
-    if request.flight.whole_lines is not None or request.flight.formats or request.flight.heights is not None:
-        raise BadInput("--whole-lines, --flight-format and --heights are of flights to come, and a scene was flown: give waypoints.")
+    if not request.flight.is_plain:
+        raise BadInput("--whole-lines, --flight-format and heights are of flights to come, and a scene was flown: give waypoints.")
 
 
 def _is_scene(source: Path) -> bool:
@@ -206,7 +206,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
     from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
-    waypoints = _above_ground(found.waypoints, request)
+    waypoints, about_heights = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m
     made = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
     lines = None
@@ -221,19 +221,34 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     report(3, len(PHASES), PHASES[3])
     flown = _write(request, made, content, pictures, waypoints)
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
-    above_sea = waypoints.altitude_known and waypoints.heights_m is None
-    warnings = (*found.warnings, NO_HEIGHTS) if above_sea else found.warnings
+    # What the file lacks was given.
+    known = [said for said in found.warnings if request.flight.height_m is None or NO_ALTITUDES not in said]
+    warnings = (*known, *about_heights, *_unflown(as_listed(waypoints, request.flight)))
     flying: dict[str, Any] = {} if lines is None else {"flight_lines": lines_text(lines)}
+    flying["heights"] = said_heights(waypoints.lat_lon_alt[:, 2], waypoints.height_codes)
     flying |= {} if flown is None else {"flight_heights": flown}
     flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone)
     return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **flying, **written}
 
 
-def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
+def _above_ground(waypoints: Waypoints, request: PlanRequest) -> tuple[Waypoints, tuple[str, ...]]:
     ground_m = request.content.ground_m
     if ground_m is not None and not waypoints.altitude_known:
-        raise BadInput(f"--ground is {ground_m:g} m, and no position in {request.source} has an altitude: leave --ground out.")
-    return replace(waypoints, ground_m=ground_m)
+        raise BadInput(
+            f"--ground is {ground_m:g} m, and no position in {request.source} has an altitude: leave --ground out, and give --height."
+        )
+    return heights_to_fly(waypoints, request.flight, ground_m)
+
+
+def _unflown(waypoints: Waypoints) -> tuple[str, ...]:
+    """What is to be known of altitudes that say nothing of heights above take-off."""
+    if waypoints.ground_m is not None:
+        return ()
+    columns = [COLUMNS[kind] for kind in waypoints.height_kinds if kind not in ("unknown", "takeoff")]
+    if not columns:
+        return ()
+    advice = LEVEL if waypoints.height_kinds == ("ground",) else GROUND
+    return (NO_HEIGHTS.format(column=" and ".join(columns), advice=advice),)
 
 
 def _write(
@@ -251,7 +266,7 @@ def _write(
         if waypoints is not None:
             lists = beside(folder / out.name, LISTS)
             lists.mkdir()
-            save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
+            save_device_waypoints(lists, made.cloud, made.edges, as_listed(waypoints, request.flight), content.buffers)
             flown = write_routes(lists, made.edges, waypoints, request.flight)
             save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers, crs)
         save_plan(

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.commands.plan import write_folder_atomically
+from radiant_app.commands.plan_flight import NO_COLUMN
 from radiant_app.commands.plan_pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, beside
 from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
 from radiant_app.files.out_folder import folder_made_for
@@ -297,7 +298,7 @@ def _moved_csv(before: _Before, new: Replan) -> str:
 
 def _summary(out: Path, before: _Before, new: Replan, more: tuple[str, ...]) -> dict[str, Any]:
     lost, num_devices = int(new.lost.sum()), len(new.system.devices)
-    warnings = list(more)
+    warnings = [*more, *([f"{NO_COLUMN}: {problem}"] if (problem := before.waypoints and before.waypoints.height_problem) else [])]
     if lost:
         warnings.append(f"{lost} captured positions of dead devices are lost: leave them out of --captured to have them taken again.")
     if not new.fewest_proved:
