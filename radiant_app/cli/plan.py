@@ -86,6 +86,8 @@ def plan(
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
     )
     result = make_plan(request, terminal_display())
+    if not as_json and "costs" in result:
+        typer.echo(result.pop("costs"))
     for table in [] if as_json else plan_tables(result):
         typer.echo(table)
     finish(result, as_json)

@@ -50,6 +50,7 @@ from radiant_app.run.predictions import (
     with_short_joins,
     with_step_law,
 )
+from radiant_app.run.training_costs import scaled_to_training
 from radiant_app.workers.regions import plan_from_raster
 from radiant_app.workers.sources import load_scene_of
 from radiant_core.aggregate.config import AggregateConfig
@@ -67,6 +68,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.devices.idle import idle_reasons
 from radiant_core.plan.flight.whole_lines import keep_lines
 from radiant_core.plan.heights import said_heights
 from radiant_core.plan.looks import camera_looks
@@ -154,6 +156,8 @@ class _Plan:
     curve: tuple[SlackPoint, ...] = ()
     refining: RefiningLaw | None = None
     """How the scene is refined; None where costs are not those of a training."""
+    costs: str | None = None
+    """What was made of profiles of other trainings; None where there was none."""
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -227,7 +231,8 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     flying: dict[str, Any] = {} if lines is None else {"flight_lines": lines_text(lines)}
     flying["heights"] = said_heights(waypoints.lat_lon_alt[:, 2], waypoints.height_codes)
     flying |= {} if flown is None else {"flight_heights": flown}
-    flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone)
+    idle = idle_reasons(made.cloud, made.edges, made.system)
+    flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone, idle)
     return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **flying, **written}
 
 
@@ -304,11 +309,13 @@ def _points_seen(scene: SfmScene) -> FloatArray | None:
 def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     num_cameras = len(cameras.positions)
-    training, law, warnings = None, None, ()
+    training, law, note, warnings = None, None, None, ()
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
         training = training_key_of(train, request.train_preset)
-        system = with_short_joins(with_step_law(system, train, num_cameras), train, num_cameras, AggregateConfig())
+        scaled = scaled_to_training(system, train, request.train_preset, num_cameras)
+        note = scaled.note
+        system = with_short_joins(with_step_law(scaled.system, train, num_cameras), train, num_cameras, AggregateConfig())
         system, _, warnings = with_camera_limits(system, train, num_cameras)
         law = refining_law_of(train, AggregateConfig(), num_cameras, len(system.devices))
     given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
@@ -353,6 +360,7 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
         cut=None if cut is None else cut.decision,
         curve=curve,
         refining=law,
+        costs=note,
     )
 
 
@@ -384,7 +392,7 @@ def _raster_note(cell_m: float, plan: CloudPlan) -> str:
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
     cloud = made.cloud
     warnings = (*warnings, *made.warnings)
-    idle = [name for plan in made.edges for name in plan.device_ids if not len(plan.cameras_of(name))]
+    idle = idle_reasons(cloud, made.edges, made.system)
     later = [plan.edge_id for plan in made.edges if not plan.dealt]
     if later:
         warnings = (*warnings, f"Dealt by the edge itself, later: {', '.join(later)}.")
@@ -392,8 +400,10 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         outside = f"{cloud.num_outside} cameras lie outside their region as drawn" if cloud.num_outside else "all cameras in their regions"
         warnings = (*warnings, f"Planned around constraints: {'; '.join(cloud.constrained)}; {outside}.")
     if idle:
-        warnings = (*warnings, f"Devices without anything to capture: {', '.join(idle)}.")
+        why = "; ".join(f"{name} ({reason})" for name, reason in idle.items())
+        warnings = (*warnings, f"Devices without anything to capture: {why}.")
     return {
+        **({} if made.costs is None else {"costs": made.costs}),
         "makespan_s": cloud.makespan_s,
         "lower_bound_s": cloud.lower_bound_s,
         **({} if made.refining is None else {"refining_s": predict_refining(made.system, made.edges, made.refining)}),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -170,15 +170,16 @@ def lines_text(found: LinePlan) -> str:
     return f"{whole} of {found.num_lines} whole ({found.cut_before} were cut before), {found.slack:.3f} × the shortest makespan"
 
 
-def flight_rows(edges: Sequence[EdgePlan], waypoints: Waypoints, drone: Drone) -> list[dict[str, Any]]:
-    """A row per device: seconds of computing and of flying, and what is seen."""
+def flight_rows(edges: Sequence[EdgePlan], waypoints: Waypoints, drone: Drone, idle: Mapping[str, str]) -> list[dict[str, Any]]:
+    """A row per device: seconds of computing and of flying, what is seen, and why it has nothing to
+    do, of `idle`."""
     positions, heights_m = waypoints.positions_m[:, :2], waypoints.heights_m
     rows = []
     for plan in edges:
         for device_id, computing_s in zip(plan.device_ids, plan.device_time_s.tolist(), strict=True):
             own = plan.cameras_of(device_id)
             figures = flight_figures(positions[own], None if heights_m is None else heights_m[own], drone)
-            rows.append(_row(device_id, computing_s, figures))
+            rows.append(_row(device_id, computing_s, figures) | ({"idle": idle[device_id]} if device_id in idle else {}))
     return rows
 
 
@@ -190,6 +191,8 @@ def flight_table(rows: Sequence[dict[str, Any]]) -> str:
         f"{row['device']:<{width}} {row['waypoints']:>9} {row['computing_s']:>8.0f} s {row['flight_s'] / 60:>5.1f} min"
         f" {row['batteries']:>9} {row['length_m']:>6.0f} m {_length(row['gsd_m']):>8}"
         f" {_share(row['forward_overlap']):>6} {_share(row['side_overlap']):>6}"
+        if "idle" not in row
+        else f"{row['device']:<{width}} {row['waypoints']:>9} {row['idle']}"
         for row in rows
     ]
     head += f" {'ahead':>6} {'aside':>6}"

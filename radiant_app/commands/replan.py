@@ -127,13 +127,25 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
 
 def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[str, ...]]:
     """The system with limits by memory, where it has none, and profiles taken at the steps of so
-    many photographs, for the default training; warnings."""
+    many photographs, for the training of the plan; warnings."""
     if not depends_on_training(system):
         return system, ()
-    train = planned_training("default", Overrides())
-    shorter = with_short_joins(with_step_law(system, train, num_positions), train, num_positions, AggregateConfig())
+    preset, overrides = _training_of(system)
+    train = planned_training(preset, overrides)
+    scaled = scaled_to_training(system, train, preset, num_positions)
+    shorter = with_short_joins(with_step_law(scaled.system, train, num_positions), train, num_positions, AggregateConfig())
     limited, _, warnings = with_camera_limits(shorter, train, num_positions)
-    return limited, warnings
+    return limited, warnings if scaled.note is None else (scaled.note, *warnings)
+
+
+def _training_of(system: System) -> tuple[Preset, Overrides]:
+    """The training that the costs of the planned machines hold for; the default one where their
+    file does not say."""
+    known = system.training
+    preset = next((name for name in get_args(Preset) if known is not None and name == known.preset), None)
+    if known is None or preset is None:
+        return "default", Overrides()
+    return preset, Overrides(long_side_px=known.long_side_px, num_steps=known.num_steps, max_num_splats=known.max_num_splats)
 
 
 def _grow_system(before: _Before, joining: System | None) -> System:

@@ -69,6 +69,17 @@ def with_step_law(system: System, train: TrainConfig, num_cameras: int) -> Syste
     return replace(system, edges=tuple(replace(edge, devices=tuple(map(by_photographs, edge.devices))) for edge in system.edges))
 
 
+def with_fixed_steps(system: System, train: TrainConfig) -> System:
+    """The system whose devices take as many steps as this training has, whatever their photographs.
+    Curves that a system file spells out stay."""
+
+    def fixed(device: Device) -> Device:
+        share = 1.0 if device.profile is None else train.num_steps / device.profile.key.num_steps
+        return device if share == 1.0 else replace(device, train_s=device.train_s.scaled(share))
+
+    return replace(system, edges=tuple(replace(edge, devices=tuple(map(fixed, edge.devices))) for edge in system.edges))
+
+
 def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photographs: int, num_devices: int) -> tuple[float, float]:
     """Of a join in `JOINING_EPOCHS`, for which profiles hold, what one takes at the edges and at
     the cloud after such trainings."""
