@@ -14,7 +14,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
 from radiant_app.run.predictions import depends_on_training, planned_training, with_camera_limits, with_short_joins, with_step_law
+from radiant_app.run.training_costs import scaled_to_training
 from radiant_app.workers.sources import DELIVERED, load_scene_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
@@ -47,6 +48,7 @@ from radiant_core.plan.system import System
 from radiant_core.plan.timeline.prediction import correct_system, planned_stages
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
+from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
 MOVED = "_moved.csv"

@@ -22,9 +22,10 @@
 
 `count = 3` in a device stands for three equal ones, north-1-1 to north-1-3.
 
-A device that names neither costs nor a profile costs what the devices beside it do, those of its
-edge that name one, else those of all edges, divided by its relative_speed; where nothing names one,
-the values above. The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
+A device with a relative_speed that names neither costs nor a profile costs what the devices beside
+it do, those of its edge that name one, else those of all edges with a profile, divided by its
+relative_speed; one that names nothing at all too, where these have one profile; otherwise the
+values above. The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
 both has relative_speed and speed 0.5.
 
     [cloud]                              # limits of fitting there; beyond them models are cut
@@ -212,10 +213,13 @@ class _Edge(Strict):
         """The device whose costs one that names none has; BadInput where those beside it differ."""
         if device.names_costs:
             return None
-        near = [other for other in self.device if other.names_costs] or everywhere
-        # Without a speed of its own it is like machines of a profile, not like costs that are somebody's.
-        near = [other for other in near if "relative_speed" in device.model_fields_set or other.profile is not None]
+        asked = "relative_speed" in device.model_fields_set
+        # Costs that are spelt out are somebody's; a profile is a machine that others can be like.
+        near = [other for other in self.device if other.names_costs and (asked or other.profile is not None)]
+        near = near or [other for other in everywhere if other.profile is not None]
         kinds = {_costs_text(other): other for other in near}
+        if len(kinds) > 1 and not asked:
+            return None
         if len(kinds) > 1:
             raise BadInput(
                 f"device {device.id!r} names neither a profile nor costs, so that its relative_speed is of the machines beside it, "
