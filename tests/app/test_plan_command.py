@@ -58,10 +58,10 @@ def make_plan(
     return plan(PlanRequest(source=source, out=out, system=system, method=method, seed=0, content=content), display)
 
 
-def grid_csv(folder: Path, columns: int, rows: int) -> Path:
+def grid_csv(folder: Path, columns: int, rows: int, ground_m: float = 20.0) -> Path:
     east, north = np.meshgrid(np.linspace(-250, 250, columns), np.linspace(-125, 125, rows))
     positions = np.column_stack([east.ravel(), north.ravel(), np.full(columns * rows, 60.0)])
-    lines = [f"wp{index},{lat},{lon},{alt}" for index, (lat, lon, alt) in enumerate(geodetic_from_enu(positions, (47.37, 8.54, 20.0)))]
+    lines = [f"wp{index},{lat},{lon},{alt}" for index, (lat, lon, alt) in enumerate(geodetic_from_enu(positions, (47.37, 8.54, ground_m)))]
     path = folder / "flight.csv"
     path.write_text("\n".join(["name,latitude,longitude,altitude", *lines]))
     return path

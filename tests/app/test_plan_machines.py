@@ -84,7 +84,7 @@ def test_each_gpu_of_the_library_is_faster_than_the_laptop_in_any_training(gpu: 
         train = planned_training(preset, overrides)
         fast, slow = with_step_law(scaled_to_training(system, train, preset, 100).system, train, 100).devices
         for count in (5, 20, 100):
-            assert float(fast.train_s(count)) < float(slow.train_s(count)) / (1.2 if count == 5 else 1.5)
+            assert float(fast.train_s(count)) < float(slow.train_s(count)) / (1.2 if count == 5 else 1.4)
 
 
 def test_profiles_of_the_planned_training_stay_as_they_were_measured(tmp_path: Path) -> None:
