@@ -61,6 +61,7 @@ def plan(
     from radiant_core.train.needs import Overrides
 
     typed = {"plan.method": plan_method, "plan.raster_cell_m": raster_cell_m, "plan.file": None}
+    asked, drone = HeightOptions(heights, height, min_height, max_height, geoid), DroneText(speed, battery, image_width, field_of_view)
     request = PlanRequest(
         source=source,
         out=out,
@@ -75,19 +76,12 @@ def plan(
         constraints=constraints,
         raster_cell_m=raster_cell_m or None,
         crs=crs,
-        flight=flight_request(
-            whole_lines,
-            flight_format,
-            HeightOptions(heights, height, min_height, max_height, geoid),
-            DroneText(speed, battery, image_width, field_of_view),
-        ),
+        flight=flight_request(whole_lines, flight_format, asked, drone),
         content=content_request(ground, field_of_view, buffer, deadline),
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
     )
     result = make_plan(request, terminal_display())
-    if not as_json and "costs" in result:
-        typer.echo(result.pop("costs"))
     for table in [] if as_json else plan_tables(result):
         typer.echo(table)
     finish(result, as_json)

@@ -16,8 +16,8 @@
     uplink_mbit_per_s = 50.0
     max_cameras = 400                    # left out: no limit
     memory_gb = 8.0                      # of training: limits Gaussians and, else, cameras
-    relative_speed = 2.0                 # divides init_s and train_s: its own, its profile's, or those
-                                         # of the machines beside it where it names neither
+    relative_speed = 2.0                 # divides init_s and train_s: its own, its profile's, or
+                                         # those of the machines beside it where it names neither
     speed = 0.5                          # of an edge too: share of a core under --emulate
 
 `count = 3` in a device stands for three equal ones, north-1-1 to north-1-3.
@@ -25,8 +25,8 @@
 A device with a relative_speed that names neither costs nor a profile costs what the devices beside
 it do, those of its edge that name one, else those of all edges with a profile, divided by its
 relative_speed; one that names nothing at all too, where these have one profile; otherwise the
-values above. The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
-both has relative_speed and speed 0.5.
+values above. The planner believes the costs, an emulation plays `speed`: a device that is to be
+half as fast in both has relative_speed and speed 0.5.
 
     [cloud]                              # limits of fitting there; beyond them models are cut
     memory_gb = 16.0                     # beyond it by tiles first; left out: 4/5 of what is free
@@ -35,8 +35,8 @@ both has relative_speed and speed 0.5.
     merge_s = { linear = 0.5 }           # of joining there; left out: not predicted
 
     [training]                           # which the costs hold for, where they were a profile's:
-    preset = "default"                   # written by runs and plans, so that `radiant replan --join`
-    num_steps = 1500                     # takes what joins for the same
+    preset = "default"                   # written by runs and plans, so that what joins by
+    num_steps = 1500                     # `radiant replan --join` is taken for the same
     long_side_px = 576
     max_num_splats = 200000
 

@@ -1,5 +1,5 @@
-"""`Route`: one device's waypoints in the order that they are flown, ready to be written, each with a
-height that is known, and what it counts from. Once per device.
+"""`Route`: one device's waypoints in the order that they are flown, ready to be written, each with
+a height that is known, and what it counts from. Once per device.
 
 Formats differ in what they can let a height count from, so that a writer takes the kinds it knows
 and refuses others: 80 m above the sea are no 80 m above take-off, and the sea's level is up to
@@ -69,8 +69,8 @@ class Route:
         return f"{said}, {LEVEL_GROUND}" if self.level_ground else said
 
     def heights_above(self, level: HeightFrom) -> FloatArray:
-        """Heights (P,), all absolute ones from the sea or from the ellipsoid; BadInput where the geoid
-        that this needs is not known."""
+        """Heights (P,), all absolute ones from the sea or from the ellipsoid; BadInput where the
+        geoid that this needs is not known."""
         if set(self.kinds) & set(FROM_THE_SEA) - {level}:
             _require_geoid(self, level)
         is_sea = self.height_codes == HEIGHT_KINDS.index("sea")

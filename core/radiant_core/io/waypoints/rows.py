@@ -15,8 +15,8 @@ from radiant_core.plan.heights import HEIGHT_KINDS, HeightCodes
 
 
 class WaypointRows:
-    """Names and positions in the file's order; a missing name is empty, a missing altitude None, and
-    one that is there counts from what the format says."""
+    """Names and positions in the file's order; a missing name is empty, a missing altitude None,
+    and one that is there counts from what the format says."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
