@@ -12,6 +12,12 @@ from radiant_core.aggregate.config import AggregatePreset
 from radiant_core.choices import CutBy, Effort, Heights, LpipsNetwork, Matching, PlanMethod
 from radiant_core.train.config import Preset
 
+PlanSource = Annotated[
+    Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, a run.", show_default=False)
+]
+PlanSettings = Annotated[
+    list[str] | None, typer.Option("--set", help="d and T_thres of Alg. 1: plan.boundary_step=0.02, plan.threshold=0.1; repeatable.")
+]
 GroundOption = Annotated[float | None, typer.Option("--ground", help="Altitude of the ground in the waypoints' metres, else 0.")]
 FieldOfViewOption = Annotated[float, typer.Option("--field-of-view", help="Degrees across an image, before capture.")]
 BufferOption = Annotated[

@@ -13,9 +13,7 @@ from radiant_core.train.config import Preset
 
 
 def plan(
-    source: Annotated[
-        Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, a run.", show_default=False)
-    ],
+    source: options.PlanSource,
     out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
     system: options.SystemFile = None,
     plan_method: options.PlanMethodOption = "exact",
@@ -33,9 +31,7 @@ def plan(
     long_side_px: options.LongSide = None,
     steps: options.NumSteps = None,
     max_splats: options.MaxSplats = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="d and T_thres of Alg. 1: plan.boundary_step=0.02, plan.threshold=0.1; repeatable.")
-    ] = None,
+    settings: options.PlanSettings = None,
     crs: options.CrsOption = None,
     whole_lines: options.WholeLinesOption = None,
     flight_format: options.FlightFormatOption = None,
