@@ -247,6 +247,14 @@ def test_what_joins_a_plan_is_taken_for_the_training_of_the_plan(tmp_path: Path)
     assert "late" in plan.device_ids and 3 * counts[-1] < min(counts[:-1]), counts
 
 
+def test_costs_that_are_nobodys_are_said_beside_those_of_machines(tmp_path: Path) -> None:
+    _, said = dealt(tmp_path, system_file(tmp_path, profile("rtx-3090"), profile("h100"), ""))
+    assert "the costs of device d2 are a system file's defaults and no machine's, beside those of others" in said
+    (tmp_path / "alone").mkdir()
+    _, said = dealt(tmp_path / "alone", system_file(tmp_path, "", ""))
+    assert "defaults" not in said
+
+
 def test_a_profile_keeps_its_launching_time(tmp_path: Path) -> None:
     assert all((load_profile(path).launch_s is None) == (name == "laptop-cpu") for name, path in library_profiles().items())
     save_profile(tmp_path / "p.toml", made(400, 1500, 400.0))
