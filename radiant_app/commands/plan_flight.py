@@ -29,6 +29,9 @@ WRITERS: dict[str, Callable[[Route], bytes]] = {"kmz": wpml_kmz, "plan": qgc_pla
 MAX_TRIED = 1_000
 """Waypoints of all that are written once before the work, so that what no list can have is told at
 once; each list is checked again as it is written."""
+NOT_COMPARED = (
+    "How far absolute heights lie above the ground is not known, so that the lists are not held to {highest_m:g} m above it: give --ground."
+)
 NO_COLUMN = "The lists hold no heights above take-off"
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|min|h)")
 _SECONDS = {"s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
@@ -157,6 +160,9 @@ def heights_to_fly(waypoints: Waypoints, request: FlightRequest, ground_m: float
         first = replace(first, heights_m=whole.heights_m[:MAX_TRIED], height_codes=whole.height_codes[:MAX_TRIED])
         for ending in request.formats:
             WRITERS[ending](first)
+        heights_m = waypoints.heights_m
+        if heights_m is None or np.isnan(heights_m).any():
+            warnings = (*warnings, NOT_COMPARED.format(highest_m=request.limits.highest_m))
     elif waypoints.height_problem is not None:
         warnings = (*warnings, f"{NO_COLUMN}: {waypoints.height_problem}")
     return waypoints, warnings

@@ -300,6 +300,9 @@ def test_tables_hold_no_height_that_nobody_asked_for(tmp_path: Path) -> None:
 
 
 def test_a_height_in_place_of_others_is_said_and_none_beside_the_ground(tmp_path: Path) -> None:
+    result = flown(tmp_path, "absolute", 455.5, formats="plan,kml")
+    assert result["flight_heights"] == "heights are above sea level" and "the lists are not held to 120 m above it" in result["warnings"]
+    shutil.rmtree(tmp_path / "out")
     result = flown(tmp_path, "absolute", 455.5, HeightOptions(height_m=60.0))
     assert (
         "All waypoints fly 60 m above take-off, as --height says, in place of what they have: 455.5 m above sea level."

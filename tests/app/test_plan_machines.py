@@ -211,7 +211,7 @@ def test_a_speed_beside_machines_that_differ_is_asked_about(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
-        ("relative_speed = 0.001", r"one takes it \d+ s, and the others of e are done with all in \d+ s"),
+        ("relative_speed = 0.001", r"one takes it [\d.,]+ s, and the others of e are done with all in [\d.,]+ s"),
         (f"{profile('laptop-cpu')}\nmax_cameras = 0", "its memory holds none"),
         (f"{profile('laptop-cpu')}\nmemory_gb = 0.3", "its memory holds none"),
     ],

@@ -27,8 +27,12 @@ def _reason(device: Device, edge: Edge, num_cameras: int, busy_s: float, makespa
     one_s = float(device.init_s(1) + device.train_s(1)) + float(device.model_bytes(1)) / device.uplink_bytes_per_s
     if not num_cameras:
         whole_s = one_s + edge.aggregation_s(1, 1)
-        slow = f", and one would take it {whole_s:,.0f} s" if whole_s > makespan_s else ""
-        return f"its edge {edge.id} has none: the others are done with all in {makespan_s:,.0f} s{slow}"
+        slow = f", and one would take it {_seconds(whole_s)}" if whole_s > makespan_s else ""
+        return f"its edge {edge.id} has none: the others are done with all in {_seconds(makespan_s)}{slow}"
     if one_s > busy_s:
-        return f"one takes it {one_s:,.0f} s, and the others of {edge.id} are done with all in {busy_s:,.0f} s"
+        return f"one takes it {_seconds(one_s)}, and the others of {edge.id} are done with all in {_seconds(busy_s)}"
     return f"{edge.id} has no more than {num_cameras} to deal, and each further device costs it time to join"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:,.0f} s" if value >= 10 else f"{value:.1f} s"
