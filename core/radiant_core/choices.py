@@ -53,6 +53,10 @@ LightMode = Literal["auto", "none", "always"]
 """auto: the light of photographs is modelled where it differs; none, always: never or anyhow."""
 Heights = Literal["takeoff", "absolute"]
 """Of flight lists. takeoff: above where the drone took off; absolute: above sea or ellipsoid."""
+HeightFrom = Literal["takeoff", "ground", "sea", "ellipsoid", "absolute", "unknown"]
+"""What a waypoint's height counts from. takeoff: where the drone took off; ground: the ground below
+that very waypoint; sea: mean sea level; ellipsoid: that of WGS84; absolute: one of these two, and
+nothing says which; unknown: it has no height, whatever number stands there."""
 Version = Literal["refined", "joined", "cut"]
 """Of a scene: after the devices' photographs; as the cloud made it; the edges' models cut at their
 borders."""

@@ -12,6 +12,12 @@ from radiant_core.aggregate.config import AggregatePreset
 from radiant_core.choices import CutBy, Effort, Heights, LpipsNetwork, Matching, PlanMethod
 from radiant_core.train.config import Preset
 
+PlanSource = Annotated[
+    Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, a run.", show_default=False)
+]
+PlanSettings = Annotated[
+    list[str] | None, typer.Option("--set", help="d and T_thres of Alg. 1: plan.boundary_step=0.02, plan.threshold=0.1; repeatable.")
+]
 GroundOption = Annotated[float | None, typer.Option("--ground", help="Altitude of the ground in the waypoints' metres, else 0.")]
 FieldOfViewOption = Annotated[float, typer.Option("--field-of-view", help="Degrees across an image, before capture.")]
 BufferOption = Annotated[
@@ -39,6 +45,17 @@ FlightFormatOption = Annotated[
     str | None, typer.Option(metavar="kmz,plan,kml", help="Flight lists beside CSV: DJI (WPML in KMZ), QGroundControl, KML.")
 ]
 HeightsOption = Annotated[Heights | None, typer.Option(help="What heights in these lists count from; else take-off where that is known.")]
+FlightHeightOption = Annotated[float | None, typer.Option("--height", help="Metres above take-off at which all waypoints are flown.")]
+MinHeightOption = Annotated[
+    float | None, typer.Option("--min-height", help="Least metres above take-off or ground in lists, else more than 0.")
+]
+MaxHeightOption = Annotated[
+    float | None, typer.Option("--max-height", help="Most metres above take-off or ground in lists, else 120, the usual limit.")
+]
+GeoidOption = Annotated[
+    float | None,
+    typer.Option("--geoid", help="Metres that sea level lies above the WGS84 ellipsoid there."),
+]
 SpeedOption = Annotated[float, typer.Option(min=0.1, max=100, help="Metres a second in the air, for flight times and lists.")]
 BatteryOption = Annotated[str, typer.Option(help="Time in the air on one battery, reserve taken off.")]
 ImageWidthOption = Annotated[int, typer.Option("--image-width-px", min=16, help="Width of the images, for the ground sampling distance.")]

@@ -13,9 +13,7 @@ from radiant_core.train.config import Preset
 
 
 def plan(
-    source: Annotated[
-        Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, a run.", show_default=False)
-    ],
+    source: options.PlanSource,
     out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
     system: options.SystemFile = None,
     plan_method: options.PlanMethodOption = "exact",
@@ -33,13 +31,15 @@ def plan(
     long_side_px: options.LongSide = None,
     steps: options.NumSteps = None,
     max_splats: options.MaxSplats = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="d and T_thres of Alg. 1: plan.boundary_step=0.02, plan.threshold=0.1; repeatable.")
-    ] = None,
+    settings: options.PlanSettings = None,
     crs: options.CrsOption = None,
     whole_lines: options.WholeLinesOption = None,
     flight_format: options.FlightFormatOption = None,
     heights: options.HeightsOption = None,
+    height: options.FlightHeightOption = None,
+    min_height: options.MinHeightOption = None,
+    max_height: options.MaxHeightOption = None,
+    geoid: options.GeoidOption = None,
     speed: options.SpeedOption = 8.0,
     battery: options.BatteryOption = "20m",
     image_width: options.ImageWidthOption = 4000,
@@ -50,13 +50,14 @@ def plan(
     from radiant_app.commands.plan import PlanRequest
     from radiant_app.commands.plan import plan as make_plan
     from radiant_app.commands.plan_content import content_request
-    from radiant_app.commands.plan_flight import DroneText, flight_request
+    from radiant_app.commands.plan_flight import DroneText, HeightOptions, flight_request
     from radiant_app.commands.plan_tables import plan_tables
     from radiant_app.config.fields import plan_options, with_settings
     from radiant_app.report.progress import terminal_display
     from radiant_core.train.needs import Overrides
 
     typed = {"plan.method": plan_method, "plan.raster_cell_m": raster_cell_m, "plan.file": None}
+    asked, drone = HeightOptions(heights, height, min_height, max_height, geoid), DroneText(speed, battery, image_width, field_of_view)
     request = PlanRequest(
         source=source,
         out=out,
@@ -71,7 +72,7 @@ def plan(
         constraints=constraints,
         raster_cell_m=raster_cell_m or None,
         crs=crs,
-        flight=flight_request(whole_lines, flight_format, heights, DroneText(speed, battery, image_width, field_of_view)),
+        flight=flight_request(whole_lines, flight_format, asked, drone),
         content=content_request(ground, field_of_view, buffer, deadline),
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),

@@ -8,6 +8,7 @@ from typing import Any
 
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
 from radiant_app.events import Warned
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.inbox import receive_device_models
@@ -47,7 +48,8 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     scene, joined_s = join_run(run, config, display)
     if scene.splats is None:
         raise BadInput(f"no model of {run} can be joined: {'; '.join(scene.refused.values()) or 'no edge has one'}.")
-    save_ply(out, scene.splats)
+    with folder_made_for(out):
+        save_ply(out, scene.splats)
     seconds = joined_s + scene.summary.get("train_s", 0.0)
     return {"gaussians": len(scene.splats), "retrain_s": round(seconds, 2), "model": str(out)}
 

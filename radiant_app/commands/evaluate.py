@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.commands.steps import require_file_to_be, stage_bar
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
 from radiant_app.workers.sources import captures_of, detect_source, load_scored_scene, masks_folder_of
@@ -105,7 +106,8 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     if result["psnr_db"] < np.mean([row["mean_color_psnr_db"] for row in rows]):
         result["warning"] = "worse than one flat colour per photograph: is the model in the frame of this scene?"
     if request.out is not None:
-        write_json(request.out, result)
+        with folder_made_for(request.out):
+            write_json(request.out, result)
     return result
 
 

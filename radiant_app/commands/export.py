@@ -15,6 +15,7 @@ from radiant_app.commands.export_options import LEVELLED, OF_HEIGHTS, PLACED, re
 from radiant_app.commands.export_place import place_of
 from radiant_app.commands.export_request import ExportRequest, exported_model, placed, run_of
 from radiant_app.events import Decided, Warned
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.memory import available_bytes
 from radiant_core.choices import ExportFormat
@@ -55,17 +56,17 @@ _ADVICE = "what was seen lies scattered: look at it before anything is measured,
 
 def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Write the file and return its figures; BadInput names what is missing or already exists."""
+    from radiant_app.commands.steps import require_file_to_be
+
     kind = _format_of(request)
-    if request.out.exists():
-        raise BadInput(f"{request.out} exists: choose another name.")
-    if not request.out.parent.is_dir():
-        raise BadInput(f"there is no folder {request.out.parent} to write {request.out.name} into: make it first.")
+    require_file_to_be(request.out)
     require_options(request, kind)
     if request.crs is not None or kind in PLACED:
         require_no_sidecar(request.out)
     if request.crs is not None and kind in PLACED:
         _require_alone(request.out)
-    figures = _WRITERS[kind](request, display)
+    with folder_made_for(request.out):
+        figures = _WRITERS[kind](request, display)
     return {"written": str(request.out), "format": kind, **figures}
 
 

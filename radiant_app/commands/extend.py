@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.inbox import load_corrections
@@ -106,7 +107,8 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     with stage_bar(display, STAGE):
         scene = join_cloud(task, models, EventReporter(stage=STAGE, emit=display))
     assert scene.splats is not None
-    save_ply(request.out, scene.splats)
+    with folder_made_for(request.out):
+        save_ply(request.out, scene.splats)
     return {
         "gaussians": len(scene.splats),
         **{name: scene.summary[count] for name, count in FIGURES.items()},

@@ -76,8 +76,14 @@ def save_picture(source: Path, view: str | None, path: Path, picture: Picture = 
     if path.suffix.lower() != ".png":
         raise BadInput(f"cannot write {path}: give a name that ends in .png.")
     from radiant_app.commands.steps import require_file_to_be
+    from radiant_app.files.out_folder import folder_made_for
 
     require_file_to_be(path)
+    with folder_made_for(path):
+        return _save_picture(source, view, path, picture)
+
+
+def _save_picture(source: Path, view: str | None, path: Path, picture: Picture) -> str:
     plan, scene = plan_file_of(source), picture.scene
     if plan is None:
         from radiant_app.commands.steps import screenshot
@@ -115,9 +121,11 @@ def inspect_with_open3d(source: Path, view: str | None, path: Path | None, pictu
     if path.suffix.lower() != ".png":
         raise BadInput(f"cannot write {path}: give a name that ends in .png.")
     from radiant_app.commands.steps import require_file_to_be
+    from radiant_app.files.out_folder import folder_made_for
 
     require_file_to_be(path)
-    save_open3d_picture(plan or source, path, picture.size_wh, picture.camera)
+    with folder_made_for(path):
+        save_open3d_picture(plan or source, path, picture.size_wh, picture.camera)
     return 0
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from radiant_app.commands.steps import require_file_to_be
 from radiant_app.commands.survey_parts import Survey, cell_of, load_survey
 from radiant_app.commands.survey_surface import PIXELS_PER_CELL, points_of_survey, surface_of_survey
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.io.array_file import load_arrays, stream_arrays
@@ -207,7 +208,13 @@ def require_export_name(path: Path) -> None:
 
 
 def export_measures(path: Path, kept: dict[str, Any], map_frame: MapFrame) -> None:
-    """Write measures as .csv, or as .geojson in longitude and latitude."""
+    """Write measures as .csv, or as .geojson in longitude and latitude, into a folder made for
+    them."""
+    with folder_made_for(path):
+        _write_measures(path, kept, map_frame)
+
+
+def _write_measures(path: Path, kept: dict[str, Any], map_frame: MapFrame) -> None:
     if path.suffix.lower() == ".csv":
         lines = io.StringIO()
         writer = csv.writer(lines)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.network.home import (
     Home,
     Identity,
@@ -45,12 +46,14 @@ def invite(folder: Path, name: str, out: Path, identity: Identity = "pinned") ->
     ones."""
     home = open_home(folder)
     invitation = new_invitation(home, name, identity)
-    store = HubStore(folder=home.folder)
-    try:
-        store.invite(invitation.node, invitation.token)
-    finally:
-        store.close()
-    write_private(out, invitation_text(invitation).encode())
+    # The folder first: what is written into the store takes an earlier invitation back.
+    with folder_made_for(out):
+        store = HubStore(folder=home.folder)
+        try:
+            store.invite(invitation.node, invitation.token)
+        finally:
+            store.close()
+        write_private(out, invitation_text(invitation).encode())
     return invitation
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from radiant_app.commands.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
-from radiant_app.commands.plan_flight import FlightRequest, flight_rows, lines_text, write_routes
+from radiant_app.commands.plan_flight import FlightRequest, as_listed, flight_rows, heights_to_fly, lines_text, write_routes
 from radiant_app.commands.plan_pictures import (
     ENDINGS,
     GANTT,
@@ -35,6 +35,7 @@ from radiant_app.commands.plan_pictures import (
 from radiant_app.commands.plan_tables import method_row
 from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
 from radiant_app.files.constraints_file import load_constraints
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster, raster_decision
@@ -49,6 +50,7 @@ from radiant_app.run.predictions import (
     with_short_joins,
     with_step_law,
 )
+from radiant_app.run.training_costs import scaled_to_training
 from radiant_app.workers.regions import plan_from_raster
 from radiant_app.workers.sources import load_scene_of
 from radiant_core.aggregate.config import AggregateConfig
@@ -58,7 +60,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.georef.crs import parse_crs
 from radiant_core.georef.features import crs_member
-from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson
+from radiant_core.io.export.plan import COLUMNS, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.io.waypoints.reader import FoundWaypoints, exif_waypoints, read_waypoints
@@ -66,14 +68,16 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.devices.idle import idle_reasons
 from radiant_core.plan.flight.whole_lines import keep_lines
+from radiant_core.plan.heights import said_heights
 from radiant_core.plan.looks import camera_looks
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
-from radiant_core.plan.waypoints import Waypoints
+from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
@@ -82,10 +86,9 @@ if TYPE_CHECKING:
     from radiant_viewer.pictures.images import Image
 
 Report = Callable[[float, float, str], None]
-NO_HEIGHTS = (
-    f"Altitudes are above the sea and stand in the lists as {ABSOLUTE}, which flight planners do not fly: give the ground's with --ground "
-    "for heights above it."
-)
+NO_HEIGHTS = "Heights stand in the lists as {column}, which flight planners do not fly: {advice}."
+GROUND = "give the ground's altitude with --ground for heights above it, or --height with one above take-off for all"
+LEVEL = "give --heights takeoff where the ground is level"
 NO_CONTENT = "content: nobody knows before capture how much each image will show; compare the methods on a scene"
 PHASES = ("reading positions", "planning", "drawing", "writing")
 
@@ -153,6 +156,8 @@ class _Plan:
     curve: tuple[SlackPoint, ...] = ()
     refining: RefiningLaw | None = None
     """How the scene is refined; None where costs are not those of a training."""
+    costs: str | None = None
+    """What was made of profiles of other trainings; None where there was none."""
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -176,8 +181,8 @@ def _require_nothing_to_fly(request: PlanRequest) -> None:
     """Raise BadInput for what only positions before capture have: a scene was flown already."""
     if request.crs is not None:
         raise BadInput("--crs is of the regions' file, and a scene's plan has none: write it with radiant export RUN FILE.geojson --crs.")
-    if request.flight.whole_lines is not None or request.flight.formats or request.flight.heights is not None:
-        raise BadInput("--whole-lines, --flight-format and --heights are of flights to come, and a scene was flown: give waypoints.")
+    if not request.flight.is_plain:
+        raise BadInput("--whole-lines, --flight-format and heights are of flights to come, and a scene was flown: give waypoints.")
 
 
 def _is_scene(source: Path) -> bool:
@@ -205,7 +210,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
     from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
-    waypoints = _above_ground(found.waypoints, request)
+    waypoints, about_heights = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m
     made = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
     lines = None
@@ -220,19 +225,35 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     report(3, len(PHASES), PHASES[3])
     flown = _write(request, made, content, pictures, waypoints)
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
-    above_sea = waypoints.altitude_known and waypoints.heights_m is None
-    warnings = (*found.warnings, NO_HEIGHTS) if above_sea else found.warnings
+    # What the file lacks was given.
+    known = [said for said in found.warnings if request.flight.height_m is None or NO_ALTITUDES not in said]
+    warnings = (*known, *about_heights, *_unflown(as_listed(waypoints, request.flight)))
     flying: dict[str, Any] = {} if lines is None else {"flight_lines": lines_text(lines)}
+    flying["heights"] = said_heights(waypoints.lat_lon_alt[:, 2], waypoints.height_codes)
     flying |= {} if flown is None else {"flight_heights": flown}
-    flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone)
+    idle = idle_reasons(made.cloud, made.edges, made.system)
+    flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone, idle)
     return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **flying, **written}
 
 
-def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
+def _above_ground(waypoints: Waypoints, request: PlanRequest) -> tuple[Waypoints, tuple[str, ...]]:
     ground_m = request.content.ground_m
     if ground_m is not None and not waypoints.altitude_known:
-        raise BadInput(f"--ground is {ground_m:g} m, and no position in {request.source} has an altitude: leave --ground out.")
-    return replace(waypoints, ground_m=ground_m)
+        raise BadInput(
+            f"--ground is {ground_m:g} m, and no position in {request.source} has an altitude: leave --ground out, and give --height."
+        )
+    return heights_to_fly(waypoints, request.flight, ground_m)
+
+
+def _unflown(waypoints: Waypoints) -> tuple[str, ...]:
+    """What is to be known of altitudes that say nothing of heights above take-off."""
+    if waypoints.ground_m is not None:
+        return ()
+    columns = [COLUMNS[kind] for kind in waypoints.height_kinds if kind not in ("unknown", "takeoff")]
+    if not columns:
+        return ()
+    advice = LEVEL if waypoints.height_kinds == ("ground",) else GROUND
+    return (NO_HEIGHTS.format(column=" and ".join(columns), advice=advice),)
 
 
 def _write(
@@ -243,14 +264,14 @@ def _write(
 
     out, flown = request.out, None
     crs = None if request.crs is None else parse_crs(request.crs)
-    with write_folder_atomically(out.parent) as folder:
+    with folder_made_for(out), write_folder_atomically(out.parent) as folder:
         for ending, picture in pictures.items():
             save_png(beside(folder / out.name, ending), picture)
         write_atomic(beside(folder / out.name, SYSTEM), dump_system(made.system).encode())
         if waypoints is not None:
             lists = beside(folder / out.name, LISTS)
             lists.mkdir()
-            save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
+            save_device_waypoints(lists, made.cloud, made.edges, as_listed(waypoints, request.flight), content.buffers)
             flown = write_routes(lists, made.edges, waypoints, request.flight)
             save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers, crs)
         save_plan(
@@ -288,11 +309,13 @@ def _points_seen(scene: SfmScene) -> FloatArray | None:
 def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     num_cameras = len(cameras.positions)
-    training, law, warnings = None, None, ()
+    training, law, note, warnings = None, None, None, ()
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
         training = training_key_of(train, request.train_preset)
-        system = with_short_joins(with_step_law(system, train, num_cameras), train, num_cameras, AggregateConfig())
+        scaled = scaled_to_training(system, train, request.train_preset, num_cameras)
+        note = scaled.note
+        system = with_short_joins(with_step_law(scaled.system, train, num_cameras), train, num_cameras, AggregateConfig())
         system, _, warnings = with_camera_limits(system, train, num_cameras)
         law = refining_law_of(train, AggregateConfig(), num_cameras, len(system.devices))
     given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
@@ -337,6 +360,7 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
         cut=None if cut is None else cut.decision,
         curve=curve,
         refining=law,
+        costs=note,
     )
 
 
@@ -368,7 +392,7 @@ def _raster_note(cell_m: float, plan: CloudPlan) -> str:
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
     cloud = made.cloud
     warnings = (*warnings, *made.warnings)
-    idle = [name for plan in made.edges for name in plan.device_ids if not len(plan.cameras_of(name))]
+    idle = idle_reasons(cloud, made.edges, made.system)
     later = [plan.edge_id for plan in made.edges if not plan.dealt]
     if later:
         warnings = (*warnings, f"Dealt by the edge itself, later: {', '.join(later)}.")
@@ -376,8 +400,10 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         outside = f"{cloud.num_outside} cameras lie outside their region as drawn" if cloud.num_outside else "all cameras in their regions"
         warnings = (*warnings, f"Planned around constraints: {'; '.join(cloud.constrained)}; {outside}.")
     if idle:
-        warnings = (*warnings, f"Devices without anything to capture: {', '.join(idle)}.")
+        why = "; ".join(f"{name} ({reason})" for name, reason in idle.items())
+        warnings = (*warnings, f"Devices without anything to capture: {why}.")
     return {
+        **({} if made.costs is None else {"costs": made.costs}),
         "makespan_s": cloud.makespan_s,
         "lower_bound_s": cloud.lower_bound_s,
         **({} if made.refining is None else {"refining_s": predict_refining(made.system, made.edges, made.refining)}),

@@ -161,6 +161,8 @@ def _forecast_heights(waypoints: Waypoints) -> FloatArray | str:
         kind = "are" if waypoints.absolute else "look like"
         high = waypoints.lat_lon_alt[:, 2].max()
         return f"not made, for altitudes up to {high:.0f} m {kind} heights above the sea: give the ground's altitude with --ground."
+    if np.isnan(heights_m).any():
+        return f"not made, for {int(np.isnan(heights_m).sum())} of {len(waypoints)} positions have no height above take-off: give --height."
     if heights_m.min() <= 0:
         return f"not made, for the lowest position is {-heights_m.min():.3g} m below the ground or on it: give its altitude with --ground."
     return heights_m

@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from radiant_core.choices import Heights
 from radiant_core.errors import BadInput
 from radiant_core.io.flight.kml import kml_route
 from radiant_core.io.flight.qgc import qgc_plan
-from radiant_core.io.flight.route import SAID, Route, route_of
+from radiant_core.io.flight.route import FlownHeights, Route, route_of
 from radiant_core.io.flight.wpml import wpml_kmz
 from radiant_core.io.run_store import write_atomic
 from radiant_core.plan.borders.footprints import Optics
 from radiant_core.plan.flight.figures import Drone, FlightFigures, flight_figures
 from radiant_core.plan.flight.whole_lines import LinePlan
+from radiant_core.plan.heights import HEIGHT_KINDS, USUAL_LIMIT_M, HeightLimits, said_heights
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.waypoints import Waypoints
 
 WRITERS: dict[str, Callable[[Route], bytes]] = {"kmz": wpml_kmz, "plan": qgc_plan, "kml": kml_route}
 """Formats of flight lists beside CSV, by the ending of their files."""
+MAX_TRIED = 1_000
+"""Waypoints of all that are written once before the work, so that what no list can have is told at
+once; each list is checked again as it is written."""
+NOT_COMPARED = (
+    "How far absolute heights lie above the ground is not known, so that the lists are not held to {highest_m:g} m above it: give --ground."
+)
+NO_COLUMN = "The lists hold no heights above take-off"
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|min|h)")
 _SECONDS = {"s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
@@ -34,8 +44,29 @@ class FlightRequest:
     whole_lines: float | None = None
     """How many times the shortest makespan the plan may take to keep lines whole; None: not."""
     formats: tuple[str, ...] = ()
-    heights: Heights | None = None
+    flown: FlownHeights = field(default_factory=FlownHeights)
+    """What heights in these lists count from."""
+    height_m: float | None = None
+    """Metres above take-off for all waypoints, in place of what they have."""
+    limits: HeightLimits = field(default_factory=HeightLimits)
+    """Heights above take-off or ground that lists may be written for."""
     drone: Drone = field(default_factory=Drone)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing was asked for that only flights to come have."""
+        plain = FlightRequest(drone=self.drone)
+        return self == plain
+
+
+class HeightOptions(NamedTuple):
+    """The options about heights as they were typed."""
+
+    heights: Heights | None = None
+    height_m: float | None = None
+    lowest_m: float | None = None
+    highest_m: float | None = None
+    geoid_m: float | None = None
 
 
 class DroneText(NamedTuple):
@@ -47,12 +78,14 @@ class DroneText(NamedTuple):
     field_of_view_deg: float
 
 
-def flight_request(whole_lines: float | None, formats: str | None, heights: Heights | None, drone: DroneText) -> FlightRequest:
+def flight_request(whole_lines: float | None, formats: str | None, heights: HeightOptions, drone: DroneText) -> FlightRequest:
     """What the command line was asked for; BadInput where an option is none."""
     return FlightRequest(
         whole_lines=whole_lines,
         formats=flight_formats(formats),
-        heights=heights,
+        flown=FlownHeights(heights=heights.heights, geoid_m=heights.geoid_m),
+        height_m=heights.height_m,
+        limits=HeightLimits(lowest_m=heights.lowest_m, highest_m=USUAL_LIMIT_M if heights.highest_m is None else heights.highest_m),
         drone=Drone(
             speed_m_per_s=drone.speed_m_per_s,
             battery_s=battery_seconds(drone.battery),
@@ -84,14 +117,55 @@ def write_routes(folder: Path, edges: Sequence[EdgePlan], waypoints: Waypoints, 
     without a format."""
     if not request.formats:
         return None
-    heights: Heights | None = None
     for plan in edges:
         for device_id in plan.device_ids:
-            route = route_of(device_id, waypoints, plan.cameras_of(device_id), request.heights, request.drone.speed_m_per_s)
-            heights = route.heights
+            route = route_of(device_id, waypoints, plan.cameras_of(device_id), request.flown, request.drone.speed_m_per_s)
             for ending in request.formats if len(route.names) else ():
                 write_atomic(folder / f"{device_id}.{ending}", WRITERS[ending](route))
-    return None if heights is None else SAID[heights]
+    return _whole_route(waypoints, request).said
+
+
+def as_listed(waypoints: Waypoints, request: FlightRequest) -> Waypoints:
+    """The waypoints for lists as CSV: heights above the ground below each point are heights above
+    take-off where these are asked for."""
+    if request.flown.heights != "takeoff":
+        return waypoints
+    codes = waypoints.height_codes.copy()
+    codes[waypoints.counting_from("ground")] = HEIGHT_KINDS.index("takeoff")
+    return replace(waypoints, counts_from=codes)
+
+
+def _whole_route(waypoints: Waypoints, request: FlightRequest) -> Route:
+    return route_of("all", waypoints, np.arange(len(waypoints)), request.flown, request.drone.speed_m_per_s)
+
+
+def heights_to_fly(waypoints: Waypoints, request: FlightRequest, ground_m: float | None) -> tuple[Waypoints, tuple[str, ...]]:
+    """The waypoints with the heights and limits that were asked for, and what is to be known of
+    them. BadInput where a list was asked for that they cannot have."""
+    warnings: tuple[str, ...] = ()
+    waypoints = replace(waypoints, limits=request.limits)
+    if request.height_m is not None:
+        if ground_m is not None:
+            raise BadInput("--height counts from take-off and --ground makes heights above the ground: give one of them.")
+        if waypoints.altitude_known:
+            had = said_heights(waypoints.lat_lon_alt[:, 2], waypoints.height_codes)
+            warnings = (f"All waypoints fly {request.height_m:g} m above take-off, as --height says, in place of what they have: {had}.",)
+        waypoints = waypoints.at_height(request.height_m)
+    elif ground_m is not None:
+        waypoints = waypoints.with_ground(ground_m)
+    if request.formats:
+        # All of them in one list, before the work: what a device's cannot have, this cannot either.
+        whole = _whole_route(waypoints, request)
+        first = replace(whole, **{name: getattr(whole, name)[:MAX_TRIED] for name in ("names", "lat_lon", "heading_pitch_deg")})
+        first = replace(first, heights_m=whole.heights_m[:MAX_TRIED], height_codes=whole.height_codes[:MAX_TRIED])
+        for ending in request.formats:
+            WRITERS[ending](first)
+        heights_m = waypoints.heights_m
+        if heights_m is None or np.isnan(heights_m).any():
+            warnings = (*warnings, NOT_COMPARED.format(highest_m=request.limits.highest_m))
+    elif waypoints.height_problem is not None:
+        warnings = (*warnings, f"{NO_COLUMN}: {waypoints.height_problem}")
+    return waypoints, warnings
 
 
 def lines_text(found: LinePlan) -> str:
@@ -102,15 +176,16 @@ def lines_text(found: LinePlan) -> str:
     return f"{whole} of {found.num_lines} whole ({found.cut_before} were cut before), {found.slack:.3f} × the shortest makespan"
 
 
-def flight_rows(edges: Sequence[EdgePlan], waypoints: Waypoints, drone: Drone) -> list[dict[str, Any]]:
-    """A row per device: seconds of computing and of flying, and what is seen."""
+def flight_rows(edges: Sequence[EdgePlan], waypoints: Waypoints, drone: Drone, idle: Mapping[str, str]) -> list[dict[str, Any]]:
+    """A row per device: seconds of computing and of flying, what is seen, and why it has nothing to
+    do, of `idle`."""
     positions, heights_m = waypoints.positions_m[:, :2], waypoints.heights_m
     rows = []
     for plan in edges:
         for device_id, computing_s in zip(plan.device_ids, plan.device_time_s.tolist(), strict=True):
             own = plan.cameras_of(device_id)
             figures = flight_figures(positions[own], None if heights_m is None else heights_m[own], drone)
-            rows.append(_row(device_id, computing_s, figures))
+            rows.append(_row(device_id, computing_s, figures) | ({"idle": idle[device_id]} if device_id in idle else {}))
     return rows
 
 
@@ -122,6 +197,8 @@ def flight_table(rows: Sequence[dict[str, Any]]) -> str:
         f"{row['device']:<{width}} {row['waypoints']:>9} {row['computing_s']:>8.0f} s {row['flight_s'] / 60:>5.1f} min"
         f" {row['batteries']:>9} {row['length_m']:>6.0f} m {_length(row['gsd_m']):>8}"
         f" {_share(row['forward_overlap']):>6} {_share(row['side_overlap']):>6}"
+        if "idle" not in row
+        else f"{row['device']:<{width}} {row['waypoints']:>9} {row['idle']}"
         for row in rows
     ]
     head += f" {'ahead':>6} {'aside':>6}"

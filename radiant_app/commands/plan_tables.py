@@ -23,10 +23,11 @@ def method_row(row: ComparedPlan) -> dict[str, Any]:
 
 
 def plan_tables(result: dict[str, Any]) -> list[str]:
-    """The tables of `--compare`, `--slack-curve`, the borders and flights that `result` has, as
-    text."""
+    """What was made of profiles of other trainings, which is then taken out of `result`, and the
+    tables of `--compare`, `--slack-curve`, the borders and flights that it has, as text."""
     tables = (("methods", method_table), ("slack_curve", slack_table), ("borders", border_table), ("flight", flight_table))
-    return [aligned(result[name]) for name, aligned in tables if result.get(name)]
+    costs = [result.pop("costs")] if "costs" in result else []
+    return [*costs, *(aligned(result[name]) for name, aligned in tables if result.get(name))]
 
 
 def method_table(rows: list[dict[str, Any]]) -> str:

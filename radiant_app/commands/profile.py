@@ -26,6 +26,7 @@ from radiant_app.events import Listener, StageDone, StageStarted
 from radiant_app.executors.fork_server import keep_servers
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
 from radiant_app.files.run_folder import read_manifest, require_current
 from radiant_app.run.predictions import planned_training, share_of_epochs, training_key_of
@@ -254,7 +255,8 @@ def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str,
         frames_s=measured.frames_s,
         frames_alone_s=measured.frames_alone_s,
     )
-    save_profile(out, made)
+    with folder_made_for(out):
+        save_profile(out, made)
     fitted = {
         name: curve
         for name in (*_DEVICE_CURVES, "aggregate_s", "aggregate_alone_s", "merge_s", "sfm_s")

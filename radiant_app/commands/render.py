@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from radiant_app.commands.evaluate import DEFAULT_LONG_SIDE_PX, load_scored_cameras
 from radiant_app.commands.steps import require_file_to_be, require_model, stage_bar
 from radiant_app.events import Decided, Warned
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import create_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import png_bytes
@@ -84,8 +85,8 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
         if len(np.unique(cameras.sizes_wh, axis=0)) > 1:
             raise BadInput("the cameras are of different sizes, which no film can show: render single pictures into a folder.")
-        size_wh = tuple(int(side) for side in cameras.sizes_wh[0] // 2 * 2)
-        with MovieWriter(request.out, (size_wh[0], size_wh[1]), request.fps) as film, stage_bar(display, "render") as report:
+        size_wh = (int(cameras.sizes_wh[0, 0]) // 2 * 2, int(cameras.sizes_wh[0, 1]) // 2 * 2)
+        with folder_made_for(request.out), MovieWriter(request.out, size_wh, request.fps) as film, stage_bar(display, "render") as report:
             for done, (name, image) in enumerate(_pictures(splats, cameras, near_m), 1):
                 film.add(np.ascontiguousarray(image[: size_wh[1], : size_wh[0]]))
                 report(done, len(cameras), name)

@@ -14,19 +14,22 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.commands.plan import write_folder_atomically
+from radiant_app.commands.plan_flight import NO_COLUMN
 from radiant_app.commands.plan_pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, beside
 from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import Manifest, read_manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
 from radiant_app.run.predictions import depends_on_training, planned_training, with_camera_limits, with_short_joins, with_step_law
+from radiant_app.run.training_costs import scaled_to_training
 from radiant_app.workers.sources import DELIVERED, load_scene_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
@@ -45,6 +48,7 @@ from radiant_core.plan.system import System
 from radiant_core.plan.timeline.prediction import correct_system, planned_stages
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
+from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
 MOVED = "_moved.csv"
@@ -125,13 +129,25 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
 
 def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[str, ...]]:
     """The system with limits by memory, where it has none, and profiles taken at the steps of so
-    many photographs, for the default training; warnings."""
+    many photographs, for the training of the plan; warnings."""
     if not depends_on_training(system):
         return system, ()
-    train = planned_training("default", Overrides())
-    shorter = with_short_joins(with_step_law(system, train, num_positions), train, num_positions, AggregateConfig())
+    preset, overrides = _training_of(system)
+    train = planned_training(preset, overrides)
+    scaled = scaled_to_training(system, train, preset, num_positions)
+    shorter = with_short_joins(with_step_law(scaled.system, train, num_positions), train, num_positions, AggregateConfig())
     limited, _, warnings = with_camera_limits(shorter, train, num_positions)
-    return limited, warnings
+    return limited, warnings if scaled.note is None else (scaled.note, *warnings)
+
+
+def _training_of(system: System) -> tuple[Preset, Overrides]:
+    """The training that the costs of the planned machines hold for; the default one where their
+    file does not say."""
+    known = system.training
+    preset = next((name for name in get_args(Preset) if known is not None and name == known.preset), None)
+    if known is None or preset is None:
+        return "default", Overrides()
+    return preset, Overrides(long_side_px=known.long_side_px, num_steps=known.num_steps, max_num_splats=known.max_num_splats)
 
 
 def _grow_system(before: _Before, joining: System | None) -> System:
@@ -251,7 +267,7 @@ def _write(out: Path, before: _Before, new: Replan) -> None:
     to_come = any(row.predicted for row in rows)
     title = "What is still to come, predicted" if to_come else "As it was planned: all is done"
     gantt = gantt_picture(rows if to_come else gantt_rows(new.system, new.edges), title, curves_note(new.system))
-    with write_folder_atomically(out.parent) as folder:
+    with folder_made_for(out), write_folder_atomically(out.parent) as folder:
         save_png(folder / beside(out, MAP).name, picture)
         save_png(folder / beside(out, GANTT).name, gantt)
         write_atomic(folder / beside(out, MOVED).name, _moved_csv(before, new).encode())
@@ -296,7 +312,7 @@ def _moved_csv(before: _Before, new: Replan) -> str:
 
 def _summary(out: Path, before: _Before, new: Replan, more: tuple[str, ...]) -> dict[str, Any]:
     lost, num_devices = int(new.lost.sum()), len(new.system.devices)
-    warnings = list(more)
+    warnings = [*more, *([f"{NO_COLUMN}: {problem}"] if (problem := before.waypoints and before.waypoints.height_problem) else [])]
     if lost:
         warnings.append(f"{lost} captured positions of dead devices are lost: leave them out of --captured to have them taken again.")
     if not new.fewest_proved:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.events import StageProgress, StageStarted
+from radiant_app.files.out_folder import require_folder_for
 from radiant_app.files.run_folder import sfm_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.reporting import EventReporter
@@ -86,11 +87,10 @@ def require_model(model: Path) -> None:
 
 
 def require_file_to_be(out: Path) -> None:
-    """Raise BadInput when `out` exists already or its folder does not."""
+    """Raise BadInput when `out` exists already or its folder can be none."""
     if out.exists():
         raise BadInput(f"{out} exists: choose another name.")
-    if not out.parent.is_dir():
-        raise BadInput(f"there is no folder {out.parent} to write {out.name} into: make it first.")
+    require_folder_for(out)
 
 
 @contextmanager

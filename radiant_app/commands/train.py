@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from radiant_app.commands.steps import require_file_to_be
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
+from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import Manifest, open_folder
 from radiant_app.files.score_file import SCORES, ScoreFile
 from radiant_app.run.pooled import require_size, sfm_stage
@@ -366,5 +367,6 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
     with _Stage(STAGE, emit, clock) as stage:
         training = _prepare(request, scene, photos, stage)
         result = fit_prepared(training, stage.reporter)
-    save_ply(request.out, result.splats)
+    with folder_made_for(request.out):
+        save_ply(request.out, result.splats)
     return {**training_summary(result), "decisions": [asdict(decision) for decision in decisions], "model": str(request.out)}

@@ -6,6 +6,7 @@
     memory_gb = 12.0                     # what training may hold; left out: unknown
     frames_s = 8.0                       # two models into one frame, of which GPS is unsure
     frames_alone_s = 6.0                 # the same with no process beside it, as at the cloud
+    launch_s = 0.004                     # of a step, whatever its pixels and Gaussians
 
     [key]                                # the training that the curves hold for
     preset = "default"
@@ -93,6 +94,7 @@ class _File(Strict):
     measured_steps: _Count | None = None
     frames_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
     frames_alone_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    launch_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
     key: _Key
     init_s: _Fitted
     train_s: _Fitted
@@ -120,6 +122,7 @@ class _File(Strict):
             measured_steps=self.measured_steps,
             frames_s=self.frames_s,
             frames_alone_s=self.frames_alone_s,
+            launch_s=self.launch_s,
             **curves,
         )
 
@@ -185,6 +188,7 @@ def _record(profile: Profile) -> dict[str, Any]:
         "measured_steps": profile.measured_steps,
         "frames_s": profile.frames_s,
         "frames_alone_s": profile.frames_alone_s,
+        "launch_s": profile.launch_s,
         "key": _drop_none(vars(key)),
         **tables,
     }

@@ -24,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from radiant_app.config.fields import config_fields, tables_of
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
+from radiant_app.files.out_folder import require_folder_for
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, StageFailed, StoreDamaged
 from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, read_json, write_json
@@ -211,6 +212,7 @@ def _create_folders(out: Path, *, resumable: bool = True) -> list[Path]:
         raise BadInput(f"{out} is a file, expected a folder: choose another name.")
     if out.is_dir():
         require_empty(out, resumable=resumable)
+    require_folder_for(out)
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
     out.mkdir(parents=True, exist_ok=True)
     return missing

@@ -16,19 +16,29 @@
     uplink_mbit_per_s = 50.0
     max_cameras = 400                    # left out: no limit
     memory_gb = 8.0                      # of training: limits Gaussians and, else, cameras
-    relative_speed = 2.0                 # divides init_s and train_s
+    relative_speed = 2.0                 # divides init_s and train_s: its own, its profile's, or
+                                         # those of the machines beside it where it names neither
     speed = 0.5                          # of an edge too: share of a core under --emulate
 
 `count = 3` in a device stands for three equal ones, north-1-1 to north-1-3.
 
-The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
-both has relative_speed and speed 0.5.
+A device with a relative_speed that names neither costs nor a profile costs what the devices beside
+it do, those of its edge that name one, else those of all edges with a profile, divided by its
+relative_speed; one that names nothing at all too, where these have one profile; otherwise the
+values above. The planner believes the costs, an emulation plays `speed`: a device that is to be
+half as fast in both has relative_speed and speed 0.5.
 
     [cloud]                              # limits of fitting there; beyond them models are cut
     memory_gb = 16.0                     # beyond it by tiles first; left out: 4/5 of what is free
     time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000
     merge_s = { linear = 0.5 }           # of joining there; left out: not predicted
+
+    [training]                           # which the costs hold for, where they were a profile's:
+    preset = "default"                   # written by runs and plans, so that what joins by
+    num_steps = 1500                     # `radiant replan --join` is taken for the same
+    long_side_px = 576
+    max_num_splats = 200000
 
 In place of costs, a device, an edge or the cloud may have profile = "rtx-3090" of the library
 (`radiant profile --list`) or profile = "mine.toml", a curve file of `radiant profile` relative to
@@ -62,7 +72,7 @@ from radiant_app.files.toml_file import load_toml
 from radiant_core.errors import BadInput
 from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.profiles.profile import Profile
+from radiant_core.plan.profiles.profile import Profile, ProfileKey
 from radiant_core.plan.system import Cloud, Device, Edge, System
 
 _BYTES_PER_S_PER_MBIT = 1e6 / 8
@@ -72,6 +82,7 @@ _NonNegative = Annotated[float, Field(ge=0, le=1e12)]
 _Positive = Annotated[float, Field(gt=0, le=1e12)]
 _Share = Annotated[float, Field(gt=0, le=1)]
 _Speed = Annotated[float, Field(ge=1e-3, le=1e3)]
+_Count = Annotated[int, Field(ge=1, le=10**9)]
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
@@ -93,6 +104,9 @@ class _Curve(Strict):
 _Origin = Annotated[str, Field(pattern=r"^(measured|estimate) \S.*$")]
 
 
+_DEVICE_COSTS = ("init_s", "train_s", "model_mb")
+
+
 class _Device(Strict):
     id: str
     profile: str | None = None
@@ -107,13 +121,24 @@ class _Device(Strict):
     speed: _Share | None = None
     count: Annotated[int, Field(ge=1, le=10_000)] | None = None
 
-    def build(self, folder: Path) -> tuple[Device, ...]:
-        """The device, or `count` equal ones with numbered ids."""
-        one = self._build_one(folder)
+    @property
+    def names_costs(self) -> bool:
+        """Whether it says what its work costs."""
+        return bool(self.model_fields_set & {"profile", *_DEVICE_COSTS})
+
+    def build(self, folder: Path, beside: _Device | None) -> tuple[Device, ...]:
+        """The device, or `count` equal ones with numbered ids, at the costs of the one beside it
+        where it names none."""
+        one = self._build_one(folder) if beside is None or self.names_costs else self._like(beside, folder)
         return (one,) if self.count is None else tuple(replace(one, id=f"{self.id}-{number + 1}") for number in range(self.count))
 
+    def _like(self, beside: _Device, folder: Path) -> Device:
+        known = {name: getattr(beside, name) for name in ("profile", *_DEVICE_COSTS) if name in beside.model_fields_set}
+        alike = self.model_copy(update={**known, "relative_speed": self.relative_speed * beside.relative_speed})
+        return alike._build_one(folder)
+
     def _build_one(self, folder: Path) -> Device:
-        profile = _profile_of(self, f"device {self.id!r}", ("init_s", "train_s", "model_mb"), folder)
+        profile = _profile_of(self, f"device {self.id!r}", _DEVICE_COSTS, folder)
         memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
         if profile is None:
             curves = self.init_s.scaled(1.0), self.train_s.scaled(1.0), self.model_mb.scaled(_BYTES_PER_MB)
@@ -149,7 +174,8 @@ class _Edge(Strict):
     time_s: _Curve | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
 
-    def build(self, folder: Path) -> Edge:
+    def build(self, folder: Path, beside: list[_Device]) -> Edge:
+        """The edge; `beside`: the devices of all edges that name costs."""
         if self.position_m is not None and self.lat_lon_deg is not None:
             raise BadInput(f"edge {self.id!r} has both position_m and lat_lon_deg: give one of them or neither.")
         if self.lat_lon_deg is not None and (abs(self.lat_lon_deg[0]) > 90 or abs(self.lat_lon_deg[1]) > 180):
@@ -173,7 +199,7 @@ class _Edge(Strict):
             lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
             aggregate_s=joined,
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
-            devices=tuple(device for table in self.device for device in table.build(folder)),
+            devices=tuple(device for table in self.device for device in table.build(folder, self._beside(table, beside))),
             speed=self.speed,
             aggregate_alone_s=alone,
             profile=profile,
@@ -182,6 +208,33 @@ class _Edge(Strict):
             max_cameras=self.max_cameras,
             memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
         )
+
+    def _beside(self, device: _Device, everywhere: list[_Device]) -> _Device | None:
+        """The device whose costs one that names none has; BadInput where those beside it differ."""
+        if device.names_costs:
+            return None
+        asked = "relative_speed" in device.model_fields_set
+        # Costs that are spelt out are somebody's; a profile is a machine that others can be like.
+        near = [other for other in self.device if other.names_costs and (asked or other.profile is not None)]
+        near = near or [other for other in everywhere if other.profile is not None]
+        kinds = {_costs_text(other): other for other in near}
+        if len(kinds) > 1 and not asked:
+            return None
+        if len(kinds) > 1:
+            raise BadInput(
+                f"device {device.id!r} names neither a profile nor costs, so that its relative_speed is of the machines beside it, "
+                f"and these differ ({', '.join(sorted(kinds))}): give it the profile that its speed is of."
+            )
+        return next(iter(kinds.values()), None)
+
+
+def _costs_text(device: _Device) -> str:
+    """What a device's costs are, the same text for the same costs."""
+    speed = "" if device.relative_speed == 1 else f" at {device.relative_speed:g}"
+    if device.profile is not None:
+        return f"{device.profile}{speed}"
+    curves = ", ".join(f"{name} {_inline(getattr(device, name).scaled(1.0), 1.0)}" for name in _DEVICE_COSTS)
+    return f"{curves}{speed}"
 
 
 def _profile_of(table: _Device | _Edge | _Cloud, owner: str, costs: tuple[str, ...], folder: Path) -> Profile | None:
@@ -214,9 +267,21 @@ class _Cloud(Strict):
         return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras, merge_s=merge_s, profile=profile)
 
 
+class _Training(Strict):
+    preset: Annotated[str, Field(min_length=1, max_length=500)]
+    num_steps: _Count
+    long_side_px: _Count
+    max_num_splats: _Count | None = None
+    aggregate_preset: Annotated[str, Field(min_length=1, max_length=500)] = "default"
+
+    def build(self) -> ProfileKey:
+        return ProfileKey(**self.model_dump())
+
+
 class _File(Strict):
     edge: Annotated[list[_Edge], Field(min_length=1)]
     cloud: _Cloud = _Cloud()
+    training: _Training | None = None
 
 
 def load_system(path: Path, *, curves: bool = False) -> System:
@@ -225,7 +290,9 @@ def load_system(path: Path, *, curves: bool = False) -> System:
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
-        system = System(edges=tuple(edge.build(path.parent) for edge in file.edge), cloud=file.cloud.build(path.parent))
+        beside = [device for edge in file.edge for device in edge.device if device.names_costs]
+        edges = tuple(edge.build(path.parent, beside) for edge in file.edge)
+        system = System(edges=edges, cloud=file.cloud.build(path.parent), training=None if file.training is None else file.training.build())
         unknown = [edge.id for edge in system.edges if not edge.devices]
         if unknown and not curves:
             raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
@@ -238,7 +305,8 @@ def load_system(path: Path, *, curves: bool = False) -> System:
 
 def dump_system(system: System) -> str:
     """The system as TOML text that `load_system` reads back, with curves in place of profiles."""
-    return "\n".join([*(line for edge in system.edges for line in _edge_lines(edge)), *_cloud_lines(system.cloud)]) + "\n"
+    edges = [line for edge in system.edges for line in _edge_lines(edge)]
+    return "\n".join([*edges, *_cloud_lines(system.cloud), *_training_lines(system.training)]) + "\n"
 
 
 def even_system(num_edges: int, devices_per_edge: int) -> System:
@@ -248,7 +316,7 @@ def even_system(num_edges: int, devices_per_edge: int) -> System:
         raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
     names = [f"edge-{index + 1}" for index in range(num_edges)]
     edges = [_Edge(id=name, device=[_Device(id=f"{name}-{n + 1}") for n in range(devices_per_edge)]) for name in names]
-    return System(edges=tuple(edge.build(Path()) for edge in edges))
+    return System(edges=tuple(edge.build(Path(), []) for edge in edges))
 
 
 def _edge_lines(edge: Edge) -> list[str]:
@@ -293,6 +361,12 @@ def _cloud_lines(cloud: Cloud) -> list[str]:
     lines = [f"{name} = {limit}" for name, limit in limits.items() if limit is not None]
     lines += [] if cloud.merge_s is None else [f"merge_s = {_inline(cloud.merge_s, 1.0)}"]
     return ["[cloud]", *lines] if lines else []
+
+
+def _training_lines(training: ProfileKey | None) -> list[str]:
+    if training is None:
+        return []
+    return ["[training]", *(f"{name} = {json.dumps(value)}" for name, value in vars(training).items() if value is not None)]
 
 
 def _speed_lines(machine: Device | Edge) -> list[str]:

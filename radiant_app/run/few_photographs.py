@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.run.predictions import with_camera_limits
+from radiant_app.run.predictions import with_camera_limits, with_fixed_steps
+from radiant_app.run.training_costs import scaled_to_training
 from radiant_core.decisions import Decision
 from radiant_core.io.transport.upload import BYTES_FACTORS
 from radiant_core.plan.system import Device, System
@@ -64,7 +65,9 @@ def choose_workforce(config: RunConfig, system: System, num_photographs: int, tr
     if plan.file is not None or plan.method != "exact":
         made = f"--plan-method {plan.method}" if plan.file is None else "--plan"
         return Workforce(system=system, warning=f"{few}; without {made} fewer would work.")
-    names = _fastest_that_hold(config, system, num_photographs, train, wanted)
+    # Curves of several trainings, or of other steps than these, say nothing of who is faster.
+    scaled = scaled_to_training(system, train, config.train.preset, num_photographs).system
+    names = _fastest_that_hold(config, with_fixed_steps(scaled, train), num_photographs, train, wanted)
     if len(names) == num_devices:
         return Workforce(system=system, warning=f"{few}; fewer cannot hold them: raise max_cameras or memory_gb.")
     return _told(_restrict(system, names), num_photographs, num_devices)

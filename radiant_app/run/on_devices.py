@@ -102,9 +102,9 @@ class DevicePhotographs:
             return Plan(system=system, cloud=cloud, edges=edges)
         if captured.cell_middles is None and config.cell_m is not None:
             positions = middles_of_cells(positions, config.cell_m)
-        system = costs_of_run(config, system, len(positions))
+        system, note = costs_of_run(config, system, len(positions))
         cloud, edges = self._plan_of_owners(system, positions, owners, progress)
-        save_plan(config.out / "plan.json", cloud, edges, warnings=warn_about_predictions(config, system, edges, progress))
+        save_plan(config.out / "plan.json", cloud, edges, warnings=warn_about_predictions(config, system, edges, progress, note))
         save_system(config.out, system)
         self._warn_of_idle(system, set(owners), progress)
         return Plan(system=system, cloud=cloud, edges=edges)

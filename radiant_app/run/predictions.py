@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from radiant_app.files.system_file import even_system
 from radiant_core.aggregate.config import JOINING_EPOCHS, AggregateConfig, AggregatePreset
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.recipe import trainings_of
@@ -67,6 +68,17 @@ def with_step_law(system: System, train: TrainConfig, num_cameras: int) -> Syste
         return replace(device, train_s=law.cost(device.train_s, device.profile.key.num_steps, num_cameras))
 
     return replace(system, edges=tuple(replace(edge, devices=tuple(map(by_photographs, edge.devices))) for edge in system.edges))
+
+
+def with_fixed_steps(system: System, train: TrainConfig) -> System:
+    """The system whose devices take as many steps as this training has, whatever their photographs.
+    Curves that a system file spells out stay."""
+
+    def fixed(device: Device) -> Device:
+        share = 1.0 if device.profile is None else train.num_steps / device.profile.key.num_steps
+        return device if share == 1.0 else replace(device, train_s=device.train_s.scaled(share))
+
+    return replace(system, edges=tuple(replace(edge, devices=tuple(map(fixed, edge.devices))) for edge in system.edges))
 
 
 def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photographs: int, num_devices: int) -> tuple[float, float]:
@@ -222,9 +234,17 @@ def with_camera_limits(
 
 
 def prediction_warnings(system: System, edge_plans: Sequence[EdgePlan], training: ProfileKey) -> tuple[str, ...]:
-    """See `profile_warnings`, for a plan of the system."""
+    """See `profile_warnings`, for a plan of the system; and devices whose costs are nobody's beside
+    such of known machines."""
     quotas = {name: len(plan.cameras_of(name)) for plan in edge_plans for name in plan.device_ids}
-    return profile_warnings(system, [quotas[device.id] for device in system.devices], training)
+    warnings = profile_warnings(system, [quotas[device.id] for device in system.devices], training)
+    default = even_system(1, 1).devices[0]
+    guessed = [own.id for own in system.devices if own.origin is None and (own.init_s, own.train_s) == (default.init_s, default.train_s)]
+    if not guessed or len(guessed) == len(system.devices):
+        return warnings
+    names = f"device{'s' * (len(guessed) > 1)} {', '.join(guessed)}"
+    said = f"the costs of {names} are a system file's defaults and no machine's, beside those of others: give a profile or costs there."
+    return (*warnings, said)
 
 
 def _is_limited_by_memory(device: Device) -> bool:

@@ -21,6 +21,7 @@ from radiant_app.run.predictions import (
     predicts_frames,
     training_key_of,
     with_camera_limits,
+    with_fixed_steps,
     with_own_frames,
     with_short_joins,
     with_step_law,
@@ -28,6 +29,7 @@ from radiant_app.run.predictions import (
 from radiant_app.run.progress import Progress
 from radiant_app.run.source import Plan
 from radiant_app.run.time_left import TimeLeftListener
+from radiant_app.run.training_costs import scaled_to_training
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.choices import UploadFormat
 from radiant_core.decisions import Decision
@@ -40,6 +42,7 @@ from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.transport.upload import BYTES_FACTORS
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.devices.idle import idle_reasons
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.revision.captured import plan_captured, require_same_system
@@ -79,7 +82,7 @@ def plan_stage(
     BadInput when no plan fits.
     """
     train = planned_training(config.train.preset, config.train.overrides)
-    system = costs_of_run(config, system, len(positions))
+    system, note = costs_of_run(config, system, len(positions))
     if config.plan.file is not None:
         # Captured photographs stay on their devices, whatever memory those have.
         system = place_edges_by_raster(system, positions, origin, config.cell_m, config.seed)
@@ -87,26 +90,31 @@ def plan_stage(
         # Only an owner of all photographs knows where they look.
         planned = planned if config.frames == "shared" else replace(planned, looks=None)
         cloud_plan, edge_plans = plan_captured(planned, edge_plans, waypoints, positions, system=system)
-        warnings = ()
+        warnings = note
     else:
         system, decision, warnings = with_camera_limits(system, train, len(positions), BYTES_FACTORS[config.upload])
         if decision is not None:
             progress.listen(Decided(decision=decision))
+        warnings = (*note, *warnings)
         system, cloud_plan, edge_plans = _make_plan(config, system, (positions, origin, scene), progress)
-    save_plan(
-        config.out / "plan.json", cloud_plan, edge_plans, warnings=warn_about_predictions(config, system, edge_plans, progress, warnings)
-    )
+    made = cloud_plan if config.plan.file is None else None
+    warnings = warn_about_predictions(config, system, edge_plans, progress, warnings, made)
+    save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=warnings)
     save_system(config.out, system)
     return system, cloud_plan, edge_plans
 
 
-def costs_of_run(config: RunConfig, system: System, num_cameras: int) -> System:
-    """The system with what profiles know of this run: its steps, epochs and frames."""
+def costs_of_run(config: RunConfig, system: System, num_cameras: int) -> tuple[System, tuple[str, ...]]:
+    """The system with what profiles know of this run: its pixels, Gaussians, steps, epochs and
+    frames; and what was made of profiles of other trainings."""
     train = planned_training(config.train.preset, config.train.overrides)
-    if config.train.step_policy == "per_photograph":
-        system = with_step_law(system, train, num_cameras)
+    scaled = scaled_to_training(system, train, config.train.preset, num_cameras)
+    by_photographs = config.train.step_policy == "per_photograph"
+    system = with_step_law(scaled.system, train, num_cameras) if by_photographs else with_fixed_steps(scaled.system, train)
     system = with_short_joins(system, train, num_cameras, config.aggregate.config)
-    return system if config.frames == "shared" else with_own_frames(system, num_cameras, known_poses=config.frames == "known")
+    if config.frames != "shared":
+        system = with_own_frames(system, num_cameras, known_poses=config.frames == "known")
+    return system, () if scaled.note is None else (scaled.note,)
 
 
 def _make_plan(
@@ -133,17 +141,29 @@ def _make_plan(
 
 
 def warn_about_predictions(
-    config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress, more: tuple[str, ...] = ()
+    config: RunConfig,
+    system: System,
+    edge_plans: Sequence[EdgePlan],
+    progress: Progress,
+    more: tuple[str, ...] = (),
+    cloud_plan: CloudPlan | None = None,
 ) -> tuple[str, ...]:
-    """Emit and return the warnings about the plan's predicted times, after those in `more`."""
+    """Emit and return the warnings about the plan's predicted times, after those in `more`, and, of
+    a plan that was made here, about devices without work."""
     train = planned_training(config.train.preset, config.train.overrides)
     training = training_key_of(train, config.train.preset, config.aggregate.preset)
-    warnings = (*more, *prediction_warnings(system, edge_plans, training))
+    warnings = (*more, *prediction_warnings(system, edge_plans, training), *_idle_warnings(cloud_plan, edge_plans, system))
     if config.frames == "gps" and not predicts_frames(system):
         warnings = (*warnings, FRAMES_UNPREDICTED)
     for message in warnings:
         progress.listen(Warned(stage="plan", message=message))
     return warnings
+
+
+def _idle_warnings(cloud_plan: CloudPlan | None, edge_plans: Sequence[EdgePlan], system: System) -> tuple[str, ...]:
+    if cloud_plan is None:
+        return ()
+    return tuple(f"device {name} gets no photographs: {reason}." for name, reason in idle_reasons(cloud_plan, edge_plans, system).items())
 
 
 def load_plan_in_frame(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple[EdgePlan, ...], FloatArray]:

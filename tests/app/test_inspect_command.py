@@ -43,7 +43,7 @@ SYSTEM = "".join(
 @pytest.fixture
 def planned(tmp_path: Path) -> Path:
     (tmp_path / "machines.toml").write_text(SYSTEM)
-    make_plan(grid_csv(tmp_path, 20, 15), tmp_path / "plan.json", tmp_path / "machines.toml")
+    make_plan(grid_csv(tmp_path, 20, 15, 430.0), tmp_path / "plan.json", tmp_path / "machines.toml")
     return tmp_path
 
 
@@ -194,7 +194,7 @@ def test_lists_of_a_run_without_altitudes_hold_heights_above_its_ground_alone(tm
         # The lowest tenth of the points lies at 0.1 m, the cameras 60 m above 0.
         assert all(float(row["altitude(m)"]) == pytest.approx(59.9, abs=0.05) for row in rows if name == "out")
         kept = load_plan_waypoints(tmp_path / f"{name}.json")
-        assert kept is not None and not kept.absolute and not kept.altitude_known
+        assert kept is not None and not kept.absolute and kept.altitude_known == (name == "out"), "its ground is what they count from"
 
 
 def test_what_cannot_be_opened_is_one_sentence(tmp_path: Path, planned: Path) -> None:

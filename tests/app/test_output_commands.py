@@ -262,7 +262,7 @@ def test_a_screenshot_replaces_no_file(run: Path, tmp_path: Path) -> None:
         (("export", "RUN", "OUT/a.tif"), "--format ortho .* or --format dsm"),
         (("export", "RUN", "OUT/a.tif", "--format", "ortho", "--tile-px", 100), "multiple of 16"),
         (("export", "RUN", "OUT/a.tif", "--format", "ortho", "--resolution", 1e-5), "coarser"),
-        (("export", "RUN", "OUT/none/a.ply"), "no folder"),
+        (("export", "RUN", "RUN/scene.ply/none/a.ply"), "expected a folder to write"),
         (("export", "RUN/scene.ply", "OUT/a.geojson"), "needs the cameras"),
         (("render", "RUN", "--out", "OUT/a.mp4"), "needs a path"),
         (("render", "RUN", "--out", "OUT/f", "--border", "harbour,moon"), "harbour,north"),

@@ -17,6 +17,7 @@ from rich.console import Console
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.commands.plan_content import ContentRequest
+from radiant_app.commands.plan_flight import DroneText, HeightOptions, flight_request
 from radiant_app.commands.plan_tables import method_table
 from radiant_app.commands.steps import training_part
 from radiant_app.files.system_file import load_system
@@ -57,10 +58,10 @@ def make_plan(
     return plan(PlanRequest(source=source, out=out, system=system, method=method, seed=0, content=content), display)
 
 
-def grid_csv(folder: Path, columns: int, rows: int) -> Path:
+def grid_csv(folder: Path, columns: int, rows: int, ground_m: float = 20.0) -> Path:
     east, north = np.meshgrid(np.linspace(-250, 250, columns), np.linspace(-125, 125, rows))
     positions = np.column_stack([east.ravel(), north.ravel(), np.full(columns * rows, 60.0)])
-    lines = [f"wp{index},{lat},{lon},{alt}" for index, (lat, lon, alt) in enumerate(geodetic_from_enu(positions, (47.37, 8.54, 430.0)))]
+    lines = [f"wp{index},{lat},{lon},{alt}" for index, (lat, lon, alt) in enumerate(geodetic_from_enu(positions, (47.37, 8.54, ground_m)))]
     path = folder / "flight.csv"
     path.write_text("\n".join(["name,latitude,longitude,altitude", *lines]))
     return path
@@ -72,7 +73,7 @@ def test_1600_waypoints_become_a_plan_with_lists_and_regions(tmp_path: Path) -> 
     result = make_plan(source, tmp_path / "plan.json", tmp_path / "system.toml")
     assert result["planned"] == 1600
     assert result["status"] == "optimal"
-    assert result["warnings"] == "Devices without anything to capture: n2."
+    assert result["warnings"].startswith("Devices without anything to capture: n2 (") and result["warnings"].endswith(").")
     waypoints = load_plan_waypoints(tmp_path / "plan.json")
     assert waypoints is not None
     assert waypoints.names == read_waypoints(source).waypoints.names
@@ -119,7 +120,7 @@ def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) 
     np.testing.assert_array_equal(waypoints.lat_lon_alt[0], found.lat_lon_alt[index])
     # GPS counts from the sea: nothing in the lists is flown as height above take-off until somebody
     # says where the ground is.
-    assert "give the ground's with --ground" in result["warnings"] and "are heights above the sea" in result["forecast"]
+    assert "give the ground's altitude with --ground" in result["warnings"] and "are heights above the sea" in result["forecast"]
     assert headers_of(tmp_path / "out" / "plan_waypoints") == {"latitude,longitude,altitude_absolute(m),name"}
     assert waypoints.absolute and waypoints.ground_m is None
     ground_m = float(waypoints.lat_lon_alt[:, 2].min()) - 50
@@ -149,7 +150,7 @@ def test_a_plan_without_altitudes_says_no_height_to_fly_at(tmp_path: Path) -> No
 
 
 def headers_of(folder: Path) -> set[str]:
-    return {path.read_text().splitlines()[0] for path in folder.iterdir()}
+    return {path.read_text().splitlines()[0] for path in folder.glob("*.csv")}
 
 
 def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
@@ -166,7 +167,7 @@ def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) ->
         (tmp_path / "twice.csv", out, None, "1 of 2 waypoints with a position that is not finite, 'wp-2'"),
         (source, tmp_path / "plan.txt", None, r"ends in \.json"),
         (source, tmp_path / "taken.json", None, r"taken_regions\.geojson exists"),
-        (source, tmp_path / "nowhere" / "plan.json", None, "there is no folder"),
+        (source, source / "nowhere" / "plan.json", None, "expected a folder to write"),
         (source, out, tmp_path / "full.toml", "can hold 2 of 12 cameras"),
         (one, out, None, "held out for scoring"),
         (tmp_path, out, None, "no photographs"),
@@ -230,3 +231,89 @@ def test_compare_knows_the_content_of_a_scene(tmp_path: Path) -> None:
     assert rows["content"]["makespan_s"] == wanted.makespan_s
     assert rows["content"]["squared_distance_m2"] == pytest.approx(wanted.squared_distance_m2)
     assert rows["content"]["squared_distance_m2"] != rows["kd"]["squared_distance_m2"], "halves of equal content are not halves of cameras"
+
+
+CLAMPED = (
+    '<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark><name>path</name><LineString>{mode}<coordinates>'
+    "8.54,47.37,{alt} 8.5404,47.37,{alt} 8.5404,47.3702,{alt} 8.54,47.3702,{alt} 8.54,47.3704,{alt} 8.5404,47.3704,{alt}"
+    "</coordinates></LineString></Placemark></Document></kml>"
+)
+LISTS, PLAIN = ("kmz", "plan", "kml"), HeightOptions()
+
+
+def flown(folder: Path, mode: str, alt: float, heights: HeightOptions = PLAIN, formats: str | None = "kmz,plan,kml") -> dict[str, Any]:
+    """A plan of a path of Google Earth, with flight lists."""
+    (folder / "path.kml").write_text(CLAMPED.format(mode=mode and f"<altitudeMode>{mode}</altitudeMode>", alt=alt))
+    request = flight_request(None, formats, heights, DroneText(8.0, "20m", 4000, 73.7))
+    out = folder / "out" / "plan.json"
+    display = ProgressDisplay(Console(file=io.StringIO()))
+    return plan(PlanRequest(source=folder / "path.kml", out=out, system=None, method="exact", seed=0, flight=request), display)
+
+
+@pytest.mark.parametrize(("mode", "alt"), [("", 0.0), ("", 455.5), ("clampToGround", 0.0), ("clampToGround", 455.5)])
+def test_a_path_that_is_clamped_to_the_ground_has_no_height_to_fly_at(tmp_path: Path, mode: str, alt: float) -> None:
+    with pytest.raises(
+        BadInput, match="6 of 6 waypoints have no height to fly at, 'path-1' first: give --height with metres above take-off"
+    ):
+        flown(tmp_path, mode, alt)
+    assert not (tmp_path / "out").exists()
+    result = flown(tmp_path, mode, alt, formats=None)
+    assert "6 of 6 waypoints are clamped to the ground" in result["warnings"] and result["heights"] == "not known"
+    assert headers_of(tmp_path / "out" / "plan_waypoints") == {"latitude,longitude,name"}
+    shutil.rmtree(tmp_path / "out")
+    result = flown(tmp_path, mode, alt, HeightOptions(height_m=80.0))
+    assert result["heights"] == "80 m above take-off" and "hold no height" not in result["warnings"]
+    lists = tmp_path / "out" / "plan_waypoints"
+    assert headers_of(lists) == {"latitude,longitude,altitude(m),name"} and {path.suffix[1:] for path in lists.iterdir()} == {*LISTS, "csv"}
+
+
+@pytest.mark.parametrize(
+    ("mode", "alt", "heights", "told"),
+    [
+        (
+            "relativeToGround",
+            455.5,
+            HeightOptions(heights="takeoff"),
+            "6 of 6 heights are more than 120 m above take-off.*--max-height 456",
+        ),
+        ("relativeToGround", -3.0, HeightOptions(heights="takeoff"), "6 of 6 heights are not above take-off.*--min-height -3"),
+        ("relativeToGround", 80.0, HeightOptions(), "give --heights takeoff where the ground is level"),
+        ("absolute", 455.5, HeightOptions(), "give --geoid with the metres"),
+    ],
+)
+def test_lists_that_nobody_may_fly_are_written_when_asked_for(
+    tmp_path: Path, mode: str, alt: float, heights: HeightOptions, told: str
+) -> None:
+    with pytest.raises(BadInput, match=told):
+        flown(tmp_path, mode, alt, heights)
+    assert not (tmp_path / "out").exists()
+    asked = heights._replace(highest_m=456.0, lowest_m=-3.0, geoid_m=47.0, heights="takeoff" if mode == "relativeToGround" else None)
+    assert flown(tmp_path, mode, alt, asked)["flight_heights"].startswith("heights are above")
+
+
+def test_tables_hold_no_height_that_nobody_asked_for(tmp_path: Path) -> None:
+    result = flown(tmp_path, "relativeToGround", 455.5, formats=None)
+    assert "The lists hold no heights above take-off: 6 of 6 heights are more than 120 m" in result["warnings"]
+    assert headers_of(tmp_path / "out" / "plan_waypoints") == {"latitude,longitude,name"}
+    kept = load_plan_waypoints(tmp_path / "out" / "plan.json")
+    assert kept is not None and kept.heights_m is not None and kept.heights_m.max() == 455.5, "the plan keeps what the file said"
+
+
+def test_a_height_in_place_of_others_is_said_and_none_beside_the_ground(tmp_path: Path) -> None:
+    result = flown(tmp_path, "absolute", 455.5, formats="plan,kml")
+    assert result["flight_heights"] == "heights are above sea level" and "the lists are not held to 120 m above it" in result["warnings"]
+    shutil.rmtree(tmp_path / "out")
+    result = flown(tmp_path, "absolute", 455.5, HeightOptions(height_m=60.0))
+    assert (
+        "All waypoints fly 60 m above take-off, as --height says, in place of what they have: 455.5 m above sea level."
+        in result["warnings"]
+    )
+    request = flight_request(None, None, HeightOptions(height_m=60.0), DroneText(8.0, "20m", 4000, 73.7))
+    with pytest.raises(BadInput, match="give one of them"):
+        plan(
+            PlanRequest(
+                source=tmp_path / "path.kml", out=tmp_path / "other" / "p.json", system=None, method="exact", seed=0, flight=request,
+                content=ContentRequest(ground_m=400.0),
+            ),
+            ProgressDisplay(Console(file=io.StringIO())),
+        )  # fmt: skip

@@ -347,7 +347,7 @@ def test_a_shortened_training_has_as_many_rounds_of_density_control() -> None:
     [
         ({"out": "mine.txt"}, "ends in .toml or .json"),
         ({"out": "."}, "is no name for a curve file"),
-        ({"out": "none/mine.toml"}, "no folder"),
+        ({"out": "there.toml/mine.toml"}, "expected a folder to write"),
         ({"out": "there.toml"}, "exists"),
         ({"time_s": 0.0}, "--time is 0.0"),
         ({"time_s": float("nan")}, "--time is nan"),

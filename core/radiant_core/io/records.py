@@ -19,6 +19,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.array_file import VERSION, load_arrays, name_file_in_errors, require_schema, save_arrays
 from radiant_core.io.colmap.records import is_image_name
+from radiant_core.io.height_record import heights_record, with_recorded_heights
 from radiant_core.io.plan_content import GROUND_KEY
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.numerics import check_array
@@ -133,10 +134,7 @@ def save_plan(  # noqa: PLR0913
         if waypoints.heading_pitch_deg is not None:
             angles = waypoints.heading_pitch_deg.tolist()
             record["waypoints"]["heading_pitch_deg"] = [[None if np.isnan(angle) else angle for angle in pair] for pair in angles]
-        if waypoints.absolute:
-            record["waypoints"]["absolute"] = True
-        if not waypoints.altitude_known:
-            record["waypoints"]["altitude_known"] = False
+        record["waypoints"] |= heights_record(waypoints)
         if waypoints.ground_m is not None:
             record[GROUND_KEY] = waypoints.ground_m
     if warnings:
@@ -194,16 +192,11 @@ def load_plan_file(path: Path) -> PlanFile:
             return PlanFile(cloud=cloud, edges=edges, ground_m=ground_m)
         looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None
         angles = None if looks is None else np.array(looks, dtype=np.float64)
-        waypoints = Waypoints(
-            names=_texts(stored["names"]),
-            lat_lon_alt=stored["lat_lon_alt"],
-            heading_pitch_deg=angles,
-            absolute=stored.get("absolute") is True,
-            altitude_known=stored.get("altitude_known") is not False,
-            ground_m=ground_m,
+        waypoints = with_recorded_heights(
+            Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"], heading_pitch_deg=angles, ground_m=ground_m), stored
         )
         require_plan_of(len(waypoints), cloud, edges)
-    return PlanFile(cloud=cloud, edges=edges, waypoints=waypoints, ground_m=ground_m)
+    return PlanFile(cloud=cloud, edges=edges, waypoints=waypoints, ground_m=waypoints.ground_m)
 
 
 def _camera_arrays(cameras: Cameras) -> dict[str, NDArray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.profiles.profile import Profile
+from radiant_core.plan.profiles.profile import Profile, ProfileKey
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -180,6 +180,8 @@ class System:
 
     edges: tuple[Edge, ...]
     cloud: Cloud = Cloud()
+    training: ProfileKey | None = None
+    """Which its costs hold for, where they were made of profiles; None: not said."""
 
     def __post_init__(self) -> None:
         if not self.edges:

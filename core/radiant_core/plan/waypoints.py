@@ -10,24 +10,27 @@ mirrored, elsewhere. Made once per plan.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
 from radiant_core.numerics import FloatArray, check_array
+from radiant_core.plan.heights import ABOVE, FROM_THE_SEA, HEIGHT_KINDS, HeightCodes, HeightLimits, height_codes, kinds_among
 
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 """From the deepest sea to the edge of space."""
 HIGHEST_FLIGHT_M = 500.0
 """Drones are not allowed so high above the ground anywhere we know of, and flight planners take no
-more above take-off: larger altitudes are absolute."""
-NO_ALTITUDES = "planned by horizontal positions alone, and the lists hold no height to fly at"
+more above take-off: larger altitudes of a column that does not say more are absolute."""
+NO_ALTITUDES = "planned by horizontal positions alone, and the lists hold no height to fly at (give --height METRES above take-off)"
 MAX_NAME_CHARACTERS = 255
 SAME_SPOT_SCALE = np.array([1e8, 1e8, 1e3])
 """Degrees, degrees and metres are rounded to these parts, about a millimetre each, before two
@@ -37,8 +40,8 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Waypoints:
-    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres above take-off, as
-    flight planners count, unless they are `absolute` or the ground lies at `ground_m` of them.
+    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres of what
+    `counts_from` says.
 
     BadInput, naming the first offender and how many there are, for positions that are not finite,
     off the globe, probably swapped or more than 300 km from the others, for no waypoint at all, and
@@ -50,12 +53,12 @@ class Waypoints:
     heading_pitch_deg: FloatArray | None = None
     """Where the camera looks (P,2): degrees clockwise from north, and −90 down to 90 up; NaN where
     a flight plan does not say, None where it says nothing at all."""
-    absolute: bool = False
-    """Whether altitudes count from the sea or the ellipsoid, as those that GPS gives."""
-    altitude_known: bool = True
-    """Whether altitudes count from anything on the globe; else they are relative or all 0."""
+    counts_from: HeightFrom | HeightCodes = "takeoff"
+    """What altitudes count from: one kind, or the code (P,) of each where they differ."""
     ground_m: float | None = None
-    """Altitude of the ground, or of take-off, among them, where it is known."""
+    """Altitude of the ground, or of take-off, among absolute ones, where it is known."""
+    limits: HeightLimits = field(default_factory=HeightLimits)
+    """Heights that lists may be written for."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.names))
@@ -70,6 +73,8 @@ class Waypoints:
             object.__setattr__(self, "heading_pitch_deg", _check_angles(self.names, self.heading_pitch_deg))
         if self.ground_m is not None and not np.isfinite(self.ground_m):
             raise BadInput(f"the altitude of the ground is {self.ground_m}, expected metres.")
+        if isinstance(self.counts_from, np.ndarray):
+            object.__setattr__(self, "counts_from", _one_kind(self.counts_from, len(self.names)))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -89,12 +94,72 @@ class Waypoints:
 
     @property
     def heights_m(self) -> FloatArray | None:
-        """Heights (P,) above ground or take-off; None where nothing says how far the altitudes are
-        above either of them."""
+        """Heights (P,) above ground or take-off, NaN where nothing says how far an altitude is
+        above either of them; None where that is so everywhere."""
         altitudes = self.lat_lon_alt[:, 2]
+        heights_m = np.where(self.counting_from("takeoff", "ground"), altitudes, np.nan)
         if self.ground_m is not None:
-            return altitudes - self.ground_m
-        return None if self.absolute or not self.altitude_known or altitudes.max() > HIGHEST_FLIGHT_M else altitudes
+            heights_m = np.where(self.counting_from(*FROM_THE_SEA), altitudes - self.ground_m, heights_m)
+        return None if np.isnan(heights_m).all() else heights_m
+
+    @property
+    def height_codes(self) -> HeightCodes:
+        """The kind (P,) of each height, as its place in `HEIGHT_KINDS`."""
+        if isinstance(self.counts_from, np.ndarray):
+            return self.counts_from
+        return np.full(len(self), HEIGHT_KINDS.index(self.counts_from), np.uint8)
+
+    @property
+    def height_kinds(self) -> tuple[HeightFrom, ...]:
+        """The kinds of heights that there are."""
+        if isinstance(self.counts_from, np.ndarray):
+            return kinds_among(self.counts_from)
+        return (self.counts_from,)
+
+    def counting_from(self, *kinds: HeightFrom) -> NDArray[np.bool_]:
+        """Whether a height (P,) is of one of these kinds."""
+        if isinstance(self.counts_from, np.ndarray):
+            return np.isin(self.counts_from, height_codes(kinds))
+        return np.full(len(self), self.counts_from in kinds)
+
+    @property
+    def absolute(self) -> bool:
+        """Whether all known altitudes count from the sea or the ellipsoid, as those of GPS."""
+        return self.altitude_known and all(kind in (*FROM_THE_SEA, "unknown") for kind in self.height_kinds)
+
+    @property
+    def altitude_known(self) -> bool:
+        """Whether any altitude counts from anything."""
+        return self.height_kinds != ("unknown",)
+
+    @property
+    def height_problem(self) -> str | None:
+        """Why the heights are beyond the limits, a whole sentence; None where they are not, or not
+        known."""
+        heights_m = self.heights_m
+        return None if heights_m is None else self.limits.problem(self.names, heights_m)
+
+    def with_ground(self, ground_m: float) -> Waypoints:
+        """The same over ground at an altitude: those that a file gave without a word count from
+        where the ground's does. BadInput where heights do not count from one thing, or from the
+        ground already."""
+        kinds: list[HeightFrom] = [kind for kind in self.height_kinds if kind != "unknown"]
+        if len(kinds) != 1 or kinds == ["ground"]:
+            from_what = ", ".join(ABOVE[kind] for kind in kinds) or ABOVE["unknown"]
+            raise BadInput(f"--ground is the altitude of the ground among those of the waypoints, and these are {from_what}: leave it out.")
+        # Numbers among which the ground lies anywhere but at 0 do not count from take-off.
+        codes = self.height_codes.copy()
+        if ground_m != 0:
+            codes[self.counting_from("takeoff")] = HEIGHT_KINDS.index("absolute")
+        return replace(self, counts_from=codes, ground_m=ground_m)
+
+    def at_height(self, height_m: float) -> Waypoints:
+        """The same, all of them so many metres above take-off; BadInput for no number."""
+        if not math.isfinite(height_m):
+            raise BadInput(f"--height is {height_m}, expected metres above take-off.")
+        places = self.lat_lon_alt.copy()
+        places[:, 2] = height_m
+        return replace(self, lat_lon_alt=places, counts_from="takeoff", ground_m=None)
 
     def select(self, indices: ArrayLike) -> Waypoints:
         """The waypoints at `indices` (K,) int or of a mask (P,), in order; BadInput for none."""
@@ -102,35 +167,53 @@ class Waypoints:
         picked: list[int] = np.arange(len(self))[chosen].tolist()
         angles = None if self.heading_pitch_deg is None else self.heading_pitch_deg[picked]
         names = tuple(self.names[index] for index in picked)
-        return replace(self, names=names, lat_lon_alt=self.lat_lon_alt[picked], heading_pitch_deg=angles)
+        codes = self.counts_from[picked] if isinstance(self.counts_from, np.ndarray) else self.counts_from
+        return replace(self, names=names, lat_lon_alt=self.lat_lon_alt[picked], heading_pitch_deg=angles, counts_from=codes)
 
 
 def clean_waypoints(
-    names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None, heading_pitch_deg: FloatArray | None = None
+    names: Sequence[str],
+    lat_lon_alt: ArrayLike,
+    counts_from: HeightFrom | HeightCodes = "takeoff",
+    heading_pitch_deg: FloatArray | None = None,
 ) -> tuple[Waypoints, tuple[str, ...]]:
     """`Waypoints` of a repaired list, with one warning per kind of repair; raises as `Waypoints`. A
     position that comes twice is planned once, under its first name; a name that comes twice or is
     empty gets a number, without a warning where nothing has a name, as in a flight planner's file;
-    where `no_altitude` (P,) bool is true the altitude becomes 0, which moves a plan by less than
-    0.1 % of its size up to 6,000 m; where it is true everywhere, altitudes are not known."""
+    an altitude that is "unknown" becomes 0, which moves a plan by less than 0.1 % of its size up to
+    6,000 m."""
     positions = np.array(lat_lon_alt, dtype=np.float64)
     warnings: list[str] = []
-    if no_altitude is not None and np.any(no_altitude):
-        missing = np.flatnonzero(no_altitude)
+    unknown = HEIGHT_KINDS.index("unknown")
+    is_missing = counts_from == unknown if isinstance(counts_from, np.ndarray) else np.full(len(names), counts_from == "unknown")
+    missing = np.flatnonzero(is_missing)
+    if len(missing):
         positions[missing, 2] = 0.0
-        some = f"{_count(len(missing), len(names))} without altitude, {_label(names, missing[0])} first: taken as 0 m."
+        some = f"{_count(len(missing), len(names))} without altitude, {_label(names, missing[0])} first: the lists hold no height for them."
         warnings.append(some if len(missing) < len(names) else f"None of {len(names)} waypoints has an altitude: {NO_ALTITUDES}.")
     given = any(names)
     names, numbered = _unique_names(names)
     if numbered and given:
         warnings.append(f"{numbered[0]} of {len(names)} names are empty or come twice, {numbered[1]!r} first: they were numbered.")
-    known = no_altitude is None or not np.all(no_altitude)
-    waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg, altitude_known=known)
+    waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg, counts_from=counts_from)
     kept, again = _first_of_each_spot(positions)
     if len(again):
         warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_label(names, again[0])} first: planned once.")
         waypoints = waypoints.select(kept)
     return waypoints, tuple(warnings)
+
+
+def _one_kind(codes: HeightCodes, count: int) -> HeightFrom | HeightCodes:
+    """Codes (P,), or their kind where it is one."""
+    own: HeightCodes = codes.copy()
+    if own.shape != (count,) or own.dtype != np.uint8 or int(own.max()) >= len(HEIGHT_KINDS):
+        raise BadInput(
+            f"counts_from has shape {own.shape} and type {own.dtype}, expected a kind, or the code of each of {count} waypoints."
+        )
+    if (own == own[0]).all():
+        return HEIGHT_KINDS[int(own[0])]
+    own.flags.writeable = False
+    return own
 
 
 def _unique_names(names: Sequence[str]) -> tuple[list[str], tuple[int, str] | None]:

@@ -21,6 +21,7 @@ from radiant_core.io.export.plan import CSV_HEADER, land_features, save_device_w
 from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.plan.borders.buffers import EdgeBuffer
 from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.heights import HeightLimits
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
@@ -33,7 +34,9 @@ Planned = tuple[Waypoints, CloudPlan, tuple[EdgePlan, ...]]
 def planned(origin: tuple[float, float, float] = (47.37, 8.54, 430.0), reach_m: float = 500.0, count: int = 240) -> Planned:
     rng = np.random.default_rng(3)
     positions = rng.uniform(-1, 1, (count, 3)) * [reach_m, reach_m / 2, 10.0]
-    waypoints = Waypoints(names=tuple(f'f,"{index}" ö' for index in range(count)), lat_lon_alt=geodetic_from_enu(positions, origin))
+    names = tuple(f'f,"{index}" ö' for index in range(count))
+    limits = HeightLimits(lowest_m=-100.0, highest_m=1e3)
+    waypoints = Waypoints(names=names, lat_lon_alt=geodetic_from_enu(positions, origin), limits=limits)
     system = place_edges(random_system(rng, 3), waypoints.positions_m[:, :2], waypoints.origin, 0)
     cloud = plan_regions(waypoints.positions_m[:, :2], system)
     assert isinstance(cloud, CloudPlan)
@@ -182,7 +185,7 @@ def test_every_feature_says_exactly_what_it_is_and_no_digit_too_many(tmp_path: P
         planned_edge_time_s=1.0,
         num_refused=0,
     )
-    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints, [buffer])
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, replace(waypoints, counts_from="ellipsoid"), [buffer])
     lines = (tmp_path / "r.geojson").read_text().splitlines()
     assert lines[0] == '{"type": "FeatureCollection", "features": [' and lines[-1] == "]}"
     assert all(line.endswith(",") for line in lines[1:-2]) and not lines[-2].endswith(","), "a feature a line"
@@ -260,11 +263,11 @@ def test_what_planners_fly_as_height_above_take_off_is_one(tmp_path: Path) -> No
     waypoints = planned(count=30)[0]
     altitudes = waypoints.lat_lon_alt[:, 2]
     assert 410 < altitudes.min() < altitudes.max() < 450, "as GPS says them of a flight some 20 m over Zurich"
-    header, back, own = lists_of(tmp_path / "taken", replace(waypoints, absolute=True))
+    header, back, own = lists_of(tmp_path / "taken", replace(waypoints, counts_from="absolute"))
     assert header == ["latitude", "longitude", "altitude_absolute(m)", "name"], "no column that is flown as height above take-off"
     np.testing.assert_allclose(back.lat_lon_alt[:, 2], altitudes[own], atol=5.1e-4)
     assert back.absolute and back.heights_m is None
-    header, back, own = lists_of(tmp_path / "ground", replace(waypoints, absolute=True, ground_m=405.0))
+    header, back, own = lists_of(tmp_path / "ground", replace(waypoints, counts_from="absolute", ground_m=405.0))
     assert header == ["latitude", "longitude", "altitude(m)", "name", "altitude_absolute(m)"]
     np.testing.assert_allclose(back.lat_lon_alt[:, 2], altitudes[own] - 405, atol=5.1e-4)
     assert not back.absolute and back.heights_m is not None
@@ -274,8 +277,10 @@ def test_what_planners_fly_as_height_above_take_off_is_one(tmp_path: Path) -> No
     header, back, own = lists_of(tmp_path / "planned", flown)
     assert header == list(CSV_HEADER) and not back.absolute
     np.testing.assert_allclose(back.lat_lon_alt[:, 2], altitudes[own] - 350, atol=5.1e-4)
-    header, back, _ = lists_of(tmp_path / "high", replace(waypoints, lat_lon_alt=waypoints.lat_lon_alt - [0, 0, -100.0]))
-    assert header[2] == "altitude_absolute(m)" and back.absolute, "nobody flies 530 m above take-off"
+    for name, moved_m in (("high", 0.0), ("low", -440.0)):
+        unasked = replace(waypoints, lat_lon_alt=waypoints.lat_lon_alt - [0, 0, -moved_m], limits=HeightLimits())
+        header, back, _ = lists_of(tmp_path / name, unasked)
+        assert header == ["latitude", "longitude", "name"] and not back.altitude_known, "nobody asked for 430 m, nor for below take-off"
 
 
 FORMULAS = (
@@ -315,7 +320,7 @@ def test_two_edges_that_deal_themselves_share_a_folder_and_their_points_name_no_
     ]
     save_device_waypoints(tmp_path, cloud, late, waypoints)
     assert {path.name for path in (tmp_path / "edges").iterdir()} == {f"{plan.edge_id}.csv" for plan in late}
-    save_regions_geojson(tmp_path / "r.geojson", cloud, late, waypoints)
+    save_regions_geojson(tmp_path / "r.geojson", cloud, late, replace(waypoints, counts_from="unknown"))
     assert all(feature["properties"].keys() == {"kind", "name", "edge"} for feature in features(tmp_path / "r.geojson", "waypoint"))
 
 

@@ -162,7 +162,7 @@ def test_altitudes_above_the_sea_are_known_by_kmls_altitude_mode(tmp_path: Path,
 
 def test_lines_and_nested_geometries_of_kml_are_read(tmp_path: Path) -> None:
     body = """<Document><Folder><Placemark><name> Route  1 </name><MultiGeometry>
-      <LineString><coordinates>8.54,47.37,5 8.5401,47.37,6
+      <LineString><altitudeMode>relativeToGround</altitudeMode><coordinates>8.54,47.37,5 8.5401,47.37,6
       8.5402,47.37</coordinates></LineString><Point><coordinates>8.55,47.37</coordinates></Point></MultiGeometry></Placemark>
       <Placemark><Polygon><outerBoundaryIs><LinearRing><coordinates>1,2 3,4 5,6 1,2</coordinates></LinearRing>
       </outerBoundaryIs></Polygon></Placemark>

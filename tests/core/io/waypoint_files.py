@@ -30,7 +30,8 @@ def geojson_text() -> str:
 def kml_text() -> str:
     escaped = [name.replace('"', "&quot;") for name, *_ in ROWS]
     placemarks = [
-        f"<Placemark><name>{name}</name><Point><coordinates>\n {lon},{lat},{alt} </coordinates></Point></Placemark>"
+        f"<Placemark><name>{name}</name><Point><altitudeMode>absolute</altitudeMode><coordinates>\n {lon},{lat},{alt} </coordinates>"
+        "</Point></Placemark>"
         for name, (_, lat, lon, alt) in zip(escaped, ROWS, strict=True)
     ]
     body = "".join(placemarks)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
+from radiant_core.plan.heights import height_codes
 from radiant_core.plan.waypoints import Waypoints, clean_waypoints
 
 HOME = (47.37, 8.54, 430.0)
@@ -128,9 +129,10 @@ def test_a_position_that_comes_twice_is_planned_once_and_said() -> None:
 
 
 def test_missing_altitudes_become_zero_and_are_said() -> None:
-    waypoints, warnings = clean_waypoints(names(4), grid(4), [False, True, True, False])
+    waypoints, warnings = clean_waypoints(names(4), grid(4), height_codes(("takeoff", "unknown", "unknown", "takeoff")))
     assert waypoints.lat_lon_alt[:, 2].tolist() == [430, 0, 0, 430]
-    assert warnings == ("2 of 4 waypoints without altitude, 'wp 1' (number 2) first: taken as 0 m.",)
+    np.testing.assert_array_equal(waypoints.heights_m, [430, np.nan, np.nan, 430])
+    assert warnings == ("2 of 4 waypoints without altitude, 'wp 1' (number 2) first: the lists hold no height for them.",)
 
 
 def test_altitude_hardly_moves_a_plan() -> None:
@@ -273,11 +275,11 @@ def test_two_positions_are_one_within_a_millimetre(step: tuple[float, float, flo
 
 def test_no_altitude_is_0_and_said_and_the_first_of_each_spot_stays() -> None:
     rows = [[47.0, 8.0, 5.0], [47.001, 8.0, 7.0], [47.0, 8.0, 5.0], [47.001, 8.0, 7.0], [47.002, 8.0, 9.0]]
-    waypoints, warnings = clean_waypoints(list("abcde"), rows, [False, False, False, False, True], np.arange(10.0).reshape(5, 2))
+    waypoints, warnings = clean_waypoints(list("abcde"), rows, height_codes((*["takeoff"] * 4, "unknown")), np.arange(10.0).reshape(5, 2))
     assert waypoints.names == ("a", "b", "e") and waypoints.lat_lon_alt[2, 2] == 0
     np.testing.assert_array_equal(waypoints.heading_pitch_deg, [[0, 1], [2, 3], [8, 9]])
     assert warnings == (
-        "1 of 5 waypoints without altitude, 'e' (number 5) first: taken as 0 m.",
+        "1 of 5 waypoints without altitude, 'e' (number 5) first: the lists hold no height for them.",
         "2 of 5 waypoints at a position that came before, 'c' (number 3) first: planned once.",
     )
 

@@ -157,13 +157,15 @@ def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypo
         return known, np.zeros(2)
     if subject.origin is None:
         return None, np.zeros(2)
-    waypoints = Waypoints(
-        names=subject.names,
-        lat_lon_alt=geodetic_from_enu(subject.positions, subject.origin),
-        absolute=subject.altitude_known,
-        altitude_known=subject.altitude_known,
-        ground_m=None if subject.ground is None else _altitude_m(subject.positions[:, :2].mean(axis=0), subject.ground, subject.origin),
-    )
+    places = geodetic_from_enu(subject.positions, subject.origin)
+    ground_m = None if subject.ground is None else _altitude_m(subject.positions[:, :2].mean(axis=0), subject.ground, subject.origin)
+    if subject.altitude_known:
+        waypoints = Waypoints(names=subject.names, lat_lon_alt=places, counts_from="absolute", ground_m=ground_m)
+    elif ground_m is None:
+        waypoints = Waypoints(names=subject.names, lat_lon_alt=places, counts_from="unknown")
+    else:
+        # Altitudes count from nothing, and heights from the ground that was seen.
+        waypoints = Waypoints(names=subject.names, lat_lon_alt=places - np.array([0.0, 0.0, ground_m]), ground_m=0.0)
     return waypoints, enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]
 
 

@@ -3,10 +3,11 @@
 CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that
 UgCS, QGIS and `read_waypoints` find by their names; QGroundControl takes no CSV. Flight planners
 fly `altitude(m)` as height above take-off, so it is one: as it came in, or above the ground where
-that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`, and
-alone where the ground is unknown: flown as heights above take-off they would be hundreds of metres
-off. Where no altitude is known there is neither column. Names are never formulas (`csv_cells`).
-GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th
+that is known. Every other kind of height has a column of its own (`COLUMNS`), empty for waypoints
+whose height is of another: flown as heights above take-off they would be hundreds of metres off.
+What is beyond the waypoints' limits stands in none. Names are never formulas (`csv_cells`).
+GeoJSON (RFC 7946): WGS84, longitude first, the third number above the ellipsoid, other heights as
+properties `height_m` and `height_from`; outer rings counter-clockwise, cut at the 180th
 meridian; straight in longitude and latitude, so sides are divided every 500 m, where a straight
 line of the plan differs by 1 cm at most up to latitude 60°.
 """
@@ -26,17 +27,28 @@ from shapely import Point, Polygon, box, get_coordinates, get_parts, make_valid,
 from shapely.affinity import translate
 from shapely.geometry import mapping
 
+from radiant_core.choices import HeightFrom
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
 from radiant_core.georef.crs import Crs
 from radiant_core.georef.features import crs_member, in_crs
 from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.run_store import atomic_writer, write_atomic
+from radiant_core.io.waypoints.geojson_reader import HEIGHT_FROM, HEIGHT_M
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.buffers import EdgeBuffer
+from radiant_core.plan.heights import HEIGHT_KINDS
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.waypoints import Waypoints
 
 HEIGHT, ABSOLUTE = "altitude(m)", "altitude_absolute(m)"
+COLUMNS: dict[HeightFrom, str] = {
+    "takeoff": HEIGHT,
+    "ground": "altitude_agl(m)",
+    "sea": "altitude_amsl(m)",
+    "ellipsoid": "altitude_ellipsoid(m)",
+    "absolute": ABSOLUTE,
+}
+"""The column of each kind of height."""
 CSV_HEADER = ("latitude", "longitude", HEIGHT, "name")
 ANGLE_HEADER = ("heading(deg)", "gimbalpitchangle")
 MAX_SIDE_M = 500.0
@@ -122,22 +134,37 @@ def write_features(path: Path, features: Iterable[dict[str, Any]], crs: Crs | No
 def _device_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.int64] | None) -> str:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")  # RFC 4180
-    angles, heights, altitudes = waypoints.heading_pitch_deg, waypoints.heights_m, waypoints.lat_lon_alt[:, 2]
-    both = heights is not None and waypoints.altitude_known and (waypoints.absolute or waypoints.ground_m not in (None, 0))
-    column = (HEIGHT,) if heights is not None else (ABSOLUTE,) if waypoints.altitude_known else ()
-    header = (*CSV_HEADER[:2], *column, CSV_HEADER[3], *(() if angles is None else ANGLE_HEADER))
-    writer.writerow((*header, *((ABSOLUTE,) if both else ()), *(() if extra is None else ("role",))))
+    angles, (flown, kept) = waypoints.heading_pitch_deg, _height_columns(waypoints)
+    header = (*CSV_HEADER[:2], *flown, CSV_HEADER[3], *(() if angles is None else ANGLE_HEADER), *kept)
+    writer.writerow((*header, *(() if extra is None else ("role",))))
     buffered = set() if extra is None else set(extra.tolist())
     indices = np.sort(own if extra is None else np.concatenate([own, extra]))
-    flown = altitudes if heights is None else heights
-    for index, (lat, lon, alt) in zip(indices.tolist(), waypoints.lat_lon_alt[indices].tolist(), strict=True):
+    for index, (lat, lon, _) in zip(indices.tolist(), waypoints.lat_lon_alt[indices].tolist(), strict=True):
         looks = () if angles is None else tuple("" if np.isnan(angle) else f"{angle:.3f}" for angle in angles[index])
         role = () if extra is None else ("buffer" if index in buffered else "own",)
-        absolute = (f"{alt:.3f}",) if both else ()
         name = cell_of_text(waypoints.names[index])
-        height = (f"{flown[index]:.3f}",) if column else ()
-        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", *height, name, *looks, *absolute, *role))
+        before, behind = ([_metres(float(column[index])) for column in columns.values()] for columns in (flown, kept))
+        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", *before, name, *looks, *behind, *role))
     return text.getvalue()
+
+
+def _height_columns(waypoints: Waypoints) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Columns of heights (P,), NaN where a cell is empty: those in the place where planners look,
+    and absolute ones kept beside heights above the ground."""
+    altitudes = waypoints.lat_lon_alt[:, 2]
+    kinds: list[HeightFrom] = [kind for kind in waypoints.height_kinds if kind in COLUMNS]
+    by_kind = {COLUMNS[kind]: np.where(waypoints.counting_from(kind), altitudes, np.nan) for kind in kinds}
+    within = waypoints.height_problem is None
+    if waypoints.ground_m is None:
+        return ({name: column for name, column in by_kind.items() if within or name not in (HEIGHT, COLUMNS["ground"])}, {})
+    heights_m = waypoints.heights_m
+    return ({} if heights_m is None or not within else {HEIGHT: heights_m}), {
+        name: column for name, column in by_kind.items() if name != HEIGHT
+    }
+
+
+def _metres(height: float) -> str:
+    return "" if np.isnan(height) else f"{height:.3f}"
 
 
 def _features(
@@ -145,12 +172,16 @@ def _features(
 ) -> Iterator[dict[str, Any]]:
     yield from land_features(cloud_plan, edge_plans, waypoints.origin)
     kinds = [("waypoint", plan) for plan in edge_plans] + [("buffer", buffer) for buffer in buffers]
+    codes = waypoints.height_codes
     for kind, plan in kinds:
         for camera, device in zip(plan.camera_indices.tolist(), plan.device_of_camera.tolist(), strict=True):
-            about = {"kind": kind, "name": waypoints.names[camera], "edge": plan.edge_id}
+            about: dict[str, Any] = {"kind": kind, "name": waypoints.names[camera], "edge": plan.edge_id}
             if device >= 0:
                 about["device"] = plan.device_ids[device]
-            yield point_feature(waypoints.lat_lon_alt[camera], about, altitude_known=waypoints.altitude_known)
+            counts_from = HEIGHT_KINDS[codes[camera]]
+            if counts_from not in ("ellipsoid", "unknown"):
+                about |= {HEIGHT_M: round(float(waypoints.lat_lon_alt[camera, 2]), 3), HEIGHT_FROM: counts_from}
+            yield point_feature(waypoints.lat_lon_alt[camera], about, altitude_known=counts_from == "ellipsoid")
 
 
 def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin: FloatArray) -> Iterator[dict[str, Any]]:
@@ -163,7 +194,14 @@ def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin:
     for plan in edge_plans:
         counts = [len(plan.cameras_of(device_id)) for device_id in plan.device_ids]
         for device_id, strip, count, time_s in zip(plan.device_ids, plan.strips, counts, plan.device_time_s.tolist(), strict=True):
-            about = {"kind": "strip", "name": device_id, "edge": plan.edge_id, "device": device_id, "cameras": count, "planned_s": time_s}
+            about: dict[str, Any] = {
+                "kind": "strip",
+                "name": device_id,
+                "edge": plan.edge_id,
+                "device": device_id,
+                "cameras": count,
+                "planned_s": time_s,
+            }
             yield from _polygon_feature(strip, origin, about)
 
 

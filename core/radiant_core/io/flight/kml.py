@@ -4,27 +4,31 @@ from __future__ import annotations
 
 from xml.sax.saxutils import escape
 
-from radiant_core.io.flight.route import SAID, Route
+import numpy as np
 
-MODE = {"takeoff": "relativeToGround", "absolute": "absolute"}
-"""KML knows the ground below and not take-off: over level ground both are one."""
+from radiant_core.io.flight.route import Route
+from radiant_core.plan.heights import FROM_THE_SEA, HEIGHT_KINDS
+
+NO_TAKE_OFF = "KML has no mode for that, and relativeToGround, which stands here, is the same over level ground alone"
 
 
 def kml_route(route: Route) -> bytes:
     """The file's content. No line joins the points: readers would take its vertices for waypoints
-    of their own."""
-    mode = f"<altitudeMode>{MODE[route.heights]}</altitudeMode>"
-    places = [
-        f"{lon:.9f},{lat:.9f},{height:.3f}" for (lat, lon), height in zip(route.lat_lon.tolist(), route.heights_m.tolist(), strict=True)
-    ]
+    of their own. Absolute heights are those above sea level; BadInput where these are not known."""
+    is_absolute = np.isin(route.height_codes, [HEIGHT_KINDS.index(kind) for kind in FROM_THE_SEA])
+    heights_m = np.where(is_absolute, route.heights_above("sea"), route.heights_m) if is_absolute.any() else route.heights_m
+    said = f"{route.said}; {NO_TAKE_OFF}" if "takeoff" in route.kinds else route.said
     points = [
-        f"<Placemark><name>{escape(name)}</name><Point>{mode}<coordinates>{place}</coordinates></Point></Placemark>"
-        for name, place in zip(route.names, places, strict=True)
+        f"<Placemark><name>{escape(name)}</name><Point><altitudeMode>{'absolute' if absolute else 'relativeToGround'}</altitudeMode>"
+        f"<coordinates>{lon:.9f},{lat:.9f},{height:.3f}</coordinates></Point></Placemark>"
+        for name, (lat, lon), height, absolute in zip(
+            route.names, route.lat_lon.tolist(), heights_m.tolist(), is_absolute.tolist(), strict=True
+        )
     ]
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<kml xmlns="http://www.opengis.net/kml/2.2">',
-        f"<Document><name>{escape(route.name)}</name><description>{SAID[route.heights]}</description>",
+        f"<Document><name>{escape(route.name)}</name><description>{escape(said)}</description>",
         *points,
         "</Document>",
         "</kml>",

@@ -1,10 +1,9 @@
 """Waypoints from CSV: a header that names the columns, then one waypoint a line. About 2 µs a cell.
 
-Columns: lat or latitude, lon, lng or longitude, and if there are any alt or altitude (metres), else
-altitude_absolute or AltitudeAMSL (metres from the sea), and name or id; a unit may stand behind in
-brackets. Where the camera looks: heading or yaw (degrees from north), gimbalpitchangle,
-gimbal_pitch or pitch (−90 is down); an empty cell, and a pitch beside the gimbalmode 0, in which
-Litchi leaves the gimbal alone, says nothing. Other columns are ignored.
+Columns: lat or latitude, lon, lng or longitude, name or id, and heights in metres (`csv_heights`);
+a unit may stand behind in brackets. Where the camera looks: heading or yaw (degrees from north),
+gimbalpitchangle, gimbal_pitch or pitch (−90 is down); an empty cell, and a pitch beside the
+gimbalmode 0, in which Litchi leaves the gimbal alone, says nothing. Other columns are ignored.
 Separated by commas, semicolons or tabs, whichever the header has most; decimals with a point.
 """
 
@@ -12,27 +11,23 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from collections.abc import Iterator
 from typing import IO
 
 from radiant_core.errors import BadInput
 from radiant_core.io.csv_cells import text_of_cell
+from radiant_core.io.waypoints.csv_heights import UNIT, CsvHeights
 from radiant_core.io.waypoints.rows import WaypointRows, number
 
 _COLUMNS = {
     "latitude": ("lat", "latitude"),
     "longitude": ("lon", "lng", "long", "longitude"),
-    "altitude": ("alt", "altitude"),
-    "absolute altitude": ("altitude_absolute", "altitude_amsl", "altitudeamsl", "amsl"),
     "name": ("name",),
     "id": ("id",),
     "heading": ("heading", "yaw"),
     "pitch": ("gimbalpitchangle", "gimbal_pitch", "gimbalpitch", "gimbal pitch", "pitch"),
     "gimbal mode": ("gimbalmode",),
 }
-_UNIT = re.compile(r"\s*[(\[_ ]\s*(deg|degrees|°|m|metres|meters)\s*[)\]]?$")
-_FEET = re.compile(r"alt(itude)?\s*[(\[_ ]\s*(ft|feet)\s*[)\]]?$")
 MAX_NAME = 64
 """Characters of a column's name that are looked at."""
 MAX_SHOWN = 12
@@ -52,9 +47,8 @@ def csv_rows(file: IO[str]) -> WaypointRows:
         raise BadInput(f"its header is no line of CSV ({error}).") from None
     column = _columns(header)
     named = column.get("name", column.get("id"))
-    altitudes = column.get("altitude", column.get("absolute altitude"))
+    heights = CsvHeights(_plain(header))
     rows = WaypointRows()
-    rows.absolute = "altitude" not in column and altitudes is not None
     for line, cells in _lines(file, delimiter):
         if not any(cell.strip() for cell in cells):
             continue
@@ -62,9 +56,9 @@ def csv_rows(file: IO[str]) -> WaypointRows:
             raise BadInput(f"line {line} has {len(cells)} cells, the header {len(header)}: give every line one cell per column.")
         lat = number(cells[column["latitude"]].strip(), f"the latitude in line {line}")
         lon = number(cells[column["longitude"]].strip(), f"the longitude in line {line}")
-        alt_text = "" if altitudes is None else cells[altitudes].strip()
-        alt = number(alt_text, f"the altitude in line {line}") if alt_text else None
-        rows.add("" if named is None else text_of_cell(cells[named]), lat, lon, alt, _looks_at_deg(cells, column, line))
+        alt, counts_from = heights.of_line(cells, line)
+        rows.add("" if named is None else text_of_cell(cells[named]), (lat, lon), alt, counts_from, _looks_at_deg(cells, column, line))
+    heights.settle(rows)
     return rows
 
 
@@ -89,14 +83,15 @@ def _lines(file: IO[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
         raise BadInput(f"line {reader.line_num + 1} is no line of CSV ({error}).") from None
 
 
+def _plain(header: list[str]) -> list[str]:
+    """The columns' names in small letters."""
+    # Of a name of thousands of blanks the patterns would try every split.
+    return [" ".join(name.split())[:MAX_NAME].lower() for name in header]
+
+
 def _columns(header: list[str]) -> dict[str, int]:
     """Which column of the header is what."""
-    # Of a name of thousands of blanks the patterns below would try every split.
-    plain = [" ".join(name.split())[:MAX_NAME].lower() for name in header]
-    feet = next((name for name in plain if _FEET.fullmatch(name)), None)
-    if feet is not None:
-        raise BadInput(f"its column {feet!r} is in feet: convert it to metres and call it altitude.")
-    plain = [_UNIT.sub("", name) for name in plain]
+    plain = [UNIT.sub("", name) for name in _plain(header)]
     found: dict[str, int] = {}
     for what, names in _COLUMNS.items():
         places = [index for index, name in enumerate(plain) if name in names]

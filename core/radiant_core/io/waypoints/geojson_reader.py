@@ -1,7 +1,10 @@
 """Waypoints from GeoJSON (RFC 7946): points and vertices of lines, longitude first. Once per file.
 
-Files from before that standard, and those of `radiant export --crs`, name another system in their
-member `crs`: places are moved from there, and heights stay what they are.
+The third number is metres above the WGS84 ellipsoid (section 3.1.1), unless the properties
+`height_m` and `height_from` say another height and what it counts from, as `radiant plan` writes
+them. Files from before that standard, and those of `radiant export --crs`, name another system in
+their member `crs`: places are moved from there, heights stay what they are, and count from the sea
+where the system has a vertical part, else from what nobody says.
 
 A feature's name is its property name or id, else its member id; vertices get a number behind it.
 Polygons and features without a geometry are no waypoints: they are counted as ignored.
@@ -12,12 +15,17 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
+from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.georef.crs import Crs, parse_crs
 from radiant_core.io.waypoints.rows import WaypointRows
+from radiant_core.plan.heights import HEIGHT_KINDS
 
+HEIGHT_M, HEIGHT_FROM = "height_m", "height_from"
+"""Properties of points that say a height which is none above the ellipsoid."""
+MAX_HEIGHT_M = 1e9
 _WGS84_NAMES = ("CRS84", "4326", "4979")
 _EPSG = re.compile(r"EPSG:(?:[\d.]*:)?(\d{4,6})\b")
 
@@ -25,9 +33,13 @@ _EPSG = re.compile(r"EPSG:(?:[\d.]*:)?(\d{4,6})\b")
 def geojson_rows(text: str) -> WaypointRows:
     """The waypoints of a GeoJSON text; BadInput with the reason when it is none."""
     rows = WaypointRows()
-    system, geometries = geojson_geometries(text)
-    for place, name, geometry in geometries:
-        _add_geometry(rows, place, name, geometry)
+    value = _parsed(text)
+    system = _system_of(value)
+    counts_from: HeightFrom = "ellipsoid" if system is None else "absolute" if system.vertical_epsg is None else "sea"
+    for feature in _features(value):
+        height = _height_of(feature.properties, feature.place)
+        for geometry in _opened(feature.place, feature.geometry):
+            _add_geometry(rows, feature, geometry, height or (None, counts_from))
     if system is not None:
         rows.move_from(system)
     return rows
@@ -36,13 +48,27 @@ def geojson_rows(text: str) -> WaypointRows:
 def geojson_geometries(text: str) -> tuple[Crs | None, Iterator[tuple[str, str, Any]]]:
     """The system of a GeoJSON text, None for longitude and latitude; and where each geometry
     stands, its feature's name, and itself, with collections opened. BadInput as above."""
+    value = _parsed(text)
+    return _system_of(value), _geometries(value)
+
+
+class _Feature(NamedTuple):
+    """Where a feature stands, its name, what it says, and its geometry."""
+
+    place: str
+    name: str
+    properties: dict[str, Any]
+    geometry: Any
+
+
+def _parsed(text: str) -> dict[str, Any]:
     try:
         value = json.loads(text, parse_constant=float)
     except (ValueError, RecursionError) as error:
         raise BadInput(f"it is not valid JSON ({error}).") from None
     if not isinstance(value, dict) or not isinstance(value.get("type"), str):
         raise BadInput('it is no GeoJSON, which is an object with a "type".')
-    return _system_of(value), _geometries(value)
+    return value
 
 
 def _system_of(value: dict[str, Any]) -> Crs | None:
@@ -59,6 +85,13 @@ def _system_of(value: dict[str, Any]) -> Crs | None:
 
 def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Where each geometry stands, its feature's name, and itself; collections are opened."""
+    for feature in _features(value):
+        for geometry in _opened(feature.place, feature.geometry):
+            yield feature.place, feature.name, geometry
+
+
+def _features(value: dict[str, Any]) -> Iterator[_Feature]:
+    """The features, and a geometry alone as one of them."""
     if value["type"] == "FeatureCollection":
         features = value.get("features")
         if not isinstance(features, list):
@@ -66,14 +99,34 @@ def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
         for number, feature in enumerate(features, start=1):
             if not isinstance(feature, dict) or feature.get("type") != "Feature":
                 raise BadInput(f'feature {number} is no object of type "Feature".')
-            yield from _open_collections(f"feature {number}", _feature_name(feature), feature.get("geometry"))
+            yield _feature(f"feature {number}", feature)
     elif value["type"] == "Feature":
-        yield from _open_collections("the feature", _feature_name(value), value.get("geometry"))
+        yield _feature("the feature", value)
     else:
-        yield from _open_collections("the geometry", "", value)
+        yield _Feature(place="the geometry", name="", properties={}, geometry=value)
 
 
-def _open_collections(place: str, name: str, geometry: Any) -> Iterator[tuple[str, str, Any]]:
+def _feature(place: str, feature: dict[str, Any]) -> _Feature:
+    properties = feature.get("properties")
+    known = properties if isinstance(properties, dict) else {}
+    return _Feature(place=place, name=_feature_name(feature), properties=known, geometry=feature.get("geometry"))
+
+
+def _height_of(properties: dict[str, Any], place: str) -> tuple[float | None, HeightFrom] | None:
+    """The height that a feature's properties say; BadInput where they say half of it."""
+    kind, height = properties.get(HEIGHT_FROM), properties.get(HEIGHT_M)
+    if kind is None:
+        return None
+    if kind == "unknown":
+        return None, "unknown"
+    if kind not in HEIGHT_KINDS or not isinstance(height, int | float) or not abs(height) < MAX_HEIGHT_M:
+        raise BadInput(
+            f"{place} has {HEIGHT_FROM} {kind!r} and {HEIGHT_M} {height!r}, expected one of {', '.join(HEIGHT_KINDS)} and metres."
+        )
+    return float(height), kind
+
+
+def _opened(place: str, geometry: Any) -> Iterator[Any]:
     waiting = [geometry]
     while waiting:
         inner = waiting.pop()
@@ -83,7 +136,7 @@ def _open_collections(place: str, name: str, geometry: Any) -> Iterator[tuple[st
                 raise BadInput(f'{place} is a GeometryCollection without a list "geometries".')
             waiting += reversed(geometries)
         else:
-            yield place, name, inner
+            yield inner
 
 
 def _feature_name(feature: dict[str, Any]) -> str:
@@ -95,7 +148,8 @@ def _feature_name(feature: dict[str, Any]) -> str:
     return ""
 
 
-def _add_geometry(rows: WaypointRows, place: str, name: str, geometry: Any) -> None:
+def _add_geometry(rows: WaypointRows, feature: _Feature, geometry: Any, height: tuple[float | None, HeightFrom]) -> None:
+    place, name = feature.place, feature.name
     if geometry is None:
         rows.ignored["feature without geometry"] += 1
         return
@@ -107,21 +161,23 @@ def _add_geometry(rows: WaypointRows, place: str, name: str, geometry: Any) -> N
         raise BadInput(f"{place} has a geometry of type {kind!r}, expected Point, MultiPoint or LineString.")
     coordinates = geometry.get("coordinates")
     if kind == "Point":
-        _add_position(rows, place, name, coordinates)
+        _add_position(rows, feature, name, coordinates, height)
         return
     lines = coordinates if kind == "MultiLineString" and isinstance(coordinates, list) else [coordinates]
     if not all(isinstance(line, list) for line in lines):
         raise BadInput(f"{place} is a {kind} without a list of coordinates.")
     vertices = [position for line in lines if isinstance(line, list) for position in line]
     for number, position in enumerate(vertices, start=1):
-        _add_position(rows, place, f"{name}-{number}" if name else "", position)
+        _add_position(rows, feature, f"{name}-{number}" if name else "", position, height)
 
 
-def _add_position(rows: WaypointRows, place: str, name: str, position: Any) -> None:
+def _add_position(rows: WaypointRows, feature: _Feature, name: str, position: Any, height: tuple[float | None, HeightFrom]) -> None:
+    place = feature.place
     if not (isinstance(position, list) and len(position) >= 2 and all(type(value) in (int, float) for value in position)):
         raise BadInput(f"{place} has the position {json.dumps(position)[:60]}, expected numbers [longitude, latitude, altitude].")
     try:
-        lon, lat, alt = float(position[0]), float(position[1]), float(position[2]) if len(position) > 2 else None
+        lon, lat, third = float(position[0]), float(position[1]), float(position[2]) if len(position) > 2 else None
     except OverflowError:
         raise BadInput(f"{place} has a position with a number beyond any degree or metre.") from None
-    rows.add(name, lat, lon, alt)
+    said, counts_from = height
+    rows.add(name, (lat, lon), third if said is None else said, counts_from)

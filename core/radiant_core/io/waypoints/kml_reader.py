@@ -1,7 +1,10 @@
 """Waypoints from KML (OGC 12-007r2): points or vertices of lines, "lon,lat[,alt]". Once per file.
 
-Document types and entities are refused before parsing, so that nothing is fetched or expanded.
-Elements are dropped once they are read.
+The third number is a height only where the geometry's own altitudeMode says of what: clampToGround,
+which holds where none stands, and clampToSeaFloor are to be read without it (OGC 12-007r2, 9.20).
+Routes of DJI (`wpml_heights`) have their heights beside the coordinates. Document types and
+entities are refused before parsing, so that nothing is fetched or expanded. Elements are dropped
+once they are read.
 """
 
 from __future__ import annotations
@@ -11,9 +14,21 @@ import re
 from functools import lru_cache
 from xml.etree.ElementTree import Element, ParseError, iterparse
 
+from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.io.waypoints.rows import WaypointRows, number
+from radiant_core.io.waypoints.wpml_heights import WpmlHeights
 
+MODES: dict[str, HeightFrom] = {
+    "clampToGround": "unknown",
+    "relativeToGround": "ground",
+    "absolute": "sea",
+    "clampToSeaFloor": "unknown",
+    "relativeToSeaFloor": "unknown",
+}
+"""What each altitudeMode lets the third number count from; the sea floor's depth is not known."""
+MODE_NAMES = ("altitudeMode", "seaFloorAltitudeMode")
+"""gx:altitudeMode of Google's extension has the first name too; KML 2.3 has the second."""
 _DECLARED_ENCODING = re.compile(r"^(\s*<\?xml[^>]*?)\sencoding\s*=\s*(\"[^\"]*\"|'[^']*')")
 
 
@@ -23,20 +38,18 @@ def kml_rows(text: str) -> WaypointRows:
         raise BadInput("it declares a document type or entities, which KML does not need and which are not read.")
     # The text is decoded already; what the first line says of its former encoding no longer holds.
     data = _DECLARED_ENCODING.sub(r"\1", text[:200]) + text[200:]
-    rows = WaypointRows()
+    reading = _Reading()
     # What is dangerous here needs the DTD that was refused above.
     parser = iterparse(io.BytesIO(data.encode()), events=("end",))  # noqa: S314
     try:
         for _, element in parser:
-            if element.tag.endswith("Placemark") and _local(element.tag) == "Placemark":
-                _add_placemark(rows, element)
-                element.clear()
+            reading.take(element)
     except ParseError as error:
         raise BadInput(f"it is not valid XML ({error}).") from None
     root: Element = parser.root  # pyright: ignore[reportAttributeAccessIssue]  not in its stub
     if _local(root.tag) != "kml":
         raise BadInput(f"its outermost element is <{_local(root.tag)[:40]}>, expected <kml>.")
-    return rows
+    return reading.finished()
 
 
 @lru_cache(maxsize=256)
@@ -45,27 +58,72 @@ def _local(tag: str) -> str:
     return tag.rsplit("}", 1)[-1]
 
 
-def _add_placemark(rows: WaypointRows, placemark: Element) -> None:
-    name = next((child.text or "" for child in placemark if _local(child.tag) == "name"), "").strip()
-    place = f"the placemark {name[:40]!r}" if name else f"the placemark after {len(rows.names)} waypoints"
-    for geometry in placemark.iter():
-        kind = _local(geometry.tag)
-        if kind in ("Polygon", "Track", "Model"):
-            rows.ignored[kind] += 1
-        if kind not in ("Point", "LineString"):
-            continue
-        tuples = " ".join(child.text or "" for child in geometry if _local(child.tag) == "coordinates").split()
-        if any(_local(child.tag) == "altitudeMode" and (child.text or "").strip() == "absolute" for child in geometry):
-            rows.absolute = True
-        if not tuples or (kind == "Point" and len(tuples) > 1):
-            raise BadInput(f"{place} has a {kind} with {len(tuples)} coordinates, expected longitude,latitude,altitude without blanks.")
-        for index, written in enumerate(tuples, start=1):
-            _add_tuple(rows, place, f"{name}-{index}" if name and kind == "LineString" else name, written)
+class _Reading:
+    """Rows while a file is read."""
+
+    def __init__(self) -> None:
+        self.rows = WaypointRows()
+        self.wpml = WpmlHeights(self.rows)
+        self.num_clamped, self.highest_clamped = 0, 0.0
+
+    def take(self, element: Element) -> None:
+        """An element that has ended."""
+        name = _local(element.tag)
+        if name == "Placemark":
+            before = len(self.rows.names)
+            self._add_placemark(element)
+            self.wpml.take_placemark({_local(child.tag): (child.text or "").strip() for child in element}, before)
+            element.clear()
+        elif name == "Folder":
+            self.wpml.end_folder()
+        else:
+            self.wpml.take_setting(name, element.text)
+
+    def finished(self) -> WaypointRows:
+        """The rows, and what is to be said of them."""
+        self.wpml.end_folder()
+        if self.num_clamped:
+            self.rows.notes.append(
+                f"{self.num_clamped} of {len(self.rows.names)} waypoints are clamped to the ground, which clampToGround and no altitudeMode"
+                f" mean in KML: their third numbers, up to {self.highest_clamped:g}, are no heights."
+            )
+        return self.rows
+
+    def _add_placemark(self, placemark: Element) -> None:
+        name = next((child.text or "" for child in placemark if _local(child.tag) == "name"), "").strip()
+        place = f"the placemark {name[:40]!r}" if name else f"the placemark after {len(self.rows.names)} waypoints"
+        for geometry in placemark.iter():
+            kind = _local(geometry.tag)
+            if kind in ("Polygon", "Track", "Model"):
+                self.rows.ignored[kind] += 1
+            if kind not in ("Point", "LineString"):
+                continue
+            tuples = " ".join(child.text or "" for child in geometry if _local(child.tag) == "coordinates").split()
+            if not tuples or (kind == "Point" and len(tuples) > 1):
+                raise BadInput(f"{place} has a {kind} with {len(tuples)} coordinates, expected longitude,latitude,altitude without blanks.")
+            counts_from = _counts_from(geometry, place)
+            for index, written in enumerate(tuples, start=1):
+                self._add_tuple(place, f"{name}-{index}" if name and kind == "LineString" else name, written, counts_from)
+
+    def _add_tuple(self, place: str, name: str, written: str, counts_from: HeightFrom) -> None:
+        parts = written.split(",")
+        if len(parts) not in (2, 3):
+            raise BadInput(f"{place} has the coordinates {written[:60]!r}, expected longitude,latitude or longitude,latitude,altitude.")
+        lon, lat = (number(part, f"a coordinate of {place}") for part in parts[:2])
+        alt = number(parts[2], f"an altitude of {place}") if len(parts) == 3 else None
+        if alt is not None and counts_from == "unknown":
+            self.num_clamped, self.highest_clamped = self.num_clamped + 1, max(self.highest_clamped, alt)
+        self.rows.add(name, (lat, lon), alt, counts_from)
 
 
-def _add_tuple(rows: WaypointRows, place: str, name: str, written: str) -> None:
-    parts = written.split(",")
-    if len(parts) not in (2, 3):
-        raise BadInput(f"{place} has the coordinates {written[:60]!r}, expected longitude,latitude or longitude,latitude,altitude.")
-    lon, lat = (number(part, f"a coordinate of {place}") for part in parts[:2])
-    rows.add(name, lat, lon, number(parts[2], f"an altitude of {place}") if len(parts) == 3 else None)
+def _counts_from(geometry: Element, place: str) -> HeightFrom:
+    """What a geometry's own altitudeMode lets its heights count from; BadInput for an unknown one,
+    and for several that contradict."""
+    modes = [(child.text or "").strip() for child in geometry if _local(child.tag) in MODE_NAMES]
+    unknown = next((mode for mode in modes if mode and mode not in MODES), None)
+    if unknown is not None:
+        raise BadInput(f"{place} has the altitudeMode {unknown[:40]!r}, expected one of {', '.join(MODES)}.")
+    meant: set[HeightFrom] = {MODES[mode] for mode in modes if mode}
+    if len(meant) > 1:
+        raise BadInput(f"{place} has the altitudeModes {' and '.join(modes)}, which contradict: leave one.")
+    return meant.pop() if meant else "unknown"

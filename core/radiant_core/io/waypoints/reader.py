@@ -13,7 +13,7 @@ import os
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ from radiant_core.io.waypoints.csv_reader import csv_rows
 from radiant_core.io.waypoints.geojson_reader import geojson_rows
 from radiant_core.io.waypoints.kml_reader import kml_rows
 from radiant_core.io.waypoints.rows import WaypointRows
-from radiant_core.numerics import FloatArray
+from radiant_core.plan.heights import HEIGHT_KINDS
 from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints, clean_waypoints
 
 MAX_FILE_BYTES = 256 * 2**20
@@ -64,8 +64,8 @@ def read_waypoints(path: Path) -> FoundWaypoints:
         if not rows.names:
             held = f" but {_list_kinds(rows)}" if rows.ignored else ""
             raise BadInput(f"it holds no waypoint{held}: give at least one point.")
-        waypoints, warnings = clean_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude, rows.heading_pitch_deg)
-        waypoints = replace(waypoints, absolute=rows.absolute)
+        waypoints, warnings = clean_waypoints(rows.names, rows.lat_lon_alt, rows.height_codes, rows.heading_pitch_deg)
+        warnings = (*rows.notes, *warnings)
     except BadInput as error:
         raise BadInput(f"cannot use {path}: {error}") from error
     if rows.ignored:
@@ -90,15 +90,16 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
         raise BadInput(f"none of the {len(names)} photographs in {folder} has a GPS position in its EXIF: give a file of waypoints.")
     geodetic = np.array(list(positions.values()), np.float64)
     low = np.isnan(geodetic[:, 2])
-    known = not low.all()
-    geodetic[low, 2] = np.median(geodetic[~low, 2]) if known else 0.0
+    # For the plan alone, which heights hardly move: none is flown at.
+    geodetic[low, 2] = 0.0 if low.all() else np.median(geodetic[~low, 2])
+    codes = np.where(low, HEIGHT_KINDS.index("unknown"), HEIGHT_KINDS.index("absolute")).astype(np.uint8)
     try:
-        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=geodetic, absolute=known, altitude_known=known)
+        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=geodetic, counts_from=codes)
     except BadInput as error:
         raise BadInput(f"cannot use the positions of the photographs in {folder}: {error}") from error
     return FoundWaypoints(
         waypoints=waypoints,
-        warnings=(*unread_warning(unread_files(folder)), *copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low, geodetic)),
+        warnings=(*unread_warning(unread_files(folder)), *copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low)),
         without_gps=without,
     )
 
@@ -156,11 +157,10 @@ def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, 
     )
 
 
-def _altitude_warnings(low: NDArray[np.bool_], geodetic: FloatArray) -> tuple[str, ...]:
-    """The warning about the photographs whose GPS (P,3) has no altitude, those of `low` (P,)."""
+def _altitude_warnings(low: NDArray[np.bool_]) -> tuple[str, ...]:
+    """The warning about the photographs whose GPS has no altitude, those of `low` (P,)."""
     if not low.any():
         return ()
     if low.all():
         return (f"None of {len(low)} photographs with GPS has an altitude: {NO_ALTITUDES}.",)
-    taken_m = geodetic[low][0, 2]
-    return (f"{low.sum()} of {len(low)} photographs have GPS without altitude: planned by their horizontal positions, at {taken_m:.0f} m.",)
+    return (f"{low.sum()} of {len(low)} photographs have GPS without altitude: planned by their horizontal positions, without a height.",)

@@ -7,30 +7,51 @@ from collections import Counter
 
 import numpy as np
 
+from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.georef.crs import Crs
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.heights import HEIGHT_KINDS, HeightCodes
 
 
 class WaypointRows:
-    """Names and positions in the file's order; a missing name is empty, a missing altitude None."""
+    """Names and positions in the file's order; a missing name is empty, a missing altitude None,
+    and one that is there counts from what the format says."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
         self.ignored: Counter[str] = Counter()
         """What the file holds besides waypoints, by kind."""
-        self.absolute = False
-        """Whether the file says that its altitudes count from the sea."""
+        self.notes: list[str] = []
+        """What a user is to know of how heights were read, a sentence each."""
         self._numbers = array("d")
-        self._no_altitude = bytearray()
+        self._codes = bytearray()
         self._angles = array("d")
 
-    def add(self, name: str, lat: float, lon: float, alt: float | None, heading_pitch_deg: tuple[float, float] = (np.nan, np.nan)) -> None:
-        """One waypoint; runs of white space in its name become one blank."""
+    def add(
+        self,
+        name: str,
+        lat_lon: tuple[float, float],
+        alt: float | None,
+        counts_from: HeightFrom,
+        heading_pitch_deg: tuple[float, float] = (np.nan, np.nan),
+    ) -> None:
+        """One waypoint; runs of white space in its name become one blank. An altitude that is
+        "unknown" is none, whatever number stands there."""
         self._angles.extend(heading_pitch_deg)
         self.names.append(" ".join(name.split()))
-        self._numbers.extend((lat, lon, 0.0 if alt is None else alt))
-        self._no_altitude.append(alt is None)
+        known = alt is not None and counts_from != "unknown"
+        self._numbers.extend((*lat_lon, alt if known and alt is not None else 0.0))
+        self._codes.append(HEIGHT_KINDS.index(counts_from if known else "unknown"))
+
+    def set_height(self, row: int, alt: float, counts_from: HeightFrom) -> None:
+        """What was read of a waypoint's height behind the waypoint itself."""
+        self._numbers[3 * row + 2] = alt
+        self._codes[row] = HEIGHT_KINDS.index(counts_from)
+
+    def reckon(self, was: HeightFrom, counts_from: HeightFrom) -> None:
+        """Let all heights of one kind be of another."""
+        self._codes = self._codes.replace(bytes([HEIGHT_KINDS.index(was)]), bytes([HEIGHT_KINDS.index(counts_from)]))
 
     def move_from(self, system: Crs) -> None:
         """Take what was read as latitude and longitude for north and east in a system; altitudes
@@ -51,9 +72,9 @@ class WaypointRows:
         return None if np.isnan(angles).all() else angles
 
     @property
-    def no_altitude(self) -> np.ndarray:
-        """Where the file says no altitude (P,) bool."""
-        return np.frombuffer(self._no_altitude, np.bool_)
+    def height_codes(self) -> HeightCodes:
+        """What altitudes count from (P,), as places in `HEIGHT_KINDS`."""
+        return np.frombuffer(bytes(self._codes), np.uint8)
 
 
 def number(text: str, what: str) -> float:

@@ -60,13 +60,15 @@ class FlightFigures:
 
 
 def flight_figures(positions: FloatArray, heights_m: FloatArray | None, drone: Drone) -> FlightFigures:
-    """Figures of waypoints (P,2) m in the order of the flight, with heights (P,) m."""
+    """Figures of waypoints (P,2) m in the order of the flight, with heights (P,) m, NaN where one
+    is not known."""
     steps = np.diff(positions, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     length_m = float(lengths.sum())
     # Out from the first and home from the last waypoint, which is where take-off is taken to be.
     home_m = float(np.linalg.norm(positions[-1] - positions[0])) if len(positions) else 0.0
-    height_m = None if heights_m is None or not len(heights_m) else float(np.median(heights_m))
+    known_m = np.zeros(0) if heights_m is None else heights_m[np.isfinite(heights_m)]
+    height_m = float(np.median(known_m)) if len(known_m) else None
     climb_s = 0.0 if height_m is None else 2 * max(height_m, 0.0) / CLIMB_M_PER_S
     flight_s = (length_m + home_m) / drone.speed_m_per_s + TURN_S * _num_turns(steps) + climb_s if len(positions) else 0.0
     width_m = None if height_m is None or height_m <= 0 else 2 * height_m * math.tan(math.radians(drone.optics.field_of_view_deg / 2))

@@ -19,6 +19,12 @@ SAME_SIZE = 0.1
 """Images whose long sides differ by less than this share count as equally large."""
 
 
+def same_size(one_px: int, other_px: int) -> bool:
+    """Whether images with these long sides count as equally large."""
+    small, large = sorted((one_px, other_px))
+    return large <= (1 + SAME_SIZE) * small
+
+
 @dataclass(frozen=True, kw_only=True)
 class ProfileKey:
     """The training that curves hold for. Raises BadInput for numbers below 1 and empty names."""
@@ -44,9 +50,8 @@ class ProfileKey:
     def matches_training(self, other: ProfileKey) -> bool:
         """Whether a device trains alike under both keys."""
         limits = {self.max_num_splats, other.max_num_splats} - {None}
-        sizes = sorted((self.long_side_px, other.long_side_px))
-        same_size = sizes[1] <= (1 + SAME_SIZE) * sizes[0]
-        return (self.preset, self.num_steps) == (other.preset, other.num_steps) and same_size and len(limits) <= 1
+        same = same_size(self.long_side_px, other.long_side_px)
+        return (self.preset, self.num_steps) == (other.preset, other.num_steps) and same and len(limits) <= 1
 
     def __str__(self) -> str:
         limit = "" if self.max_num_splats is None else f", at most {self.max_num_splats:,} Gaussians"
@@ -88,6 +93,9 @@ class Profile:
     """The same with no process beside it, as at the cloud: for each edge but the first."""
     memory_bytes: float | None = None
     """What training may hold there; None for unknown."""
+    launch_s: float | None = None
+    """Part of a step that neither pixels nor Gaussians change, on a GPU the launching of kernels;
+    None: none is known."""
     measured_steps: int | None = None
     """Steps that were run, where fewer than `key.num_steps`; `train_s` was scaled accordingly."""
 
@@ -98,7 +106,7 @@ class Profile:
             raise BadInput("a profile says neither machine nor source where it is empty: name both.")
         if self.memory_bytes is not None and not (np.isfinite(self.memory_bytes) and self.memory_bytes > 0):
             raise BadInput(f"a profile's memory is {self.memory_bytes} bytes, expected a positive number.")
-        for name in ("frames_s", "frames_alone_s"):
+        for name in ("frames_s", "frames_alone_s", "launch_s"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise BadInput(f"a profile's {name} is {value}, expected a positive number of seconds.")

@@ -45,8 +45,8 @@ def _of_devices(profile: Profile, counts: Sequence[tuple[str, int]], training: P
         )
     if not profile.key.matches_training(training):
         found.append(
-            f"the curves of {names}, profile {profile.name!r}, are of {profile.key}, this plan is for {training}: its times are those of "
-            "another training, run `radiant profile` with these settings."
+            f"the curves of {names}, profile {profile.name!r}, are of {profile.key}, this plan is for {training}: its times were scaled "
+            "from those of another training, run `radiant profile` with these settings."
         )
     return found
 

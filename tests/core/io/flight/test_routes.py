@@ -13,30 +13,36 @@ import numpy as np
 import pytest
 from pygeoif import Point
 
+from radiant_core.choices import HeightFrom, Heights
 from radiant_core.errors import BadInput
 from radiant_core.io.flight.kml import kml_route
 from radiant_core.io.flight.qgc import qgc_plan
-from radiant_core.io.flight.route import Route, route_of
+from radiant_core.io.flight.route import FlownHeights, Route, route_of
 from radiant_core.io.flight.wpml import KML, WPML, wpml_kmz
 from radiant_core.io.waypoints.kml_reader import kml_rows
+from radiant_core.plan.heights import HEIGHT_KINDS
 from radiant_core.plan.waypoints import Waypoints
 
 NS = {"k": KML, "w": WPML}
 
 
-def waypoints(*, absolute: bool = False) -> Waypoints:
+def waypoints(*, absolute: bool = False, counts_from: HeightFrom = "ellipsoid") -> Waypoints:
     places = np.array([[47.37 + 1e-4 * k, 8.54 - 2e-4 * k, (460.0 if absolute else 80.0) + k] for k in range(6)])
     looks = np.array([[90.0, -90.0], [np.nan, np.nan], [270.0, -45.0], [270.0, -45.0], [np.nan, -60.0], [10.0, np.nan]])
     names = ('a & "b"', "<c>", "d", "e", "f", "ü")
-    return Waypoints(names=names, lat_lon_alt=places, heading_pitch_deg=looks, absolute=absolute)
+    return Waypoints(names=names, lat_lon_alt=places, heading_pitch_deg=looks, counts_from=counts_from if absolute else "takeoff")
 
 
-def route(heights: str | None = None, *, absolute: bool = False) -> Route:
-    return route_of("dev-1", waypoints(absolute=absolute), np.array([0, 2, 3, 5]), heights, 7.5)
+def route(heights: Heights | None = None, *, absolute: bool = False, geoid_m: float | None = 47.0) -> Route:
+    return route_of("dev-1", waypoints(absolute=absolute), np.array([0, 2, 3, 5]), FlownHeights(heights=heights, geoid_m=geoid_m), 7.5)
 
 
 def test_the_drones_file_of_wpml_says_place_height_and_picture() -> None:
-    for heights, mode, values in (("takeoff", "relativeToStartPoint", (80, 82, 83, 85)), ("absolute", "WGS84", (460, 462, 463, 465))):
+    modes: tuple[tuple[Heights, str, tuple[int, ...]], ...] = (
+        ("takeoff", "relativeToStartPoint", (80, 82, 83, 85)),
+        ("absolute", "WGS84", (460, 462, 463, 465)),
+    )
+    for heights, mode, values in modes:
         with zipfile.ZipFile(io.BytesIO(wpml_kmz(route(heights, absolute=heights == "absolute")))) as archive:
             assert archive.namelist() == ["wpmz/template.kml", "wpmz/waylines.wpml"] and archive.testzip() is None
             lines, template = (ElementTree.fromstring(archive.read(name)) for name in ("wpmz/waylines.wpml", "wpmz/template.kml"))
@@ -56,7 +62,12 @@ def test_the_drones_file_of_wpml_says_place_height_and_picture() -> None:
                 config.find("w:droneInfo/w:droneEnumValue", NS) is not None
                 and config.find("w:payloadInfo/w:payloadEnumValue", NS) is not None
             )
-            assert [float(h.text) for h in root.findall(f".//w:{'executeHeight' if root is lines else 'height'}", NS)] == list(values)
+            # Above the ellipsoid where it is flown, 47 m less above the sea where Pilot 2 edits it.
+            below_m = 47 if heights == "absolute" and root is template else 0
+            written = root.findall(f".//w:{'executeHeight' if root is lines else 'height'}", NS)
+            assert [float(height.text or "") for height in written] == [value - below_m for value in values]
+        assert template.findtext(".//w:heightMode", None, NS) == ("EGM96" if heights == "absolute" else "relativeToStartPoint")
+        assert [float(height.text or "") for height in template.findall(".//w:ellipsoidHeight", NS)] == list(values)
         folder = lines.find(".//k:Folder", NS)
         assert folder is not None and folder.findtext("w:executeHeightMode", None, NS) == mode
         assert float(folder.findtext("w:distance", "0", NS)) == pytest.approx(94, abs=2)  # 5 steps of 11 and 15 m
@@ -80,7 +91,8 @@ def test_a_file_is_the_same_whenever_it_is_written() -> None:
 
 
 def test_the_plan_of_qgroundcontrol_has_its_fields() -> None:
-    for heights, frame, mode in (("takeoff", 3, 1), ("absolute", 0, 2)):
+    frames: tuple[tuple[Heights, int, int], ...] = (("takeoff", 3, 1), ("absolute", 0, 2))
+    for heights, frame, mode in frames:
         given = route(heights, absolute=heights == "absolute")
         plan = json.loads(qgc_plan(given))
         assert (plan["fileType"], plan["version"], plan["groundStation"]) == ("Plan", 1, "QGroundControl")
@@ -93,7 +105,8 @@ def test_the_plan_of_qgroundcontrol_has_its_fields() -> None:
         assert all(item["type"] == "SimpleItem" and len(item["params"]) == 7 and item["autoContinue"] is True for item in items)
         places = [item for item in items if item["command"] == 16]
         np.testing.assert_allclose([item["params"][4:6] for item in places], given.lat_lon, atol=1e-9)
-        assert [item["Altitude"] for item in places] == given.heights_m.tolist() == [item["params"][6] for item in places]
+        above_m = (given.heights_m - (47.0 if heights == "absolute" else 0.0)).tolist()
+        assert [item["Altitude"] for item in places] == above_m == [item["params"][6] for item in places]
         assert all((item["frame"], item["AltitudeMode"]) == (frame, mode) for item in places)
         assert [item["command"] for item in items].count(2000) == 4, "a picture at each"
         assert (items[0]["command"], items[-1]["command"]) == (22, 20)
@@ -101,20 +114,23 @@ def test_the_plan_of_qgroundcontrol_has_its_fields() -> None:
 
 
 def test_kml_is_read_by_fastkml_and_by_radiant() -> None:
-    for heights, mode in (("takeoff", "relativeToGround"), ("absolute", "absolute")):
+    modes: tuple[tuple[Heights, str], ...] = (("takeoff", "relativeToGround"), ("absolute", "absolute"))
+    for heights, mode in modes:
         given = route(heights, absolute=heights == "absolute")
         data = kml_route(given)
         document = fastkml.KML.from_string(data.decode().split("\n", 1)[1]).features[0]
         assert isinstance(document, fastkml.Document)
         marks = [mark for mark in document.features if isinstance(mark, fastkml.Placemark)]
         assert [mark.name for mark in marks] == list(given.names)
-        for mark, (lat, lon), height in zip(marks, given.lat_lon.tolist(), given.heights_m.tolist(), strict=True):
+        above_m = given.heights_m - (47.0 if heights == "absolute" else 0.0)
+        for mark, (lat, lon), height in zip(marks, given.lat_lon.tolist(), above_m.tolist(), strict=True):
             assert isinstance(mark.kml_geometry, fastkml.Point) and isinstance(mark.geometry, Point)
             assert mark.kml_geometry.altitude_mode is not None
             assert next(iter(mark.geometry.coords)) == pytest.approx((lon, lat, height), abs=1e-6)
             assert mark.kml_geometry.altitude_mode.value == mode
         rows = kml_rows(data.decode())
-        assert rows.names == list(given.names) and rows.absolute == (heights == "absolute")
+        assert rows.names == list(given.names)
+        assert {HEIGHT_KINDS[code] for code in rows.height_codes} == {"sea" if heights == "absolute" else "ground"}
 
 
 def test_heights_that_nobody_knows_are_refused() -> None:
@@ -123,12 +139,12 @@ def test_heights_that_nobody_knows_are_refused() -> None:
     with pytest.raises(BadInput, match="absolute heights are asked for"):
         route("absolute")
     grounded = replace(waypoints(absolute=True), ground_m=400.0)
-    assert route_of("d", grounded, np.array([0]), None, 5.0).heights_m.tolist() == [60.0]
-    assert route_of("d", grounded, np.array([0]), "absolute", 5.0).heights_m.tolist() == [460.0]
+    assert route_of("d", grounded, np.array([0]), FlownHeights(), 5.0).heights_m.tolist() == [60.0]
+    assert route_of("d", grounded, np.array([0]), FlownHeights(heights="absolute"), 5.0).heights_m.tolist() == [460.0]
 
 
 def test_an_empty_route_is_whole_and_too_long_a_one_refused() -> None:
-    empty = route_of("d", waypoints(), np.zeros(0, np.int64), None, 5.0)
+    empty = route_of("d", waypoints(), np.zeros(0, np.int64), FlownHeights(), 5.0)
     assert json.loads(qgc_plan(empty))["mission"]["items"][-1]["command"] == 20
     assert zipfile.ZipFile(io.BytesIO(wpml_kmz(empty))).testzip() is None
     one = route()

@@ -1,0 +1,41 @@
+"""The folders that a file named by --out is to lie in: looked at before the work, made for it when
+it is written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from radiant_core.errors import BadInput
+
+
+def require_folder_for(out: Path) -> None:
+    """Raise BadInput where the folder of `out` neither is one nor can be made."""
+    nearest = next((folder for folder in out.parents if os.path.lexists(folder)), None)
+    if nearest is None or nearest.is_dir():
+        return
+    leads_nowhere = nearest.is_symlink() and not nearest.exists()
+    what = f"a link to {nearest.readlink()}, which does not exist" if leads_nowhere else "a file"
+    raise BadInput(f"{nearest} is {what}, expected a folder to write {out.name} into: choose another place.")
+
+
+@contextmanager
+def folder_made_for(out: Path) -> Iterator[None]:
+    """Make the folders that `out` is to lie in, and remove those again where the block fails;
+    BadInput where they cannot be made."""
+    require_folder_for(out)
+    missing = [folder for folder in out.parents if not folder.exists()]
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"cannot make the folder {out.parent} ({error.strerror}): choose another place for {out.name}.") from error
+    try:
+        yield
+    except BaseException:
+        for folder in missing:
+            # What others have put there meanwhile stays.
+            with suppress(OSError):
+                folder.rmdir()
+        raise
