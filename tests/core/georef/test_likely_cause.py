@@ -37,19 +37,17 @@ def read_as(places: np.ndarray, written: str, read: str) -> np.ndarray:
         (read_as(TOWN, "EPSG:32632", "EPSG:32631"), "EPSG:32631", "one zone of 6° too far west .GPS is in UTM zone 32N, EPSG:32632"),
         (read_as(TOWN, "EPSG:32632", "EPSG:32635"), None, "3 zones of 6° too far east"),
         (read_as(TOWN, "EPSG:32632", "EPSG:32733"), "EPSG:32733", "hemisphere of the zone is wrong, and the zone is one zone"),
-        (read_as(TOWN, "EPSG:31467", "EPSG:31467") + [0, 3, 0], None, "one zone of 3° too far east"),
+        (TOWN + np.array([0, 3, 0]), None, "one zone of 3° too far east"),
         (TOWN * [1, 1, 1 / 0.3048], "EPSG:4326", "heights are in feet, taken for metres"),
         (TOWN * [1, 1, 0.3048], None, "heights are in metres, taken for feet"),
         (read_as(TOWN, "EPSG:23032", "EPSG:32632"), "EPSG:32632", "another datum"),
         (TOWN, "EPSG:32632", None),
-        (TOWN + [1.0, 2.0, 0], "EPSG:4326", None),
+        (TOWN + np.array([1.0, 2.0, 0]), "EPSG:4326", None),
     ],
 )
 def test_each_mistake_is_named(listed: np.ndarray, system: str | None, said: str | None) -> None:
     cause = likely_cause(listed, GPS, None if system is None else parse_crs(system))
-    assert cause is None if said is None else cause is not None
-    if said is not None:
-        assert re.search(said, cause), cause
+    assert cause is None if said is None else cause is not None and re.search(said, cause), cause
 
 
 def test_the_southern_hemisphere_read_as_the_northern_one() -> None:
