@@ -118,11 +118,11 @@ def _undone(listed: FloatArray, expected: FloatArray, system: Crs | None) -> Ite
     yield "the sign of the latitude is wrong (south is negative)", np.column_stack([-lat, lon, alt])
     yield "the sign of the longitude is wrong (west is negative)", np.column_stack([lat, -lon, alt])
     yield "the signs of latitude and longitude are wrong", np.column_stack([-lat, -lon, alt])
-    if system is None or system.unit != "degree":
+    if system is None or system.unit_m is not None:
         yield from _other_zones(listed, expected)
         yield from _other_hemisphere(listed, expected, system)
-    if system is not None and system.unit != "degree":
-        yield from _other_plane(listed, system)
+    if system is not None and system.unit_m is not None:
+        yield from _other_plane(listed, expected, system)
 
 
 def _other_zones(listed: FloatArray, expected: FloatArray) -> Iterator[tuple[str, FloatArray]]:
@@ -160,16 +160,16 @@ def _other_hemisphere(listed: FloatArray, expected: FloatArray, system: Crs | No
         yield f"the hemisphere of the zone is wrong, and {cause}", moved
 
 
-def _other_plane(listed: FloatArray, system: Crs) -> Iterator[tuple[str, FloatArray]]:
+def _other_plane(listed: FloatArray, expected: FloatArray, system: Crs) -> Iterator[tuple[str, FloatArray]]:
     """The plane's numbers in another order or unit; what then lies outside of the system explains
     nothing."""
     try:
-        east, north, up = _plane(listed, system).T
+        east, north, up = _plane(listed, expected, system).T
     except BadInput:
         return
     tries = [("east and north are exchanged", north, east)]
     for name, foot_m in FEET_M.items():
-        if system.unit == "metre":
+        if system.unit_m == 1.0:
             tries.append((f"east and north are in {name}, taken for metres", east * foot_m, north * foot_m))
         else:
             tries.append((f"east and north are in metres, taken for {name}", east / foot_m, north / foot_m))
@@ -180,13 +180,13 @@ def _other_plane(listed: FloatArray, system: Crs) -> Iterator[tuple[str, FloatAr
             continue
 
 
-def _plane(listed: FloatArray, system: Crs) -> FloatArray:
+def _plane(listed: FloatArray, expected: FloatArray, system: Crs) -> FloatArray:
     """East, north, up of listed places, also where the system is not used: a mistake leads there."""
     if system.own:
         return system.from_geodetic(listed)
-    from radiant_core.georef.proj import project
+    from radiant_core.georef.proj import middle_deg, project
 
-    return project(system.definition, listed, system.title)
+    return project(system.definition, listed, system.title, middle_deg(expected))
 
 
 def _height_cause(listed: FloatArray, expected: FloatArray) -> str | None:
