@@ -97,6 +97,14 @@ class Crs:
         require_usable(operation, self.title, has_vertical=self.vertical_name != "")
         return shortfall(operation, self.title)
 
+    def shortfall_over(self, lat_lon: FloatArray) -> str | None:
+        """`shortfall` in the middle of at least one place (P,2 or 3) [deg, deg]."""
+        if self.own:
+            return None
+        from radiant_core.georef.proj import middle_deg
+
+        return self.shortfall(*(middle_deg(lat_lon) if self.near is None else self.near))
+
     def from_geodetic(self, lat_lon_alt: ArrayLike) -> FloatArray:
         """East, north, up (P,3) of latitudes, longitudes and ellipsoidal heights (P,3) [deg, deg,
         m], in the units of the system; BadInput where it does not reach or nothing can be computed
@@ -150,6 +158,15 @@ class Crs:
         from radiant_core.georef.proj import wkt_of
 
         return wkt_of(self.definition)
+
+
+def grid_warnings(crs: Crs, lat_lon: FloatArray, *, require_grids: bool = False) -> tuple[str, ...]:
+    """What PROJ lacks for places (P,2 or 3) [deg, deg] in `crs`, as `Crs.shortfall`: nothing or one
+    warning, which `require_grids` makes BadInput."""
+    lacking = crs.shortfall_over(lat_lon)
+    if lacking is not None and require_grids:
+        raise BadInput(f"{lacking.removesuffix('.')}, or leave out --require-grids.")
+    return () if lacking is None else (lacking,)
 
 
 def parse_crs(text: str) -> Crs:

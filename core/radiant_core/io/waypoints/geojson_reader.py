@@ -1,7 +1,8 @@
 """Waypoints from GeoJSON (RFC 7946): points and vertices of lines, longitude first. Once per file.
 
 Files from before that standard, and those of `radiant export --crs`, name another system in their
-member `crs`: places are moved from there, and heights stay what they are.
+member `crs`: places are moved from there. Heights become metres by the unit of that system, and
+heights over the ellipsoid where it names their datum; else they stay what they are.
 
 A feature's name is its property name or id, else its member id; vertices get a number behind it.
 Polygons and features without a geometry are no waypoints: they are counted as ignored.
@@ -18,8 +19,8 @@ from radiant_core.errors import BadInput
 from radiant_core.georef.crs import Crs, parse_crs
 from radiant_core.io.waypoints.rows import WaypointRows
 
-_WGS84_NAMES = ("CRS84", "4326", "4979")
-_EPSG = re.compile(r"EPSG:(?:[\d.]*:)?(\d{4,6})\b")
+_CRS84 = re.compile(r"\bCRS:?84h?\b")
+_EPSG = re.compile(r"EPSG[:/](?:[\d.]*[:/])?(\d{4,6})(?:\+(?:EPSG:)?(\d{4,6}))?\b")
 
 
 def geojson_rows(text: str) -> WaypointRows:
@@ -49,12 +50,13 @@ def _system_of(value: dict[str, Any]) -> Crs | None:
     """What the member `crs` names; None for WGS84."""
     crs = value.get("crs")
     named = json.dumps(crs)
-    if crs is None or any(known in named for known in _WGS84_NAMES):
+    if crs is None or _CRS84.search(named):
         return None
-    code = _EPSG.search(named)
-    if code is None:
+    codes = [code for found in _EPSG.findall(named) for code in found if code]
+    if not 1 <= len(codes) <= 2:
         raise BadInput(f"its coordinate system is {named[:80]}, expected WGS84 longitude and latitude, or one by its EPSG code.")
-    return parse_crs(f"EPSG:{code[1]}")
+    system = parse_crs(f"EPSG:{'+'.join(codes)}")
+    return None if system.own and system.unit_m is None else system
 
 
 def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:

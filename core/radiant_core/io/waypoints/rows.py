@@ -21,6 +21,8 @@ class WaypointRows:
         """What the file holds besides waypoints, by kind."""
         self.absolute = False
         """Whether the file says that its altitudes count from the sea."""
+        self.shortfall: str | None = None
+        """Which grids the system of the file lacks, and what that costs."""
         self._numbers = array("d")
         self._no_altitude = bytearray()
         self._angles = array("d")
@@ -33,11 +35,17 @@ class WaypointRows:
         self._no_altitude.append(alt is None)
 
     def move_from(self, system: Crs) -> None:
-        """Take what was read as latitude and longitude for north and east in a system; altitudes
-        stay. BadInput for places that it does not have."""
+        """Take what was read as latitude and longitude for north and east in a system, and altitudes
+        for heights in its unit over its datum, if it has one. BadInput for places that it does not
+        have."""
         read = self.lat_lon_alt
-        found = system.to_geodetic(np.column_stack([read[:, 1], read[:, 0], np.zeros(len(read))]))
-        self._numbers = array("d", np.column_stack([found[:, :2], read[:, 2]]).ravel().tolist())
+        found = system.to_geodetic(read[:, [1, 0, 2]])
+        if not system.vertical_name:
+            # Heights that count from nothing are metres now, and no shift of datum is theirs.
+            found[:, 2] = read[:, 2] * system.height_unit_m
+        self._numbers = array("d", found.ravel().tolist())
+        if len(found):
+            self.shortfall = system.shortfall_over(found)
 
     @property
     def lat_lon_alt(self) -> FloatArray:
