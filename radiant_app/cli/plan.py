@@ -37,6 +37,7 @@ def plan(
         list[str] | None, typer.Option("--set", help="d and T_thres of Alg. 1: plan.boundary_step=0.02, plan.threshold=0.1; repeatable.")
     ] = None,
     crs: options.CrsOption = None,
+    require_grids: options.RequireCrsGridsOption = False,
     whole_lines: options.WholeLinesOption = None,
     flight_format: options.FlightFormatOption = None,
     heights: options.HeightsOption = None,
@@ -71,6 +72,7 @@ def plan(
         constraints=constraints,
         raster_cell_m=raster_cell_m or None,
         crs=crs,
+        require_grids=require_grids,
         flight=flight_request(whole_lines, flight_format, heights, DroneText(speed, battery, image_width, field_of_view)),
         content=content_request(ground, field_of_view, buffer, deadline),
         train_preset=train_preset,

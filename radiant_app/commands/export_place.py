@@ -9,7 +9,7 @@ from typing import Any
 from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.georef.crs import Crs, parse_crs
+from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
 from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_heights, require_placed
 from radiant_core.georef.sidecar import save_local_sidecar, save_sidecar
 
@@ -61,6 +61,20 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
     return ExportPlace(comments=reference.comments(), reference=reference)
 
 
+def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ...]:
+    """Which grids PROJ lacks for `crs` at the model's scene and what that costs, nothing where it
+    lacks none or the scene is nowhere; BadInput where `require_grids`, or where nothing can be
+    computed without them."""
+    frame = _frame_of(model)
+    if frame is None or frame.kind != "metric":
+        return ()
+    system = parse_crs(crs)
+    # Where it is not used, what writes the file says so.
+    if not system.is_used_at(*frame.origin_lat_lon_alt[:2].tolist()):
+        return ()
+    return grid_warnings(system, frame.origin_lat_lon_alt[None], require_grids=require_grids)
+
+
 def grid_crs(text: str, frame: Frame) -> Crs:
     """The system of a GeoTIFF or LAZ; BadInput unless EPSG has a code for it, with its datum of
     heights where it has one, and plane and heights count in metres."""
@@ -69,6 +83,10 @@ def grid_crs(text: str, frame: Frame) -> Crs:
     if crs.horizontal_epsg is None or crs.unit_m != 1.0:
         raise BadInput(
             f"a GeoTIFF's grid is in a projected system in metres with an EPSG code: {crs.title} has none or its unit is the {crs.unit}."
+        )
+    if crs.axes != ("east", "north"):
+        raise BadInput(
+            f"a GeoTIFF's columns go east and its rows south, and {crs.title} counts {' and '.join(crs.axes)}: name another one."
         )
     if crs.height_unit_m != 1.0:
         raise BadInput(f"a GeoTIFF's heights are in metres, and {crs.title} has them in units of 1 {crs.height_unit}: name another datum.")

@@ -56,7 +56,7 @@ from radiant_core.choices import CutBy, PlanMethod
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.georef.crs import parse_crs
+from radiant_core.georef.crs import grid_warnings, parse_crs
 from radiant_core.georef.features import crs_member
 from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
@@ -123,6 +123,8 @@ class PlanRequest:
     """What is known of cameras and ground, and which buffer captures are wanted."""
     crs: str | None = None
     """System of the regions' file; None: longitude and latitude."""
+    require_grids: bool = False
+    """Whether a system, of the regions or of what is read, that lacks a grid is refused."""
     flight: FlightRequest = field(default_factory=FlightRequest)
     """How devices fly waypoints, and which lists are wanted beside CSV."""
 
@@ -205,6 +207,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
     from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
+    warnings = (*found.warnings, *_grid_warnings(request, found))
     waypoints = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m
     made = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
@@ -221,11 +224,21 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     flown = _write(request, made, content, pictures, waypoints)
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
     above_sea = waypoints.altitude_known and waypoints.heights_m is None
-    warnings = (*found.warnings, NO_HEIGHTS) if above_sea else found.warnings
+    warnings = (*warnings, NO_HEIGHTS) if above_sea else warnings
     flying: dict[str, Any] = {} if lines is None else {"flight_lines": lines_text(lines)}
     flying |= {} if flown is None else {"flight_heights": flown}
     flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone)
     return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **flying, **written}
+
+
+def _grid_warnings(request: PlanRequest, found: FoundWaypoints) -> tuple[str, ...]:
+    """What the system of the regions' file lacks here; BadInput where that, or what the waypoints'
+    own lacks, is to be refused."""
+    if request.require_grids and found.shortfall is not None:
+        raise BadInput(f"{request.source}: {found.shortfall.removesuffix('.')}, or leave out --require-grids.")
+    if request.crs is None:
+        return ()
+    return grid_warnings(parse_crs(request.crs), found.waypoints.lat_lon_alt, require_grids=request.require_grids)
 
 
 def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:

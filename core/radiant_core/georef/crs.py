@@ -120,16 +120,19 @@ class Crs:
         assert self.horizontal_epsg is not None
         return np.column_stack([utm_from_geodetic(places[:, :2], self.horizontal_epsg), places[:, 2]])
 
+    def is_used_at(self, lat_deg: float, lon_deg: float) -> bool:
+        """Whether a place lies where the system is used, or within 5° of there."""
+        if self.bounds_deg is None:
+            return True
+        west, south, east, north = self.bounds_deg
+        return south - MARGIN_DEG <= lat_deg <= north + MARGIN_DEG and west - MARGIN_DEG <= lon_deg <= east + MARGIN_DEG
+
     def _require_used_at(self, lat_lon: FloatArray, whose: str, hint: str = ".") -> None:
-        """Raise BadInput where the middle of places (P,2 or 3) is far outside of where the system
-        is used."""
-        if self.bounds_deg is None or not len(lat_lon):
-            return
+        """Raise BadInput where the middle of places (P,2 or 3) is not where the system is used."""
         from radiant_core.georef.proj import middle_deg
 
-        west, south, east, north = self.bounds_deg
-        lat, lon = middle_deg(lat_lon)
-        if not (south - MARGIN_DEG <= lat <= north + MARGIN_DEG and west - MARGIN_DEG <= lon <= east + MARGIN_DEG):
+        lat, lon = middle_deg(lat_lon) if len(lat_lon) else (0.0, 0.0)
+        if len(lat_lon) and not self.is_used_at(lat, lon):
             raise BadInput(f"{whose} at latitude {lat:g}°, longitude {lon:g}°, where {self.title} ({self.name}) is not used{hint}")
 
     def to_geodetic(self, places: ArrayLike) -> FloatArray:
