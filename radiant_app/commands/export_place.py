@@ -86,7 +86,7 @@ def grid_crs(text: str, frame: Frame) -> Crs:
         )
     if crs.axes != ("east", "north"):
         raise BadInput(
-            f"a GeoTIFF's columns go east and its rows south, and {crs.title} counts {' and '.join(crs.axes)}: name another one."
+            f"a GeoTIFF's columns go east, its rows south, and {crs.title} counts {' and '.join(crs.axes)}: name another one."
         )
     if crs.height_unit_m != 1.0:
         raise BadInput(f"a GeoTIFF's heights are in metres, and {crs.title} has them in units of 1 {crs.height_unit}: name another datum.")
