@@ -85,9 +85,7 @@ def grid_crs(text: str, frame: Frame) -> Crs:
             f"a GeoTIFF's grid is in a projected system in metres with an EPSG code: {crs.title} has none or its unit is the {crs.unit}."
         )
     if crs.axes != ("east", "north"):
-        raise BadInput(
-            f"a GeoTIFF's columns go east, its rows south, and {crs.title} counts {' and '.join(crs.axes)}: name another one."
-        )
+        raise BadInput(f"a GeoTIFF's columns go east, its rows south, and {crs.title} counts {' and '.join(crs.axes)}: name another one.")
     if crs.height_unit_m != 1.0:
         raise BadInput(f"a GeoTIFF's heights are in metres, and {crs.title} has them in units of 1 {crs.height_unit}: name another datum.")
     if crs.vertical_name and crs.vertical_epsg is None:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
-
 from radiant_core.georef.list_lines import HINT, ListLine, content_lines, fields_of, header_of, is_column_names, list_line, with_points
 from radiant_core.georef.listed_names import match_names, matched_warning
 from radiant_core.io.run_store import read_bounded

@@ -101,13 +101,14 @@ def georeference(frame: Frame, crs: Crs) -> Georeference:
     plane or the map stretches unevenly or mirrors, or with a vertical datum for heights that count
     from none."""
     require_placed(frame)
-    if crs.unit_m is None:
+    unit_m = crs.unit_m
+    if unit_m is None:
         raise BadInput(f"{crs.title} counts in {crs.unit}s, which no model is measured in: name a projected system, such as a UTM zone.")
     require_heights(frame, crs)
     if not crs.equal_units:
         raise BadInput(
             f"{crs.title} counts the plane in units of 1 {crs.unit} and heights in units of 1 {crs.height_unit}, which would "
-            f"{'press' if crs.height_unit_m > crs.unit_m else 'stretch'} a model: name a vertical datum in units of 1 {crs.unit}, or none."
+            f"{'press' if crs.height_unit_m > unit_m else 'stretch'} a model: name a vertical datum in units of 1 {crs.unit}, or none."
         )
     crs = crs.at(*frame.origin_lat_lon_alt[:2].tolist())
 
@@ -115,7 +116,7 @@ def georeference(frame: Frame, crs: Crs) -> Georeference:
         return crs.from_geodetic(geodetic_from_enu(points_m, frame.origin_lat_lon_alt))
 
     at = np.zeros(3)
-    offset = map_offset(places(at[None])[0], crs.unit_m)
+    offset = map_offset(places(at[None])[0], unit_m)
     return Georeference(crs=crs, frame=frame, offset=offset, file_from_model=_nearest_similarity(places, at, offset, crs))
 
 

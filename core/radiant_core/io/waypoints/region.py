@@ -21,8 +21,8 @@ MAX_REGION_BYTES = 16_000_000
 
 def load_region(path: Path, origin_lat_lon_alt: FloatArray, warn: Callable[[str], None] = lambda message: None) -> FloatArray:
     """Corners (V,2) m east and north of the origin of the one simple polygon of the file's land,
-    holes left out; `warn` hears of grids that its system lacks. Raises BadInput for a file that is too large or no GeoJSON, or without polygons
-    or with some that do not touch."""
+    holes left out; `warn` hears of grids that its system lacks. Raises BadInput for a file that is
+    too large or no GeoJSON, or without polygons or with some that do not touch."""
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give a GeoJSON file with a polygon, as 'radiant plan' writes.")
     with name_file_in_errors(path):
