@@ -63,16 +63,11 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
 
 def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ...]:
     """Which grids PROJ lacks for `crs` at the model's scene and what that costs, nothing where it
-    lacks none or the scene is nowhere; BadInput where `require_grids`, or where nothing can be
-    computed without them."""
+    lacks none or the scene is nowhere; BadInput where `require_grids`."""
     frame = _frame_of(model)
     if frame is None or frame.kind != "metric":
         return ()
-    system = parse_crs(crs)
-    # Where it is not used, what writes the file says so.
-    if not system.is_used_at(*frame.origin_lat_lon_alt[:2].tolist()):
-        return ()
-    return grid_warnings(system, frame.origin_lat_lon_alt[None], require_grids=require_grids)
+    return grid_warnings(parse_crs(crs), frame.origin_lat_lon_alt[None], require_grids=require_grids)
 
 
 def grid_crs(text: str, frame: Frame) -> Crs:

@@ -87,15 +87,13 @@ class Crs:
 
     def shortfall(self, lat_deg: float, lon_deg: float) -> str | None:
         """One sentence where PROJ lacks grids for the best it could do at a place: their names, the
-        accuracy of what is used instead in metres, how to get them; None where nothing is lacking.
-        BadInput where nothing can be used."""
+        accuracy of what is used instead in metres, how to get them; None where nothing is lacking,
+        or nothing can be computed without them, which whatever computes refuses."""
         if self.own:
             return None
-        from radiant_core.georef.operation import operation_at, require_usable, shortfall
+        from radiant_core.georef.operation import operation_at, shortfall
 
-        operation = operation_at(self.definition, float(lat_deg), float(lon_deg))
-        require_usable(operation, self.title, has_vertical=self.vertical_name != "")
-        return shortfall(operation, self.title)
+        return shortfall(operation_at(self.definition, float(lat_deg), float(lon_deg)), self.title)
 
     def shortfall_over(self, lat_lon: FloatArray) -> str | None:
         """`shortfall` in the middle of at least one place (P,2 or 3) [deg, deg]."""
