@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 from pyproj import Transformer
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from radiant_app.cli.app import app
 from radiant_app.workers.sources import load_scene_of
