@@ -35,9 +35,9 @@ class WaypointRows:
         self._no_altitude.append(alt is None)
 
     def move_from(self, system: Crs) -> None:
-        """Take what was read as latitude and longitude for north and east in a system, and altitudes
-        for heights in its unit over its datum, if it has one. BadInput for places that it does not
-        have."""
+        """Take what was read as latitude and longitude for north and east in a system, and
+        altitudes for heights in its unit over its datum, if it has one. BadInput for places that it
+        does not have."""
         read = self.lat_lon_alt
         found = system.to_geodetic(read[:, [1, 0, 2]])
         if not system.vertical_name:
