@@ -235,7 +235,7 @@ def _require_utm_reach(places: FloatArray, epsg: int, title: str) -> None:
     east, north = places[:, 0], places[:, 1]
     if ((east < 100e3) | (east > 900e3) | (north < -1e5) | (north > 10e6 + 1e5)).any():
         raise BadInput(f"a place has an easting or northing that no UTM zone has in {title}: east and north in metres, in this order.")
-    # UTM ends at 84° north and 80° south: near the equator the other hemisphere's numbers lie beyond.
+    # UTM ends at 84° north and 80° south: at the equator the other hemisphere's numbers lie beyond.
     is_south = epsg >= 32700
     beyond = north < MIN_SOUTHERN_NORTHING_M if is_south else north > MAX_NORTHERN_NORTHING_M
     if beyond.any():
