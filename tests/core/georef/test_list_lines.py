@@ -76,6 +76,7 @@ def test_the_systems_of_lists_are_one_system(header: str) -> None:
 def test_a_list_of_opensfm_is_in_longitude_and_latitude() -> None:
     # Its documentation, doc/source/gcp.rst (v0.5.2): WGS84 on the first line, geo_x is the longitude.
     control = parsed("13.400740745 52.519134104 12.0792090446 2335.0 1416.7 01.jpg", header="WGS84")
+    assert control.origin_lat_lon_alt is not None
     np.testing.assert_allclose(control.origin_lat_lon_alt, [52.519134104, 13.400740745, 12.0792090446])
 
 
