@@ -74,7 +74,7 @@ def test_the_systems_of_lists_are_one_system(header: str) -> None:
 
 
 def test_a_list_of_opensfm_is_in_longitude_and_latitude() -> None:
-    # Its documentation, doc/source/gcp.rst (v0.5.2): WGS84 on the first line, geo_x is the longitude.
+    # Its documentation, doc/source/gcp.rst (commit 379962a4): WGS84 on the first line, geo_x is the longitude.
     control = parsed("13.400740745 52.519134104 12.0792090446 2335.0 1416.7 01.jpg", header="WGS84")
     assert control.origin_lat_lon_alt is not None
     np.testing.assert_allclose(control.origin_lat_lon_alt, [52.519134104, 13.400740745, 12.0792090446])
@@ -83,7 +83,7 @@ def test_a_list_of_opensfm_is_in_longitude_and_latitude() -> None:
 @pytest.mark.parametrize(
     ("listed", "here"),
     [
-        # OpenSfM's documentation, doc/source/geometry.rst (v0.5.2), "Pixel Coordinates": the origin is the middle of the
+        # OpenSfM's documentation, doc/source/geometry.rst (commit 054a1d81), "Pixel Coordinates": the origin is the middle of the
         # upper left pixel and that of the lower right is (w − 1, h − 1); COLMAP's, as here, are (0.5, 0.5), (w − 0.5, h − 0.5).
         ((0.0, 0.0), (0.5, 0.5)),
         ((319.0, 239.0), (319.5, 239.5)),
