@@ -18,7 +18,7 @@ OSTN15 = {
 FEET_M = {
     # Metres of a unit, by definition: international foot (1959), US survey foot (1893: 1200/3937),
     # Clarke's link, a hundredth of Clarke's chain of 66 of his feet of 0.3047972654 m, and Gold
-    # Coast foot: IOGP Guidance Note 7-2 / EPSG dataset v12, units 9002, 9003, 9039, 9094.
+    # Coast foot: EPSG dataset v11.022, units 9002, 9003, 9039, 9094.
     "foot": 0.3048,
     "US survey foot": 1200 / 3937,
     "Clarke's link": 0.3047972654 * 66 / 100,
