@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.georef.crs import parse_crs
+from radiant_core.georef.list_lines import FIRST_PIXEL
 from radiant_core.io.colmap.model import read_model
 
 MIN_IMAGES = 5
@@ -56,6 +57,8 @@ def control_list(scene: Path, config: ControlConfig) -> str:
             image = model.images[row]
             local = image.cam_from_world[:3] @ np.append(model.points.xyz[point], 1.0)
             pixel = (model.cameras[image.camera_id].K @ local)[:2] / local[2] + rng.normal(scale=config.noise_px, size=2)
+            # In the list the middle of the first pixel is at (0, 0), of K at (0.5, 0.5).
+            pixel -= FIRST_PIXEL
             lines.append(f"{place[0]:.4f} {place[1]:.4f} {place[2]:.4f} {pixel[0]:.2f} {pixel[1]:.2f} {image.name} {name}")
     return "\n".join(lines) + "\n"
 

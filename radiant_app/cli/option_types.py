@@ -67,6 +67,10 @@ NorthOption = Annotated[str | None, option("sfm.north")]
 GcpOption = Annotated[Path | None, option("sfm.gcp")]
 GcpAccuracyOption = Annotated[str | None, option("sfm.gcp_accuracy")]
 CheckPointsOption = Annotated[str | None, option("sfm.check_points")]
+RequireGridsOption = Annotated[bool, option("sfm.require_grids")]
+RequireCrsGridsOption = Annotated[
+    bool, typer.Option("--require-grids", help="Refuse a --crs whose best transformation lacks a grid; else a warning tells the metres.")
+]
 MatchingOption = Annotated[Matching, option("sfm.matching")]
 EffortOption = Annotated[Effort, option("sfm.effort")]
 MaskFolder = Annotated[Path | None, option("sfm.masks")]

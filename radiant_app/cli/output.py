@@ -7,7 +7,7 @@ from typing import Annotated, cast
 
 import typer
 
-from radiant_app.cli.option_types import AsJson, CrsOption, SizeOption
+from radiant_app.cli.option_types import AsJson, CrsOption, RequireCrsGridsOption, SizeOption
 from radiant_app.report.tables import finish
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent, Trajectory
 from radiant_core.errors import BadInput
@@ -77,6 +77,7 @@ def export(
     ] = False,
     uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
     crs: CrsOption = None,
+    require_grids: RequireCrsGridsOption = False,
     lod: Annotated[bool, typer.Option("--lod", help="A folder of streamed SOG: levels of detail that a viewer fetches as needed.")] = False,
     tiles: Annotated[
         TileContent | None,
@@ -115,6 +116,7 @@ def export(
         clean=clean,
         as_trained=uncleaned,
         crs=crs,
+        require_grids=require_grids,
         num_levels=levels,
         fit_levels=fit_levels,
         regions=tuple(regions or ()),

@@ -5,6 +5,7 @@ Once per call; measuring the support takes a render and its backward per photogr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.commands.steps import require_model, stage_bar
+from radiant_app.events import Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import (
@@ -32,6 +34,7 @@ from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.run_view import RunView, load_run_view, require_splats
 
 MEASURED_LONG_SIDE_PX = 640
+Warn = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +65,7 @@ def clean(request: CleanRequest, display: ProgressDisplay) -> dict[str, Any]:
     require_model(request.model)
     run = load_run_view(request.model, as_trained=True) if request.model.is_dir() else None
     model = load_model(request.model, as_trained=True) if run is None else require_cleaned_model(run)
-    path, steps = cleaning_path(request.model), _steps(request, run)
+    path, steps = cleaning_path(request.model), _steps(request, run, lambda message: display(Warned(stage="clean", message=message)))
     if request.measure or any(isinstance(step, SupportStep) for step in steps):
         _measure(run, model, display, anew=request.measure)
     before = load_cleaning(path)
@@ -103,15 +106,15 @@ def _around(run: RunView | None, model: CleanedModel) -> Surroundings:
     return Surroundings() if run is None else surroundings(run.folder, run.scene, run.cloud_plan, len(model.whole))
 
 
-def _steps(request: CleanRequest, run: RunView | None) -> list[CleaningStep]:
+def _steps(request: CleanRequest, run: RunView | None, warn: Warn) -> list[CleaningStep]:
     low, high = request.heights
     if (low, high) != (None, None) and request.keep is None and request.remove is None:
         raise BadInput("--heights is of a polygon: add --keep or --remove.")
     steps: list[CleaningStep] = []
     if request.keep is not None:
-        steps.append(PolygonStep(corners=_corners(request.keep, run), keep="inside", low=low, high=high))
+        steps.append(PolygonStep(corners=_corners(request.keep, run, warn), keep="inside", low=low, high=high))
     if request.remove is not None:
-        steps.append(PolygonStep(corners=_corners(request.remove, run), keep="outside", low=low, high=high))
+        steps.append(PolygonStep(corners=_corners(request.remove, run, warn), keep="outside", low=low, high=high))
     if request.regions_margin is not None:
         steps.append(RegionsStep(margin=request.regions_margin))
     if request.min_views is not None or request.min_parallax_deg is not None:
@@ -125,9 +128,9 @@ def _steps(request: CleanRequest, run: RunView | None) -> list[CleaningStep]:
     return steps
 
 
-def _corners(text: str, run: RunView | None) -> tuple[tuple[float, float], ...]:
+def _corners(text: str, run: RunView | None, warn: Warn) -> tuple[tuple[float, float], ...]:
     if Path(text).suffix.lower() in (".geojson", ".json"):
-        return _geojson_corners(Path(text), run)
+        return _geojson_corners(Path(text), run, warn)
     try:
         pairs = [tuple(float(part) for part in corner.split(",")) for corner in text.split()]
         return tuple((x, y) for x, y in pairs)
@@ -135,11 +138,11 @@ def _corners(text: str, run: RunView | None) -> tuple[tuple[float, float], ...]:
         raise BadInput(f'{text!r} is no polygon: write "x,y x,y x,y" in the model\'s coordinates, or name a .geojson file.') from None
 
 
-def _geojson_corners(path: Path, run: RunView | None) -> tuple[tuple[float, float], ...]:
+def _geojson_corners(path: Path, run: RunView | None, warn: Warn) -> tuple[tuple[float, float], ...]:
     """The outer ring of a file's polygon, in WGS84, in the run's frame."""
     if run is None or run.scene.frame.kind != "metric":
         raise BadInput(f'{path} is in degrees, and this model has no place on earth: write the polygon as "x,y x,y x,y".')
-    return tuple((float(x), float(y)) for x, y in load_region(path, run.scene.frame.origin_lat_lon_alt))
+    return tuple((float(x), float(y)) for x, y in load_region(path, run.scene.frame.origin_lat_lon_alt, warn))
 
 
 def _figures(model: CleanedModel, path: Path, unit: str) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from radiant_app.commands.export_options import LEVELLED, OF_HEIGHTS, PLACED, require_options
-from radiant_app.commands.export_place import place_of
+from radiant_app.commands.export_place import crs_warnings, place_of
 from radiant_app.commands.export_request import ExportRequest, exported_model, placed, run_of
 from radiant_app.events import Decided, Warned
 from radiant_app.files.out_folder import folder_made_for
@@ -65,6 +65,9 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         require_no_sidecar(request.out)
     if request.crs is not None and kind in PLACED:
         _require_alone(request.out)
+    if request.crs is not None:
+        for message in crs_warnings(request.model, request.crs, require_grids=request.require_grids):
+            display(Warned(stage="export", message=message))
     with folder_made_for(request.out):
         figures = _WRITERS[kind](request, display)
     return {"written": str(request.out), "format": kind, **figures}

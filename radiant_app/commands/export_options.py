@@ -60,6 +60,8 @@ def _require_cells(request: ExportRequest, kind: ExportFormat) -> None:
 def _require_system(request: ExportRequest, kind: ExportFormat) -> None:
     """What has coordinates of a map."""
     if request.crs is None:
+        if request.require_grids:
+            raise BadInput("--require-grids is of a system that is asked for: give it with --crs.")
         return
     if kind == "tiles":
         raise BadInput("3D Tiles lie on the globe in its own axes (ECEF, EPSG:4978), as the format wants it: leave --crs out.")

@@ -9,8 +9,8 @@ from typing import Any
 from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.georef.crs import Crs, parse_crs
-from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_placed
+from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
+from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_heights, require_placed
 from radiant_core.georef.sidecar import save_local_sidecar, save_sidecar
 
 MAX_STRETCH = 0.01
@@ -61,20 +61,36 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
     return ExportPlace(comments=reference.comments(), reference=reference)
 
 
+def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ...]:
+    """Which grids PROJ lacks for `crs` at the model's scene and what that costs, nothing where it
+    lacks none or the scene is nowhere; BadInput where `require_grids`."""
+    frame = _frame_of(model)
+    if frame is None or frame.kind != "metric":
+        return ()
+    return grid_warnings(parse_crs(crs), frame.origin_lat_lon_alt[None], require_grids=require_grids)
+
+
 def grid_crs(text: str, frame: Frame) -> Crs:
-    """The system of a GeoTIFF; BadInput unless EPSG has a code for it and it counts in metres."""
+    """The system of a GeoTIFF or LAZ; BadInput unless EPSG has a code for it, with its datum of
+    heights where it has one, and plane and heights count in metres."""
     require_placed(frame)
     crs = parse_crs(text)
-    if crs.horizontal_epsg is None or crs.unit != "metre":
+    if crs.horizontal_epsg is None or crs.unit_m != 1.0:
         raise BadInput(
             f"a GeoTIFF's grid is in a projected system in metres with an EPSG code: {crs.title} has none or its unit is the {crs.unit}."
         )
-    if crs.vertical_epsg is not None and not frame.altitude_known:
-        raise BadInput(f"the scene's heights count from no datum and {crs.title} has one: name the system without its vertical part.")
-    scale = georeference(frame, crs).file_from_model.scale
+    if crs.axes != ("east", "north"):
+        raise BadInput(f"a GeoTIFF's columns go east, its rows south, and {crs.title} counts {' and '.join(crs.axes)}: name another one.")
+    if crs.height_unit_m != 1.0:
+        raise BadInput(f"a GeoTIFF's heights are in metres, and {crs.title} has them in units of 1 {crs.height_unit}: name another datum.")
+    if crs.vertical_name and crs.vertical_epsg is None:
+        raise BadInput(f"a GeoTIFF names its datum of heights by an EPSG code, and {crs.vertical_name} has none: give EPSG:NNNN+MMMM.")
+    require_heights(frame, crs)
+    reference = georeference(frame, crs)
+    scale = reference.file_from_model.scale
     if abs(scale - 1) > MAX_STRETCH:
         raise BadInput(f"{crs.title} makes {scale:.3g} m of a metre here: name a system made for this place, such as its UTM zone.")
-    return crs
+    return reference.crs
 
 
 def _frame_of(model: Path) -> Frame | None:

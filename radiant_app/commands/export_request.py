@@ -44,6 +44,8 @@ class ExportRequest:
     crs: str | None = None
     """System of the file's coordinates; None: the scene's own metres, longitude and latitude in
     GeoJSON, the UTM zone in a GeoTIFF."""
+    require_grids: bool = False
+    """Whether a system whose best transformation lacks a grid is refused, not warned of."""
     num_levels: int | None = None
     """Levels of detail; None: by the number of Gaussians."""
     fit_levels: bool | None = None

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
+from radiant_app.events import Warned
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
@@ -90,7 +91,11 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     new, cameras = _move_scene(load_ply(request.new / "scene.ply"), _virtual_cameras(request.new), move)
     if request.region is not None and origin is None:
         raise BadInput("a region in latitude and longitude needs scenes with GPS: leave --region out.")
-    polygon = _hull(cameras.centers[:, :2]) if request.region is None or origin is None else load_region(request.region, origin)
+
+    def warn(message: str) -> None:
+        display(Warned(stage=STAGE, message=message))
+
+    polygon = _hull(cameras.centers[:, :2]) if request.region is None or origin is None else load_region(request.region, origin, warn)
     side_m = float(np.sqrt(abs(polygon_area_m2(polygon))))
     margin_m = MARGIN * side_m if request.margin_m is None else request.margin_m
     task = CloudTask(

@@ -58,7 +58,7 @@ from radiant_core.choices import CutBy, PlanMethod
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.georef.crs import parse_crs
+from radiant_core.georef.crs import grid_warnings, parse_crs
 from radiant_core.georef.features import crs_member
 from radiant_core.io.export.plan import COLUMNS, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
@@ -126,6 +126,8 @@ class PlanRequest:
     """What is known of cameras and ground, and which buffer captures are wanted."""
     crs: str | None = None
     """System of the regions' file; None: longitude and latitude."""
+    require_grids: bool = False
+    """Whether a system, of the regions or of what is read, that lacks a grid is refused."""
     flight: FlightRequest = field(default_factory=FlightRequest)
     """How devices fly waypoints, and which lists are wanted beside CSV."""
 
@@ -210,6 +212,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
     from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
+    grids = _grid_warnings(request, found)
     waypoints, about_heights = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m
     made = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
@@ -227,13 +230,23 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
     # What the file lacks was given.
     known = [said for said in found.warnings if request.flight.height_m is None or NO_ALTITUDES not in said]
-    warnings = (*known, *about_heights, *_unflown(as_listed(waypoints, request.flight)))
+    warnings = (*known, *grids, *about_heights, *_unflown(as_listed(waypoints, request.flight)))
     flying: dict[str, Any] = {} if lines is None else {"flight_lines": lines_text(lines)}
     flying["heights"] = said_heights(waypoints.lat_lon_alt[:, 2], waypoints.height_codes)
     flying |= {} if flown is None else {"flight_heights": flown}
     idle = idle_reasons(made.cloud, made.edges, made.system)
     flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone, idle)
     return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **flying, **written}
+
+
+def _grid_warnings(request: PlanRequest, found: FoundWaypoints) -> tuple[str, ...]:
+    """What the system of the regions' file lacks here; BadInput where that, or what the waypoints'
+    own lacks, is to be refused."""
+    if request.require_grids and found.shortfall is not None:
+        raise BadInput(f"{request.source}: {found.shortfall.removesuffix('.')}, or leave out --require-grids.")
+    if request.crs is None:
+        return ()
+    return grid_warnings(parse_crs(request.crs), found.waypoints.lat_lon_alt, require_grids=request.require_grids)
 
 
 def _above_ground(waypoints: Waypoints, request: PlanRequest) -> tuple[Waypoints, tuple[str, ...]]:

@@ -112,6 +112,9 @@ class SfmOptions:
     check_points: Annotated[str | None, Option(metavar="NAMES|every:K")] = None
     """Points kept out of the adjustment, whose errors the report shows; in the list, the word check
     behind a name."""
+    require_grids: Annotated[bool, Option(name="--require-grids")] = False
+    """Refuse ground control in a system whose best transformation lacks a grid; else a warning
+    tells the metres."""
 
     @property
     def placed_by_hand(self) -> bool:
@@ -126,11 +129,11 @@ class SfmOptions:
             return fields
         from radiant_core.georef.control_points import control_request  # numpy
 
-        return {**fields, "control": control_request(self.gcp, self.gcp_accuracy, self.check_points)}
+        return {**fields, "control": control_request(self.gcp, self.gcp_accuracy, self.check_points, require_grids=self.require_grids)}
 
     def __post_init__(self) -> None:
-        if self.gcp is None and (self.gcp_accuracy, self.check_points) != (None, None):
-            raise BadInput("--gcp-accuracy and --check-points are of ground control: give its list with --gcp.")
+        if self.gcp is None and (self.gcp_accuracy, self.check_points, self.require_grids) != (None, None, False):
+            raise BadInput("--gcp-accuracy, --check-points and --require-grids are of ground control: give its list with --gcp.")
         if self.placed_by_hand:
             from radiant_core.sfm.world_frame.placement import Placement  # numpy
 

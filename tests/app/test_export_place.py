@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pyproj import Transformer
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from radiant_app.cli.app import app
 from radiant_app.workers.sources import load_scene_of
@@ -16,6 +19,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.ply import load_ply
+from radiant_core.io.records import load_scene, save_scene
 
 RUN = Path(__file__).parents[2] / "sample_scenes" / "runs" / "tiny"
 
@@ -135,3 +139,77 @@ def test_files_of_a_run_share_one_offset(tmp_path: Path) -> None:
     origin = geodetic_from_enu(np.zeros((1, 3)), load_scene_of(RUN).frame.origin_lat_lon_alt)[0]
     east, north = Transformer.from_crs("EPSG:4979", "EPSG:32632", always_xy=True).transform(origin[1], origin[0])
     assert offsets[0] == offsets[1] == [np.floor(east / 100) * 100, np.floor(north / 100) * 100, 0.0]
+
+
+NEW_YORK = np.array([40.70, -73.90, 30.0])
+
+
+def in_new_york(tmp_path: Path) -> Path:
+    """The run, as if it had been flown in New York, where feet are the unit and grids are missing."""
+    run = tmp_path / "run"
+    shutil.copytree(RUN, run)
+    scene_path = next(run.rglob("scene.safetensors"))
+    scene = load_scene(scene_path)
+    save_scene(scene_path, replace(scene, frame=replace(scene.frame, origin_lat_lon_alt=NEW_YORK)))
+    return run
+
+
+def exported(run: Path, *arguments: object) -> Result:
+    return CliRunner().invoke(app, ["export", str(run), *(str(argument) for argument in arguments)])
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "project", "a.geojson"])
+def test_a_missing_grid_is_a_warning_with_the_metres_or_a_refusal(tmp_path: Path, name: str) -> None:
+    run = in_new_york(tmp_path)
+    refused = exported(run, tmp_path / name, "--crs", "EPSG:2263", "--require-grids")
+    assert isinstance(refused.exception, BadInput) and "us_noaa_njhpgn.tif" in str(refused.exception)
+    assert not (tmp_path / name).exists()
+    result = exported(run, tmp_path / name, "--crs", "EPSG:2263")
+    assert result.exception is None
+    said = " ".join((result.output + result.stderr).split())
+    assert "EPSG:2263 is computed here to about 4 m instead of 2 m" in said and "pyproj sync --file us_noaa_njhpgn" in said
+
+
+def test_a_model_in_feet_is_as_high_as_it_is(tmp_path: Path) -> None:
+    run = in_new_york(tmp_path)
+    assert exported(run, tmp_path / "a.ply", "--crs", "EPSG:2263").exception is None
+    before, after = load_ply(RUN / "scene.ply"), load_ply(tmp_path / "a.ply")
+    ratio = np.ptp(after.means.astype(np.float64), axis=0) / np.ptp(before.means.astype(np.float64), axis=0) * (1200 / 3937)
+    # 1 %: the grid's north is turned by 0.06° against east and north of the scene.
+    assert np.abs(ratio - 1).max() < 0.01
+    assert np.abs(np.exp(after.log_scales - before.log_scales) * (1200 / 3937) - 1).max() < 1e-3
+    record = json.loads((tmp_path / "a.georef.json").read_text())
+    assert (record["unit"], record["height_unit"]) == ("US survey foot", "US survey foot")
+    assert exported(run, tmp_path / "cameras.geojson", "--crs", "EPSG:2263").exception is None
+    heights = [
+        f["geometry"]["coordinates"][2]
+        for f in json.loads((tmp_path / "cameras.geojson").read_text())["features"]
+        if "held_out" in f["properties"]
+    ]
+    metres = load_scene_of(run).cameras.centers[:, 2] + NEW_YORK[2]
+    assert np.median(heights) * (1200 / 3937) == pytest.approx(np.median(metres), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "crs", "said"),
+    [
+        ("a.tif", "EPSG:2263", "its unit is the US survey foot"),
+        ("a.laz", "EPSG:2263", "its unit is the US survey foot"),
+        ("a.glb", "EPSG:2263", "its unit is the US survey foot"),
+        ("a.tif", "EPSG:26918+6360", "heights are in metres, and EPSG:26918\\+6360 has them in units of 1 US survey foot"),
+        ("a.ply", "EPSG:2263+5703", "which would press a model"),
+        ("project", "EPSG:26918+6360", "which would stretch a model"),
+        ("a.spz", "EPSG:2263+6360", "us_noaa_g1999u08.tif and us_noaa_nadcon5_nad83_1986_nad83_harn_conus.tif"),
+        ("a.sog", "EPSG:4269", "counts in degrees"),
+    ],
+)
+def test_units_that_do_not_fit_are_refused_by_name(tmp_path: Path, name: str, crs: str, said: str) -> None:
+    kind = ("--format", "dsm") if name.endswith(".tif") else ()
+    result = exported(in_new_york(tmp_path), tmp_path / name, "--crs", crs, *kind)
+    assert isinstance(result.exception, BadInput)
+    assert re.search(said, str(result.exception)), str(result.exception)
+
+
+def test_a_switch_without_a_system_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="give it with --crs"):
+        export(tmp_path / "a.ply", "--require-grids")

@@ -3,12 +3,13 @@
 Written as OpenDroneMap's list, which `control_points` reads: a line per mark. Points without a mark
 stand in comments, `# point EAST NORTH UP NAME [check]`, so that the list can be gone on with. Read
 from that, or from a plain table of points: the system on the first line, then `NAME EAST NORTH UP
-[check]`, separated by blanks, commas, semicolons or tabs.
+[check]`, separated by blanks, commas, semicolons or tabs. Lines whose names have blanks are written
+with tabs. Pixels are half a pixel less in the file than here, as `list_lines` says.
 """
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,8 +17,20 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic
-from radiant_core.georef.control_points import CHECK, LOCAL, ListLine, list_line, named_lines, read_list, system_of
+from radiant_core.georef.control_points import LOCAL, matched_lines, named_lines, read_list, system_of
 from radiant_core.georef.crs import parse_crs
+from radiant_core.georef.list_lines import (
+    CHECK,
+    FIRST_PIXEL,
+    Fields,
+    ListLine,
+    fields_of,
+    header_of,
+    is_column_names,
+    list_line,
+    uncommented,
+    with_points,
+)
 from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray
 
@@ -25,6 +38,7 @@ CONTROL_LIST = "gcp_list.txt"
 """Its name in the folder of a run."""
 UNMARKED = "# point "
 MAX_POINTS = 10_000
+MAX_LINES = 1_000_000
 POINT_HINT = "expected: name east north up [check], or a line of gcp_list.txt"
 Place = tuple[float, float, float]
 
@@ -38,16 +52,21 @@ class ListedPoint:
     is_check: bool = False
 
     def __post_init__(self) -> None:
-        if not self.name or self.name.split() != [self.name] or "#" in self.name or not self.name.isprintable():
-            raise BadInput(f"{self.name!r} is no name of a point: give printable characters without blanks and #.")
+        if not is_name(self.name):
+            raise BadInput(f"{self.name!r} is no name of a point: give printable characters, none of them #, without blanks around.")
         if not all(np.isfinite(self.place)) or max(abs(value) for value in self.place) > 1e9:
             raise BadInput(f"point {self.name!r} is at {self.place}, expected finite coordinates below 1e9.")
+
+
+def is_name(text: str) -> bool:
+    """Whether a list can hold a name: `LOCAL`'s own signs, tabs and comments aside."""
+    return bool(text) and text == " ".join(text.split()) and "#" not in text and ";" not in text and text.isprintable()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControlList:
     """system: the first line; marks: (point, photograph) → column and row in px of the photograph
-    as it is stored."""
+    as it is stored, the middle of the first pixel at (0.5, 0.5)."""
 
     system: str
     points: tuple[ListedPoint, ...] = ()
@@ -67,8 +86,10 @@ class ControlList:
     def marked(self, name: str, photograph: str, pixel: tuple[float, float]) -> ControlList:
         """With a mark, in place of the point's former one in that photograph."""
         self.point(name)
-        if photograph.split() != [photograph] or "#" in photograph:
-            raise BadInput(f"{photograph!r} has a blank or a hash in its name, which gcp_list.txt cannot hold: rename the photograph.")
+        if not is_name(photograph):
+            raise BadInput(
+                f"{photograph!r} has a hash, a semicolon or doubled blanks in its name, which gcp_list.txt cannot hold: rename it."
+            )
         if not all(np.isfinite(pixel)):
             raise BadInput(f"a mark at {pixel} came, expected finite pixels.")
         return replace(self, marks={**self.marks, (name, photograph): (float(pixel[0]), float(pixel[1]))})
@@ -78,9 +99,11 @@ class ControlList:
         return replace(self, marks={key: pixel for key, pixel in self.marks.items() if key != (name, photograph)})
 
     def with_point(self, point: ListedPoint) -> ControlList:
-        """With one more point; BadInput where its name is taken."""
+        """With one more point; BadInput where its name is taken, or the list is full."""
         if any(other.name == point.name for other in self.points):
             raise BadInput(f"there is a point {point.name!r} already: choose another name.")
+        if len(self.points) >= MAX_POINTS:
+            raise BadInput(f"the list has {len(self.points):,} points, the most that it may have: leave {point.name!r} out.")
         return replace(self, points=(*self.points, point))
 
     def with_check(self, name: str, is_check: bool) -> ControlList:
@@ -91,11 +114,15 @@ class ControlList:
     def text(self) -> str:
         """The content of gcp_list.txt."""
         lines = [self.system]
+        marks_of: dict[str, list[tuple[str, tuple[float, float]]]] = {}
+        for (name, photograph), pixel in self.marks.items():
+            marks_of.setdefault(name, []).append((photograph, pixel))
         for point in self.points:
-            place, check = " ".join(repr(float(value)) for value in point.place), f" {CHECK}" if point.is_check else ""
-            own = self.marks_of(point.name)
-            lines += [f"{place} {column:.2f} {row:.2f} {photograph} {point.name}{check}" for photograph, (column, row) in own.items()]
-            lines += [] if own else [f"{UNMARKED}{place} {point.name}{check}"]
+            place, check = [repr(float(value)) for value in point.place], [CHECK] if point.is_check else []
+            marks = marks_of.get(point.name, [])
+            for photograph, (column, row) in marks:
+                lines.append(_joined([*place, f"{column - FIRST_PIXEL:.2f}", f"{row - FIRST_PIXEL:.2f}", photograph, point.name, *check]))
+            lines += [] if marks else [UNMARKED + _joined([*place, point.name, *check])]
         return "\n".join(lines) + "\n"
 
     def save(self, path: Path) -> None:
@@ -103,30 +130,35 @@ class ControlList:
         write_atomic(path, self.text().encode())
 
 
-def load_control_list(path: Path) -> ControlList:
-    """Read gcp_list.txt or a table of points; BadInput names the line that is neither."""
-    return parse_control_list(read_list(path), path.name)
+def load_control_list(path: Path, photographs: Sequence[str] = ()) -> ControlList:
+    """Read gcp_list.txt or a table of points, which name `photographs` as `parse_control` has it;
+    BadInput names the line that is neither."""
+    return parse_control_list(read_list(path), path.name, photographs)
 
 
-def parse_control_list(text: str, source: str) -> ControlList:
+def parse_control_list(text: str, source: str, photographs: Sequence[str] = ()) -> ControlList:
     """The list of a text; BadInput as `load_control_list`."""
-    header, points, lines = "", [], []
+    header, unmarked, rows = "", [], []
     for number, line in enumerate(text.splitlines(), 1):
-        own = line.removeprefix("#").strip().removeprefix("point ") if line.startswith(UNMARKED) else line.split("#", 1)[0].strip()
-        if not own:
+        is_unmarked = line.startswith(UNMARKED)
+        content = line.removeprefix(UNMARKED).strip() if is_unmarked else uncommented(line)
+        if not content:
             continue
         if not header:
-            header = own
-        elif line.startswith(UNMARKED):
-            points.append(_unmarked_point(source, number, own.split()))
-        elif len(words := re.split(r"[\s,;]+", own)) in (4, 5):
-            points.append(_table_point(source, number, words))
-        else:
-            lines.append((number, own))
+            header = header_of(content)
+            continue
+        (unmarked if is_unmarked else rows).append(fields_of(number, content))
+        if len(unmarked) + len(rows) > MAX_LINES:
+            raise BadInput(f"{source} has more than {MAX_LINES:,} lines: a list of so many points and marks is none.")
     if not header:
         raise BadInput(f"{source} is empty: the system stands on its first line, such as EPSG:32632, then {POINT_HINT}.")
     system_of(header, source)
-    found = _with_marks(header, points, [list_line(source, number, line) for number, line in lines], source)
+    rows = with_points(rows, source)
+    rows = rows[bool(rows) and is_column_names(rows[0], source) :]
+    points = [_unmarked_point(source, line) for line in with_points(unmarked, source)]
+    points += [_table_point(source, line.number, line.values) for line in rows if len(line.values) < 6]
+    lines = [list_line(source, line, photographs) for line in rows if len(line.values) >= 6]
+    found = _with_marks(header, points, matched_lines(lines, photographs)[0], source)
     if not 0 < len(found.points) <= MAX_POINTS:
         raise BadInput(f"{source} has {len(found.points)} points, expected 1 to {MAX_POINTS:,}: {POINT_HINT}.")
     return found
@@ -138,29 +170,48 @@ def world_places(control: ControlList, frame: Frame) -> FloatArray:
     places = np.array([point.place for point in control.points], np.float64).reshape(-1, 3)
     if frame.kind != "metric" or control.system.upper() == LOCAL:
         return np.full_like(places, np.nan)
-    return enu_from_geodetic(parse_crs(control.system).to_geodetic(places), frame.origin_lat_lon_alt)
+    system = parse_crs(control.system).at(*frame.origin_lat_lon_alt[:2].tolist())
+    return enu_from_geodetic(system.to_geodetic(places), frame.origin_lat_lon_alt)
+
+
+def list_shortfall(control: ControlList, frame: Frame) -> str | None:
+    """Which grids the list's system lacks at a scene, and what that costs; None where none."""
+    if frame.kind != "metric" or control.system.upper() == LOCAL:
+        return None
+    return parse_crs(control.system).shortfall_over(frame.origin_lat_lon_alt[None])
 
 
 def _with_marks(header: str, points: list[ListedPoint], lines: list[ListLine], source: str) -> ControlList:
     point_of, first = named_lines(lines, source)
-    found = ControlList(system=header, marks={})
     checks = {name for name, line in zip(point_of, lines, strict=True) if line.check}
-    for point in (*(ListedPoint(name, line.place, name in checks) for name, line in first.items()), *points):
-        found = found.with_point(point)
-    for name, line in zip(point_of, lines, strict=True):
-        found.marks[name, line.image] = line.pixel
-    return found
+    listed = [*(ListedPoint(name, line.place, name in checks) for name, line in first.items()), *points]
+    # Once for all: point by point, each would be compared with all before it.
+    names = set()
+    for point in listed:
+        if point.name in names:
+            raise BadInput(f"there is a point {point.name!r} already: choose another name.")
+        names.add(point.name)
+    marks = {(name, line.image): line.pixel for name, line in zip(point_of, lines, strict=True)}
+    return ControlList(system=header, points=tuple(listed), marks=marks)
 
 
-def _unmarked_point(source: str, number: int, words: list[str]) -> ListedPoint:
-    return _table_point(source, number, [*words[3:4], *words[:3], *words[4:]])
+def _joined(words: list[str]) -> str:
+    """A line: between blanks, which OpenDroneMap reads, or between tabs where names have blanks."""
+    return ("\t" if any(" " in word for word in words) else " ").join(words)
 
 
-def _table_point(source: str, number: int, words: list[str]) -> ListedPoint:
+def _unmarked_point(source: str, line: Fields) -> ListedPoint:
+    words = line.values
+    return _table_point(source, line.number, (*words[3:4], *words[:3], *words[4:]))
+
+
+def _table_point(source: str, number: int, words: Sequence[str]) -> ListedPoint:
+    if len(words) < 4:
+        raise BadInput(f"{source}, line {number}: {' '.join(words)[:80]!r} is no mark of a point, {POINT_HINT}.")
     try:
         east, north, up = (float(word) for word in words[1:4])
     except ValueError:
         raise BadInput(f"{source}, line {number}: {' '.join(words)[:80]!r} is no point, {POINT_HINT}.") from None
-    if len(words) > 4 and words[4].lower() != CHECK:
+    if len(words) > 4 and words[4].lower() not in (CHECK, ""):
         raise BadInput(f"{source}, line {number}: {words[4][:40]!r} stands behind the point, {POINT_HINT}.")
-    return ListedPoint(words[0], (east, north, up), len(words) > 4)
+    return ListedPoint(words[0], (east, north, up), len(words) > 4 and words[4].lower() == CHECK)

@@ -5,17 +5,19 @@
     465301.00 5246402.18 431.40   310.0 1500.9 DJI_0040.JPG  gcp-7  check
 
 The list is OpenDroneMap's: the system on the first line (EPSG code, PROJ string, WKT, or WGS84 UTM
-32N), then east north up, column and row in px of the photograph as it is stored, its name, and the
-point's name; without one, lines with equal coordinates are one point. The middle of the upper left
-pixel is at (0.5, 0.5). `LOCAL` on the first line: metres east, north, up of a site that has no
-place on the globe. The word `check` behind the name keeps a point out of the adjustment.
+32N), then east north up in the units of that system, column and row in px of the photograph as it
+is stored, its name, and the point's name; without one, lines with equal coordinates are one point.
+In the list the middle of the upper left pixel is at (0, 0), here at (0.5, 0.5): `list_lines`.
+`LOCAL` on the first line: metres east, north, up of a site that has no place on the globe. The word
+`check` behind the name keeps a point out of the adjustment.
 """
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,17 +25,17 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
-from radiant_core.georef.crs import Crs, parse_crs
+from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
+from radiant_core.georef.list_lines import HINT, ListLine, content_lines, fields_of, header_of, is_column_names, list_line, with_points
+from radiant_core.georef.listed_names import match_names, matched_warning
 from radiant_core.io.run_store import read_bounded
 from radiant_core.numerics import FloatArray
 
 LOCAL = "LOCAL"
-CHECK = "check"
 DEFAULT_ACCURACY_M = 0.02
 MAX_LIST_BYTES = 1 << 24
 MAX_LOCAL_M = 1e5
 EVERY = re.compile(r"every:(\d+)")
-HINT = "expected: east north up column row photograph [name [check]]"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +50,8 @@ class ControlRequest:
     vertical_m: float = DEFAULT_ACCURACY_M
     check: str = ""
     """Names of points kept out, with commas, or every:K."""
+    require_grids: bool = False
+    """Whether a system whose best transformation lacks a grid is refused, not warned of."""
 
     def __post_init__(self) -> None:
         for value in (self.horizontal_m, self.vertical_m):
@@ -75,27 +79,19 @@ class ControlPoints:
     mark_images: tuple[str, ...]
     """(M) name of the photograph."""
     mark_pixels: FloatArray
-    """(M,2) column and row."""
+    """(M,2) column and row, the middle of the first pixel at (0.5, 0.5)."""
+    warnings: tuple[str, ...] = ()
+    """What the list is to be taken with."""
 
 
-@dataclass(frozen=True)
-class ListLine:
-    """A line of the list: place in its system, pixel (column, row), photograph, name or nothing,
-    and whether the point is kept out."""
-
-    place: tuple[float, float, float]
-    pixel: tuple[float, float]
-    image: str
-    name: str
-    check: bool
-
-
-def control_request(path: Path, accuracy: str | None, check: str | None) -> ControlRequest:
+def control_request(path: Path, accuracy: str | None, check: str | None, *, require_grids: bool = False) -> ControlRequest:
     """Read `--gcp`, `--gcp-accuracy` M or H,V in metres, and `--check-points`; BadInput for a file
     that is no list, whose content is parsed here once to say so early."""
     text = read_list(path)
     horizontal_m, vertical_m = _accuracy(accuracy)
-    request = ControlRequest(text=text, source=path.name, horizontal_m=horizontal_m, vertical_m=vertical_m, check=check or "")
+    request = ControlRequest(
+        text=text, source=path.name, horizontal_m=horizontal_m, vertical_m=vertical_m, check=check or "", require_grids=require_grids
+    )
     parse_control(request)
     return request
 
@@ -104,8 +100,11 @@ def read_list(path: Path) -> str:
     """The text of a list of points; BadInput where there is none."""
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give a list of surveyed points, such as gcp_list.txt.")
+    data = read_bounded(path, MAX_LIST_BYTES)
+    # A table saved as "Unicode text" is UTF-16.
+    encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
-        return read_bounded(path, MAX_LIST_BYTES).decode("utf-8-sig")
+        return data.decode(encoding)
     except UnicodeDecodeError:
         raise BadInput(f"{path} is no text in UTF-8: write the list of points as plain text.") from None
 
@@ -120,31 +119,43 @@ def system_of(header: str, source: str) -> Crs | None:
         raise BadInput(f"{source}, first line: {error} LOCAL is a site without a place on the globe.") from None
 
 
-def parse_control(request: ControlRequest) -> ControlPoints:
-    """The points and marks of a list; BadInput names the line that is wrong, or the point that is
+def parse_control(request: ControlRequest, photographs: Sequence[str] = ()) -> ControlPoints:
+    """The points and marks of a list, which names `photographs`, where those are known, perhaps
+    with a folder or in other letters; BadInput names the line that is wrong, or the point that is
     asked for and not there."""
-    rows = [(number, line.split("#", 1)[0].strip()) for number, line in enumerate(request.text.splitlines(), 1)]
-    rows = [(number, line) for number, line in rows if line]
+    rows = content_lines(request.text)
     if len(rows) < 2:
         raise BadInput(f"{request.source} has no points: the system stands on its first line, then {HINT}.")
-    header, lines = rows[0][1], [list_line(request.source, number, line) for number, line in rows[1:]]
+    header = header_of(rows[0][1])
+    fields = with_points((fields_of(number, line) for number, line in rows[1:]), request.source)
+    fields = fields[is_column_names(fields[0], request.source) :]
+    lines, matched = matched_lines([list_line(request.source, line, photographs) for line in fields], photographs)
     point_of, first = named_lines(lines, request.source)
     names = tuple(first)
     index = {name: row for row, name in enumerate(names)}
-    places = np.array([first[name].place for name in names])
-    places_m, origin, system = _in_metres(header, places, request.source)
+    places = np.array([first[name].place for name in names]).reshape(-1, 3)
+    placed = _in_metres(header, places, request)
     marked = {name for name, line in zip(point_of, lines, strict=True) if line.check}
     return ControlPoints(
         names=names,
-        places_m=places_m,
+        places_m=placed.places_m,
         is_check=_checks(names, marked, request),
         sigmas_m=np.array([request.horizontal_m, request.horizontal_m, request.vertical_m]),
-        origin_lat_lon_alt=origin,
-        system=system,
+        origin_lat_lon_alt=placed.origin,
+        system=placed.system,
         mark_points=np.array([index[name] for name in point_of], np.int64),
         mark_images=tuple(line.image for line in lines),
-        mark_pixels=np.array([line.pixel for line in lines]),
+        mark_pixels=np.array([line.pixel for line in lines]).reshape(-1, 2),
+        warnings=(*placed.warnings, *matched),
     )
+
+
+def matched_lines(lines: list[ListLine], photographs: Sequence[str]) -> tuple[list[ListLine], tuple[str, ...]]:
+    """The lines with the names of photographs as they are here, and what was matched for that."""
+    if not photographs:
+        return lines, ()
+    matched = match_names((line.image for line in lines), photographs)
+    return [replace(line, image=matched[line.image]) for line in lines], matched_warning(matched)
 
 
 def _accuracy(text: str | None) -> tuple[float, float]:
@@ -161,45 +172,52 @@ def _accuracy(text: str | None) -> tuple[float, float]:
 
 def named_lines(lines: Sequence[ListLine], source: str) -> tuple[list[str], dict[str, ListLine]]:
     """The point of each line, and the first line of each point; lines without a name are one point
-    where their place is. BadInput for a point with two places."""
+    where their place is, and names have blanks where that alone gives each point one place.
+    BadInput for a point with two places, or two marks in one photograph."""
+    if _two_places(lines) is not None:
+        whole = [replace(line, name=line.words) for line in lines]
+        lines = whole if _two_places(whole) is None else lines
     first: dict[str, ListLine] = {}
     by_place: dict[tuple[float, float, float], str] = {}
     point_of: list[str] = []
+    marks: dict[tuple[str, str], tuple[float, float]] = {}
     for line in lines:
         name = line.name or by_place.setdefault(line.place, f"gcp-{len(by_place) + 1}")
         before = first.setdefault(name, line)
         if before.place != line.place:
             raise BadInput(f"{source}: point {name!r} has two places, {before.place} and {line.place}: give each point its own name.")
+        if marks.setdefault((name, line.image), line.pixel) != line.pixel:
+            raise BadInput(f"{source}: point {name!r} has two marks in {line.image!r}: keep one of them.")
         point_of.append(name)
     return point_of, first
 
 
-def list_line(source: str, number: int, text: str) -> ListLine:
-    """A mark of the list; BadInput names the line that is none."""
-    words = text.split()
-    try:
-        if len(words) < 6:
-            raise ValueError
-        values = [float(word) for word in words[:5]]
-    except ValueError:
-        raise BadInput(f"{source}, line {number}: {text[:80]!r} is no mark of a point, {HINT}.") from None
-    if not all(np.isfinite(values)) or max(abs(value) for value in values) > 1e9:
-        raise BadInput(f"{source}, line {number}: a number is not finite or beyond 1e9: {HINT}.")
-    east, north, up, column, row = values
-    name = words[6] if len(words) > 6 else ""
-    return ListLine((east, north, up), (column, row), words[5], name, CHECK in [word.lower() for word in words[7:]])
+def _two_places(lines: Sequence[ListLine]) -> str | None:
+    """A name that stands beside two places, if there is one."""
+    place_of: dict[str, tuple[float, float, float]] = {}
+    return next((line.name for line in lines if line.name and place_of.setdefault(line.name, line.place) != line.place), None)
 
 
-def _in_metres(header: str, places: FloatArray, source: str) -> tuple[FloatArray, FloatArray | None, str]:
-    """Places (G,3) in metres east, north, up, the origin, and what the system is called."""
-    crs = system_of(header, source)
+@dataclass(frozen=True)
+class _Placed:
+    places_m: FloatArray
+    origin: FloatArray | None
+    system: str
+    warnings: tuple[str, ...]
+
+
+def _in_metres(header: str, places: FloatArray, request: ControlRequest) -> _Placed:
+    """Places (G,3) of the list's system in metres east, north, up of an origin, and what the system
+    is called."""
+    crs = system_of(header, request.source)
     if crs is None:
         if np.abs(places).max() > MAX_LOCAL_M:
-            raise BadInput(f"{source}: LOCAL coordinates reach {np.abs(places).max():,.0f} m: subtract what they have in common.")
-        return places, None, LOCAL
+            raise BadInput(f"{request.source}: LOCAL coordinates reach {np.abs(places).max():,.0f} m: subtract what they have in common.")
+        return _Placed(places, None, LOCAL, ())
     geodetic = crs.to_geodetic(places)
     origin = geodetic.mean(axis=0)
-    return enu_from_geodetic(geodetic, origin), origin, crs.title
+    warnings = grid_warnings(crs, geodetic, require_grids=request.require_grids)
+    return _Placed(enu_from_geodetic(geodetic, origin), origin, crs.title, tuple(f"{request.source}: {text}" for text in warnings))
 
 
 def _checks(names: Sequence[str], marked: set[str], request: ControlRequest) -> NDArray[np.bool_]:

@@ -1,7 +1,12 @@
-"""GeoJSON features in another system than longitude and latitude. Once per file."""
+"""GeoJSON features in another system than longitude and latitude. Once per file.
+
+The member `crs` of GeoJSON 2008 names a system by a URN of the OGC (07-092r3): one code, or that of
+the plane and that of the heights, which GDAL and PROJ read.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -10,7 +15,7 @@ import numpy as np
 from radiant_core.errors import BadInput
 from radiant_core.georef.crs import Crs
 
-MILLIMETRES = 3
+MILLIMETRE = 1e-3
 DEGREE_DIGITS = 9
 
 
@@ -24,11 +29,16 @@ def in_crs(features: Iterable[dict[str, Any]], crs: Crs) -> Iterator[dict[str, A
 
 def crs_member(crs: Crs) -> dict[str, Any]:
     """The member `crs` of a FeatureCollection (GeoJSON 2008, section 3); BadInput for a system
-    without EPSG's code, which it cannot name."""
-    if crs.horizontal_epsg is None:
-        raise BadInput(f"GeoJSON names a system by its EPSG code, and {crs.title} has none: give EPSG:NNNN.")
-    # Heights stay in the third coordinate; readers know no compound name here.
-    return {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{crs.horizontal_epsg}"}}
+    whose plane or heights have no code of EPSG, by which it is named."""
+    if crs.horizontal_epsg is None or (crs.vertical_name and crs.vertical_epsg is None):
+        raise BadInput(f"GeoJSON names a system by its EPSG code, and {crs.title} has none: give EPSG:NNNN, or EPSG:NNNN+MMMM.")
+    if crs.vertical_epsg is None:
+        return _named(f"urn:ogc:def:crs:EPSG::{crs.horizontal_epsg}")
+    return _named(f"urn:ogc:def:crs,crs:EPSG::{crs.horizontal_epsg},crs:EPSG::{crs.vertical_epsg}")
+
+
+def _named(name: str) -> dict[str, Any]:
+    return {"type": "name", "properties": {"name": name}}
 
 
 def _moved(coordinates: Any, crs: Crs) -> Any:
@@ -42,9 +52,14 @@ def _moved(coordinates: Any, crs: Crs) -> Any:
 
 def _places(rows: list[Any], crs: Crs) -> list[list[float]]:
     lat_lon_alt = np.array([[row[1], row[0], row[2] if len(row) > 2 else 0.0] for row in rows], np.float64)
-    digits = DEGREE_DIGITS if crs.unit == "degree" else MILLIMETRES
+    digits, height_digits = DEGREE_DIGITS if crs.unit_m is None else _digits(crs.unit_m), _digits(crs.height_unit_m)
     moved = crs.from_geodetic(lat_lon_alt)
     return [
-        [*np.round(place[:2], digits).tolist(), *([round(float(place[2]), MILLIMETRES)] if len(row) > 2 else [])]
+        [*np.round(place[:2], digits).tolist(), *([round(float(place[2]), height_digits)] if len(row) > 2 else [])]
         for row, place in zip(rows, moved, strict=True)
     ]
+
+
+def _digits(unit_m: float) -> int:
+    """Decimals of a unit that hold a millimetre."""
+    return max(0, math.ceil(math.log10(unit_m / MILLIMETRE) - 1e-9))

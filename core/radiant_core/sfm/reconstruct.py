@@ -58,7 +58,7 @@ def reconstruct(
     assert mapped is not None
     (work_folder / "sparse").mkdir()
     refined = refine(mapped.model, config, report)
-    surveyed = adjust_to_survey(refined, photographs, placement.parsed_control(), report)
+    surveyed = adjust_to_survey(refined, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
     total = int(refined.num_reg_images())
     report(SfmProgress(phase="triangulating", done=0, total=total))
     # Once: what more photographs see has just been adjusted.
@@ -169,7 +169,7 @@ def _adjusted_copy(
     model = pycolmap.Reconstruction(model_folder)
     for image in [image for image in model.images.values() if image.has_pose and image.name not in names]:
         model.deregister_frame(image.frame_id)
-    surveyed = adjust_to_survey(model, photographs, placement.parsed_control(), report)
+    surveyed = adjust_to_survey(model, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
     folder.mkdir(parents=True)
     model.write_binary(folder)
     return folder, surveyed

@@ -69,7 +69,7 @@ def map_frame_of(frame: Frame, system: Crs | None = None) -> MapFrame:
             )
         return MapFrame(frame=frame, system=None)
     lat, lon, _ = frame.origin_lat_lon_alt.tolist()
-    return MapFrame(frame=frame, system=parse_crs(f"EPSG:{utm_epsg(lat, lon)}") if system is None else system)
+    return MapFrame(frame=frame, system=parse_crs(f"EPSG:{utm_epsg(lat, lon)}") if system is None else system.at(lat, lon))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -40,7 +40,8 @@ def test_points_of_a_table_are_marked_and_read_by_gcp(tmp_path: Path) -> None:
 def test_lines_of_odm_without_names_keep_theirs() -> None:
     found = parse_control_list("EPSG:32632\n1 2 3 4 5 a.jpg\n1 2 3 6 7 b.jpg\n4 5 6 7 8 a.jpg\n", "gcp_list.txt")
     assert [point.name for point in found.points] == ["gcp-1", "gcp-2"]
-    assert found.marks_of("gcp-1") == {"a.jpg": (4, 5), "b.jpg": (6, 7)}
+    # The list counts from the middle of the first pixel, which is at (0.5, 0.5) here.
+    assert found.marks_of("gcp-1") == {"a.jpg": (4.5, 5.5), "b.jpg": (6.5, 7.5)}
 
 
 @pytest.mark.parametrize(
@@ -67,13 +68,14 @@ def test_a_mark_that_the_list_cannot_hold_is_refused() -> None:
     found = parse_control_list(TABLE, "points.csv")
     for point, photograph, pixel, said in (
         ("four", "a.jpg", (1, 2), "no point 'four'"),
-        ("one", "my photo.jpg", (1, 2), "has a blank"),
+        ("one", "a#1.jpg", (1, 2), "cannot hold"),
+        ("one", "a  b.jpg", (1, 2), "cannot hold"),
         ("one", "a.jpg", (float("nan"), 2), "finite pixels"),
     ):
         with pytest.raises(BadInput, match=said):
             found.marked(point, photograph, pixel)
     with pytest.raises(BadInput, match="no name of a point"):
-        ListedPoint("a b", (1, 2, 3))
+        ListedPoint("a\tb", (1, 2, 3))
 
 
 def test_a_file_in_another_encoding_is_refused(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def ortho_layer(run: Path, frame: Frame, height: float) -> Layer | None:
     picture = load_map_picture(path, MAX_PX)
     if (picture.epsg is None) != (frame.kind != "metric"):
         raise BadInput(f"{path} and the run do not both have a place on the globe: make the orthophoto anew.")
-    system = None if picture.epsg is None else parse_crs(f"EPSG:{picture.epsg}")
+    system = None if picture.epsg is None else parse_crs(f"EPSG:{picture.epsg}").at(*frame.origin_lat_lon_alt[:2].tolist())
     corners = MapFrame(frame=frame, system=system).to_world(_corners(picture, frame, height))
     note = " (older than the model: make it anew)" if _is_outdated(path, run) else ""
     return Layer(

@@ -15,7 +15,15 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.georef.control_guess import guess_place, shares_of
-from radiant_core.georef.control_list import CONTROL_LIST, ControlList, ListedPoint, load_control_list, parse_control_list, world_places
+from radiant_core.georef.control_list import (
+    CONTROL_LIST,
+    ControlList,
+    ListedPoint,
+    list_shortfall,
+    load_control_list,
+    parse_control_list,
+    world_places,
+)
 from radiant_core.numerics import FloatArray
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.runs.run_view import RunView
@@ -53,7 +61,7 @@ class ControlSession:
         self._read_again()
         if self.list is not None and self.list.marks:
             raise BadInput(f"{self.path} has marks already: move it away to begin with other points.")
-        self._keep(load_control_list(path))
+        self._keep(load_control_list(path, self._run.scene.cameras.names))
 
     def add(self, system: str, point: ListedPoint) -> None:
         """Add a point, the first in a system."""
@@ -61,7 +69,7 @@ class ControlSession:
         before = self.list
         if before is None:
             east, north, up = point.place
-            self._keep(parse_control_list(f"{system}\n{point.name} {east!r} {north!r} {up!r}", "the point"))
+            self._keep(parse_control_list(f"{system}\n{point.name}\t{east!r}\t{north!r}\t{up!r}", "the point"))
             return
         self._keep(before.with_point(point))
 
@@ -110,6 +118,8 @@ class ControlSession:
         twice = [point for point in found.points if len(found.marks_of(point.name)) > 1]
         control = sum(not point.is_check for point in twice)
         marks = f"{len(found.marks)} mark{'s' * (len(found.marks) != 1)}"
+        lacking = list_shortfall(found, self._run.scene.frame)
+        marks = marks if lacking is None else f"{lacking} {marks}"
         text = f"{marks}; {control} control and {len(twice) - control} check points are marked twice or more"
         if control < MIN_CONTROL:
             return f"{text}; {MIN_CONTROL} control points are needed."
@@ -155,7 +165,7 @@ class ControlSession:
         if now is None:
             self.list, self._written = None, None
             return
-        self._take(load_control_list(self.path))
+        self._take(load_control_list(self.path, self._run.scene.cameras.names))
         self._written = now
 
     def _keep(self, found: ControlList) -> None:

@@ -109,7 +109,8 @@ def save_regions_geojson(
     Raises BadInput when the plan is not of these waypoints, or as `atomic_writer`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
-    write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers), crs)
+    placed = None if crs is None else crs.at(*waypoints.origin[:2].tolist())
+    write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers), placed)
 
 
 def write_features(path: Path, features: Iterable[dict[str, Any]], crs: Crs | None = None) -> None:

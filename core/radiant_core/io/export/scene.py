@@ -18,6 +18,7 @@ from radiant_core.choices import SpzVersion
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.georef.crs import Crs
+from radiant_core.georef.reference import require_heights
 from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
 from radiant_core.io.colmap.text import write_model
 from radiant_core.io.export.plan import land_features, point_feature, write_features
@@ -68,6 +69,9 @@ def save_scene_geojson(
     `crs` or else longitude and latitude; BadInput without GPS."""
     if scene.frame.kind != "metric":
         raise BadInput(f"cannot write {path}: no GPS fixed where the scene lies, and GeoJSON knows only longitude and latitude.")
+    if crs is not None:
+        require_heights(scene.frame, crs)
+        crs = crs.at(*scene.frame.origin_lat_lon_alt[:2].tolist())
     write_features(path, _scene_features(scene, cloud_plan, edge_plans, about_camera), crs)
 
 

@@ -3,8 +3,9 @@
 The third number is metres above the WGS84 ellipsoid (section 3.1.1), unless the properties
 `height_m` and `height_from` say another height and what it counts from, as `radiant plan` writes
 them. Files from before that standard, and those of `radiant export --crs`, name another system in
-their member `crs`: places are moved from there, heights stay what they are, and count from the sea
-where the system has a vertical part, else from what nobody says.
+their member `crs`: places are moved from there. Third numbers become metres by the unit of that
+system, and heights over the ellipsoid where it names their datum; else what they count from is not
+said.
 
 A feature's name is its property name or id, else its member id; vertices get a number behind it.
 Polygons and features without a geometry are no waypoints: they are counted as ignored.
@@ -17,6 +18,8 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.georef.crs import Crs, parse_crs
@@ -26,8 +29,8 @@ from radiant_core.plan.heights import HEIGHT_KINDS
 HEIGHT_M, HEIGHT_FROM = "height_m", "height_from"
 """Properties of points that say a height which is none above the ellipsoid."""
 MAX_HEIGHT_M = 1e9
-_WGS84_NAMES = ("CRS84", "4326", "4979")
-_EPSG = re.compile(r"EPSG:(?:[\d.]*:)?(\d{4,6})\b")
+_CRS84 = re.compile(r"\bCRS:?84h?\b")
+_EPSG = re.compile(r"EPSG[:/](?:[\d.]*[:/])?(\d{4,6})(?:\+(?:EPSG:)?(\d{4,6}))?\b")
 
 
 def geojson_rows(text: str) -> WaypointRows:
@@ -35,13 +38,15 @@ def geojson_rows(text: str) -> WaypointRows:
     rows = WaypointRows()
     value = _parsed(text)
     system = _system_of(value)
-    counts_from: HeightFrom = "ellipsoid" if system is None else "absolute" if system.vertical_epsg is None else "sea"
+    counts_from: HeightFrom = "ellipsoid" if system is None or system.vertical_name else "absolute"
+    in_system: list[bool] = []
     for feature in _features(value):
         height = _height_of(feature.properties, feature.place)
         for geometry in _opened(feature.place, feature.geometry):
             _add_geometry(rows, feature, geometry, height or (None, counts_from))
+            in_system += [height is None] * (len(rows.names) - len(in_system))
     if system is not None:
-        rows.move_from(system)
+        rows.move_from(system, np.array(in_system, bool))
     return rows
 
 
@@ -75,12 +80,13 @@ def _system_of(value: dict[str, Any]) -> Crs | None:
     """What the member `crs` names; None for WGS84."""
     crs = value.get("crs")
     named = json.dumps(crs)
-    if crs is None or any(known in named for known in _WGS84_NAMES):
+    if crs is None or _CRS84.search(named):
         return None
-    code = _EPSG.search(named)
-    if code is None:
+    codes = [code for found in _EPSG.findall(named) for code in found if code]
+    if not 1 <= len(codes) <= 2:
         raise BadInput(f"its coordinate system is {named[:80]}, expected WGS84 longitude and latitude, or one by its EPSG code.")
-    return parse_crs(f"EPSG:{code[1]}")
+    system = parse_crs(f"EPSG:{'+'.join(codes)}")
+    return None if system.own and system.unit_m is None else system
 
 
 def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:

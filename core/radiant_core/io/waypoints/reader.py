@@ -44,6 +44,8 @@ class FoundWaypoints:
     warnings: tuple[str, ...]
     without_gps: tuple[str, ...] = ()
     """Photographs whose EXIF has no position, in order."""
+    shortfall: str | None = None
+    """Which grids the file's coordinate system lacks, as among the warnings."""
 
 
 def read_waypoints(path: Path) -> FoundWaypoints:
@@ -70,7 +72,9 @@ def read_waypoints(path: Path) -> FoundWaypoints:
         raise BadInput(f"cannot use {path}: {error}") from error
     if rows.ignored:
         warnings = (*warnings, f"{_list_kinds(rows)} ignored: only points and vertices of lines are waypoints.")
-    return FoundWaypoints(waypoints=waypoints, warnings=warnings)
+    if rows.shortfall is not None:
+        warnings = (*warnings, rows.shortfall)
+    return FoundWaypoints(waypoints=waypoints, warnings=warnings, shortfall=rows.shortfall)
 
 
 def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> FoundWaypoints:

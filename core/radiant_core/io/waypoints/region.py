@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,10 @@ from radiant_core.numerics import FloatArray, check_array
 MAX_REGION_BYTES = 16_000_000
 
 
-def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
+def load_region(path: Path, origin_lat_lon_alt: FloatArray, warn: Callable[[str], None] = lambda message: None) -> FloatArray:
     """Corners (V,2) m east and north of the origin of the one simple polygon of the file's land,
-    holes left out. Raises BadInput for a file that is too large or no GeoJSON, or without polygons
-    or with some that do not touch."""
+    holes left out; `warn` hears of grids that its system lacks. Raises BadInput for a file that is
+    too large or no GeoJSON, or without polygons or with some that do not touch."""
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give a GeoJSON file with a polygon, as 'radiant plan' writes.")
     with name_file_in_errors(path):
@@ -32,6 +33,9 @@ def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
         except UnicodeDecodeError as error:
             raise BadInput(f"it is no text in UTF-8 ({error}).") from None
         system, geometries = geojson_geometries(text)
+        lacking = None if system is None else system.shortfall_over(origin_lat_lon_alt[None])
+        if lacking is not None:
+            warn(lacking)
         land = unary_union([_polygon(ring, origin_lat_lon_alt, system) for _, _, geometry in geometries for ring in _rings(geometry)])
         if not isinstance(land, Polygon) or land.is_empty:
             raise BadInput("its polygons are none or lie apart: give one connected region.")

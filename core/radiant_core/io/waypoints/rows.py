@@ -6,6 +6,7 @@ from array import array
 from collections import Counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
@@ -24,6 +25,8 @@ class WaypointRows:
         """What the file holds besides waypoints, by kind."""
         self.notes: list[str] = []
         """What a user is to know of how heights were read, a sentence each."""
+        self.shortfall: str | None = None
+        """Which grids the system of the file lacks, and what that costs."""
         self._numbers = array("d")
         self._codes = bytearray()
         self._angles = array("d")
@@ -53,12 +56,19 @@ class WaypointRows:
         """Let all heights of one kind be of another."""
         self._codes = self._codes.replace(bytes([HEIGHT_KINDS.index(was)]), bytes([HEIGHT_KINDS.index(counts_from)]))
 
-    def move_from(self, system: Crs) -> None:
-        """Take what was read as latitude and longitude for north and east in a system; altitudes
-        stay. BadInput for places that it does not have."""
+    def move_from(self, system: Crs, has_its_height: NDArray[np.bool_]) -> None:
+        """Take what was read as latitude and longitude for north and east in a system, and
+        altitudes (P,) of those that have its height for heights in its unit over its datum, if it
+        has one. BadInput for places that it does not have."""
         read = self.lat_lon_alt
-        found = system.to_geodetic(np.column_stack([read[:, 1], read[:, 0], np.zeros(len(read))]))
-        self._numbers = array("d", np.column_stack([found[:, :2], read[:, 2]]).ravel().tolist())
+        found = system.to_geodetic(read[:, [1, 0, 2]])
+        if not system.vertical_name:
+            # Heights that count from nothing are metres now, and no shift of datum is theirs.
+            found[:, 2] = read[:, 2] * system.height_unit_m
+        found[:, 2] = np.where(has_its_height, found[:, 2], read[:, 2])
+        self._numbers = array("d", found.ravel().tolist())
+        if len(found):
+            self.shortfall = system.shortfall_over(found)
 
     @property
     def lat_lon_alt(self) -> FloatArray:

@@ -269,7 +269,7 @@ def _surveyed(
         tie_sigma_px=known.tie_sigma_px,
         mark_sigma_px=known.mark_sigma_px,
         system="WGS84" if control is None else control.system,
-        warnings=(*(() if marked is None else marked.warnings), *_blunders(points, known)),
+        warnings=(*(() if control is None else control.warnings), *(() if marked is None else marked.warnings), *_blunders(points, known)),
     )
 
 

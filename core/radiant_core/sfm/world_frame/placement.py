@@ -8,7 +8,7 @@ size:  the distance of two photographs, or the cameras' median height over the g
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,9 +73,10 @@ class Placement:
         except ValueError:
             return None
 
-    def parsed_control(self) -> ControlPoints | None:
-        """The surveyed points, if there are any; raises as `parse_control`."""
-        return None if self.control is None else parse_control(self.control)
+    def parsed_control(self, photographs: Sequence[str] = ()) -> ControlPoints | None:
+        """The surveyed points, if there are any, marked in `photographs`; raises as
+        `parse_control`."""
+        return None if self.control is None else parse_control(self.control, photographs)
 
     def turn_to_north(self, cameras: Cameras) -> FloatArray | None:
         """The rotation (3,3) about z that turns C cameras with z up to north; None unless asked."""
