@@ -200,9 +200,8 @@ def _metric_from_model(
         return None, (f"{what}, {lost}",)
     level = level_fit(centers[gps.fit.inliers], positions_m[gps.fit.inliers], up.up) if gps.verdict != "inconsistent" else None
     if level is None:
-        return None, (
-            f"GPS and the photographs' geometry do not fit each other (positions all alike, too rough for this site, or photographs placed wrongly), {lost}",
-        )
+        why = "(positions all alike, too rough for this site, or photographs placed wrongly)"
+        return None, (f"GPS and the photographs' geometry do not fit each other {why}, {lost}",)
     if gps.verdict == "overruled":
         return level, ()
     if gps.verdict == "tilted":
