@@ -9,7 +9,7 @@ length (`placement.py`) goes before both, unless it contradicts GPS (`contradict
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -59,6 +59,11 @@ class PlacedScene:
     """Those of the warnings after which place, scale or up may be wrong."""
     positions: PositionCount | None = None
     """Of GPS, where it was asked."""
+
+
+def with_warnings(placed: PlacedScene, doubts: tuple[str, ...]) -> PlacedScene:
+    """The scene with more that puts its place in doubt."""
+    return replace(placed, warnings=(*doubts, *placed.warnings), doubts=(*doubts, *placed.doubts))
 
 
 def cameras_of(model: ColmapModel) -> Cameras:

@@ -130,7 +130,7 @@ def test_a_site_without_a_place_gets_metres_and_up_from_three_points() -> None:
 
 def test_what_does_not_fix_a_scene_is_refused() -> None:
     for wrong, said in (
-        (replace(control(), is_check=np.ones(15, bool)), "0 points of ground control are marked"),
+        (replace(control(), is_check=np.ones(15, bool)), "kept out for checking, and no positions of known accuracy"),
         (replace(control(), mark_images=("nowhere.jpg",) * len(control().mark_images)), "is in a photograph that was placed"),
         (replace(control(), places_m=control().places_m * [1.0, 0.0, 0.0]), "lie on a line"),
     ):
