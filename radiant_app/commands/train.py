@@ -26,6 +26,7 @@ from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 from radiant_app.files.run_folder import Manifest, open_folder
 from radiant_app.files.score_file import SCORES, ScoreFile
+from radiant_app.report.ground_control import placing_of_run
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
@@ -147,7 +148,8 @@ def train(
         with _Stage("evaluation", emit, clock) as stage:
             held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
             figures = _score_model(request.out, (model, training), held_out, photos, stage)
-        metrics = {**figures, "training": summary, **_totals(manifest, len(model))}
+        placing = placing_of_run(request.source if has_scene(request.source) else request.out)
+        metrics = {**figures, **placing, "num_photographs": len(scene.cameras), "training": summary, **_totals(manifest, len(model))}
         write_json(request.out / "metrics.json", metrics)
         return metrics
 

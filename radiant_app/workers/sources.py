@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 SURVEY = "ground_control"
 """What result.json and metrics.json name the fit to surveyed points and positions by."""
+POSITIONS, DOUBTS = "gps_positions", "doubts"
+"""What they name the count of GPS positions that place the scene by, and what puts that in doubt."""
 SourceKind = Literal["photographs", "colmap", "mill19"]
 
 
@@ -72,7 +74,10 @@ def sfm_record(result: SfmResult, folder: Path) -> dict[str, Any]:
     """The content of result.json: the photographs' and masks' places, photographs without pose."""
     masks = {} if result.masks_folder is None else {"masks": portable_path(result.masks_folder, folder)}
     survey = {} if result.survey is None else {SURVEY: result.survey}
-    return {"images": portable_path(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks, **survey}
+    positions = {} if result.positions is None else {POSITIONS: result.positions}
+    doubts = {DOUBTS: list(result.doubts)} if result.doubts else {}
+    images = portable_path(result.undistorted_folder, folder)
+    return {"images": images, "unregistered": list(result.unregistered), **masks, **survey, **positions, **doubts}
 
 
 def portable_path(images: Path, folder: Path) -> str:

@@ -47,7 +47,7 @@ def test_lines_say_what_was_measured_and_expected() -> None:
 def test_rows_are_in_millimetres() -> None:
     first, second = survey_rows(RECORD)
     assert first == {
-        "name": "gcp-1", "kind": "control", "images": 7, "east": "+10", "north": "-2", "up": "+30", "sigma": "10 10 20", "px": "0.31",
+        "name": "gcp-1", "kind": "control", "images": "7", "east": "+10", "north": "-2", "up": "+30", "sigma": "10 10 20", "px": "0.31",
     }  # fmt: skip
     assert second["kind"] == "check"
 

@@ -50,7 +50,8 @@ def settle(contradictions: Iterable[Contradiction], policy: Contradictions) -> t
     warnings = []
     for found in contradictions:
         if found.is_gross and policy == "stop":
-            raise BadInput(f"{found.sentence}: {found.remedy}, or add --contradictions warn, and {found.taken}.")
+            remedy = found.remedy[0].upper() + found.remedy[1:]
+            raise BadInput(f"{found.sentence}. {remedy}; with --contradictions warn {found.taken}.")
         warnings.append(f"{found.sentence}; {found.taken}.")
     return tuple(warnings)
 
