@@ -69,7 +69,8 @@ def positions_lines(record: Mapping[str, Any] | None) -> list[str]:
     of = f" ({photographs} photographs)" if photographs != total else ""
     left = [f"{row['name']} {row['away_m']:.3g} m" for row in record["left_out"][:MAX_NAMED]] if counting else []
     more = " …" if counting and len(record["left_out"]) > MAX_NAMED else ""
-    return [f"GPS positions: {counting} of {total} count{of}{f'; not: {", ".join(left)}{more}' if left else ''}"]
+    others = f"; not: {', '.join(left)}{more}" if left else ""
+    return [f"GPS positions: {counting} of {total} count{of}{others}"]
 
 
 def _counted(counting: int, total: int, what: str) -> str:
