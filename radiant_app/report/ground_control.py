@@ -48,9 +48,9 @@ def survey_lines(record: Mapping[str, Any]) -> list[str]:
             total, counting = summary["num_points"], summary.get("num_counting", summary["num_points"])
             east, north, up = (f"{1000 * value:.0f}" for value in summary["rms_m"])
             expected = f", expected {1000 * summary['expected_axis_m']:.0f} mm" if kind == "check" else ""
+            points = _counted(counting, total, "points")
             lines.append(
-                f"{name}: {_counted(counting, total, 'points')}, RMS {1000 * summary['rms_axis_m']:.0f} mm per axis (east {east}, north {north}, "
-                f"up {up}){expected}"
+                f"{name}: {points}, RMS {1000 * summary['rms_axis_m']:.0f} mm per axis (east {east}, north {north}, up {up}){expected}"
             )
     if record["num_positions"]:
         shift = ", ".join(f"{value:.3f}" for value in record["positions_shift_m"])

@@ -2,8 +2,8 @@
 
 The words are a convention for renders of held-out photographs (docs/glossary.md): PSNR says how far
 colours are off, SSIM whether fine texture is there, and the lower word of the two is taken. What
-else is known of the scene lowers it further: a model that looks right is not good where its place is
-in doubt, a part of it is missing or a seam goes through it.
+else is known of the scene lowers it further: a model that looks right is not good where its place
+is in doubt, a part of it is missing or a seam goes through it.
 """
 
 from __future__ import annotations

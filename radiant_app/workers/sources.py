@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 SURVEY = "ground_control"
 """What result.json and metrics.json name the fit to surveyed points and positions by."""
 POSITIONS, DOUBTS = "gps_positions", "doubts"
-"""What they name the count of GPS positions that place the scene by, and what puts that in doubt."""
+"""What they name the count of GPS positions that place the scene by, and doubts about that."""
 SourceKind = Literal["photographs", "colmap", "mill19"]
 
 

@@ -61,11 +61,11 @@ def place_difference(listed_lla: ArrayLike, expected_lla: ArrayLike, system: Crs
 
 def likely_cause(listed_lla: ArrayLike, expected_lla: ArrayLike, system: Crs | None = None) -> str | None:
     """The mistake that explains why listed places (N,3) [deg, deg, m] lie off the expected ones
-    (N,3), or their middle off one place (3,); None where nothing does, or they lie within 50 m and 200 m
-    of height. `system` is the list's: where it is known, axes and units of its plane are tried too.
-    BadInput without places.
+    (N,3), or their middle off one place (3,); None where nothing does, or they lie within 50 m and
+    200 m of height. `system` is the list's: where it is known, axes and units of its plane are
+    tried too. BadInput without places.
 
-    Listed at 8.54° N 47.37° E, expected at 47.37° N 8.54° E: "latitude and longitude are exchanged".
+    Listed at 8.5° N 47.4° E, expected at 47.4° N 8.5° E: "latitude and longitude are exchanged".
     """
     listed, expected = _pairs(listed_lla, expected_lla)
     off_m = _off_m(listed, expected)
@@ -181,7 +181,8 @@ def _other_plane(listed: FloatArray, system: Crs) -> Iterator[tuple[str, FloatAr
 
 
 def _plane(listed: FloatArray, system: Crs) -> FloatArray:
-    """East, north, up of listed places, also where the system is not used: a mistake leads there."""
+    """East, north, up of listed places, also where the system is not used: a mistake
+    leads there."""
     if system.own:
         return system.from_geodetic(listed)
     from radiant_core.georef.proj import project

@@ -1,4 +1,4 @@
-"""Surveyed points after an adjustment: how good each is, and what there is to say. Once per scene."""
+"""Surveyed points after an adjustment: how good each is, and what to say of it. Once per scene."""
 
 from __future__ import annotations
 

@@ -33,7 +33,8 @@ class Marked:
 
 
 def marks_of(control: ControlPoints, bundle: Bundle) -> Marked:
-    """What of a list can be used with a bundle; BadInput where no mark is in a placed photograph."""
+    """What of a list can be used with a bundle; BadInput where no mark is in a placed
+    photograph."""
     row_of = {name: row for row, name in enumerate(bundle.names)}
     placed = np.array([name in row_of for name in control.mark_images])
     if not placed.any():

@@ -1,4 +1,4 @@
-"""A known length and a known direction, applied to the similarity of a world frame. Once per scene."""
+"""A known length and a known direction, applied to the frame of a world. Once per scene."""
 
 from __future__ import annotations
 

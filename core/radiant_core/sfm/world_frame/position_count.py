@@ -14,6 +14,10 @@ FREE_NUMBERS = 3
 """So many positions any similarity fits nearly: their residuals say nothing."""
 
 
+RECEIVER_M = 1.0
+"""Nearer than this to its camera a position is as good as a receiver can be, and counts."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PositionCount:
     """What a robust fit of camera centres to GPS made of the positions that it was given."""
@@ -53,11 +57,12 @@ def count_positions(names: tuple[str, ...], positions_m: FloatArray, fit: Alignm
     rows = np.flatnonzero(np.isfinite(positions_m[:, 0]))
     if residuals_m is None:
         return PositionCount(num_photographs=len(names), num_positions=len(rows), num_counting=0)
-    left = np.flatnonzero(~fit.inliers)
+    counts = fit.inliers | (residuals_m <= RECEIVER_M)
+    left = np.flatnonzero(~counts)
     ordered = left[np.argsort(-residuals_m[left], kind="stable")]
     return PositionCount(
         num_photographs=len(names),
         num_positions=len(rows),
-        num_counting=int(fit.inliers.sum()),
+        num_counting=int(counts.sum()),
         left_out=tuple((names[int(rows[index])], float(residuals_m[index])) for index in ordered),
     )
