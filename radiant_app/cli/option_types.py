@@ -9,7 +9,7 @@ import typer
 
 from radiant_app.cli.config_options import option
 from radiant_core.aggregate.config import AggregatePreset
-from radiant_core.choices import CutBy, Effort, Heights, LpipsNetwork, Matching, PlanMethod
+from radiant_core.choices import Contradictions, CutBy, Effort, Heights, LpipsNetwork, Matching, PlanMethod
 from radiant_core.train.config import Preset
 
 GroundOption = Annotated[float | None, typer.Option("--ground", help="Altitude of the ground in the waypoints' metres, else 0.")]
@@ -50,6 +50,7 @@ NorthOption = Annotated[str | None, option("sfm.north")]
 GcpOption = Annotated[Path | None, option("sfm.gcp")]
 GcpAccuracyOption = Annotated[str | None, option("sfm.gcp_accuracy")]
 CheckPointsOption = Annotated[str | None, option("sfm.check_points")]
+ContradictionsOption = Annotated[Contradictions, option("sfm.contradictions")]
 MatchingOption = Annotated[Matching, option("sfm.matching")]
 EffortOption = Annotated[Effort, option("sfm.effort")]
 MaskFolder = Annotated[Path | None, option("sfm.masks")]

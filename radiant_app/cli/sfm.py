@@ -25,6 +25,7 @@ def sfm(
     gcp: options.GcpOption = None,
     gcp_accuracy: options.GcpAccuracyOption = None,
     check_points: options.CheckPointsOption = None,
+    contradictions: options.ContradictionsOption = "stop",
     resume: Annotated[bool, typer.Option("--resume", help="Go on in --out: features and matches are kept.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -37,7 +38,14 @@ def sfm(
         from radiant_core.sfm.config import SfmConfig
 
     placed = SfmOptions(
-        up=up, distance=distance, height_m=height, north=north, gcp=gcp, gcp_accuracy=gcp_accuracy, check_points=check_points
+        up=up,
+        distance=distance,
+        height_m=height,
+        north=north,
+        gcp=gcp,
+        gcp_accuracy=gcp_accuracy,
+        check_points=check_points,
+        contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
     result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, resume=resume)

@@ -35,6 +35,7 @@ from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import captures_of, detect_source, has_scene, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras
+from radiant_core.choices import Contradictions
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
@@ -87,6 +88,7 @@ class TrainRequest:
     """Which way is up; like the next two a field of `Placement`, and not with a scene."""
     distance: str | None = None
     height_m: float | None = None
+    contradictions: Contradictions = "stop"
     memory_bytes: int | None = None
     """What the process may hold; None: as much as the preset's Gaussians take."""
     validate: bool | None = None
@@ -193,7 +195,9 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         source=request.source,
         out=request.out,
         seed=request.seed,
-        sfm=SfmOptions(masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m),
+        sfm=SfmOptions(
+            masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m, contradictions=request.contradictions
+        ),
     )
     scene, images = sfm_stage(config, progress, request.memory_bytes)
     return scene, _Photos(images=images, masks=masks_folder_of(request.out), captures=captures_of(request.out))

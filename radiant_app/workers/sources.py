@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -62,7 +63,7 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
         assert model is not None
         return scene_from_colmap(model, images, folder, report, masks, task.placement)
     if kind == "mill19":
-        if task.placement != Placement():
+        if replace(task.placement, contradictions="stop") != Placement():
             raise BadInput(
                 f"{images} brings its own frame, which is used as it is: leave out --up, --north, --distance, --height and --gcp."
             )
