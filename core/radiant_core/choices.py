@@ -8,6 +8,9 @@ Effort = Literal["auto", "thorough"]
 """auto: OpenCV's features, the pairs alone that a preview finds promising, few adjustments of all
 photographs, and thorough where over a tenth stays unregistered; thorough: COLMAP's features, all
 pairs of neighbours, and COLMAP's adjustments."""
+Contradictions = Literal["stop", "warn"]
+"""Where what a user says of place, scale or north and the photographs' GPS differ by more than GPS
+can. stop: nothing is made; warn: what the user says is taken."""
 Matching = Literal["auto", "spatial", "exhaustive"]
 """auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each
 with its GPS neighbours; exhaustive: every pair."""

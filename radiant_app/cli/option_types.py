@@ -9,7 +9,7 @@ import typer
 
 from radiant_app.cli.config_options import option
 from radiant_core.aggregate.config import AggregatePreset
-from radiant_core.choices import CutBy, Effort, Heights, LpipsNetwork, Matching, PlanMethod
+from radiant_core.choices import Contradictions, CutBy, Effort, Heights, LpipsNetwork, Matching, PlanMethod
 from radiant_core.train.config import Preset
 
 PlanSource = Annotated[
@@ -67,6 +67,7 @@ NorthOption = Annotated[str | None, option("sfm.north")]
 GcpOption = Annotated[Path | None, option("sfm.gcp")]
 GcpAccuracyOption = Annotated[str | None, option("sfm.gcp_accuracy")]
 CheckPointsOption = Annotated[str | None, option("sfm.check_points")]
+ContradictionsOption = Annotated[Contradictions, option("sfm.contradictions")]
 RequireGridsOption = Annotated[bool, option("sfm.require_grids")]
 RequireCrsGridsOption = Annotated[
     bool, typer.Option("--require-grids", help="Refuse a --crs whose best transformation lacks a grid; else a warning tells the metres.")

@@ -26,6 +26,7 @@ def sfm(
     gcp_accuracy: options.GcpAccuracyOption = None,
     check_points: options.CheckPointsOption = None,
     require_grids: options.RequireGridsOption = False,
+    contradictions: options.ContradictionsOption = "stop",
     resume: Annotated[bool, typer.Option("--resume", help="Go on in --out: features and matches are kept.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -46,6 +47,7 @@ def sfm(
         gcp_accuracy=gcp_accuracy,
         check_points=check_points,
         require_grids=require_grids,
+        contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
     result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, resume=resume)

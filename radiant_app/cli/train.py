@@ -11,6 +11,7 @@ import typer
 from radiant_app.cli.config_options import option
 from radiant_app.cli.option_types import (
     AsJson,
+    ContradictionsOption,
     DistanceOption,
     HeightOption,
     LongSide,
@@ -51,6 +52,7 @@ def train(
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
+    contradictions: ContradictionsOption = "stop",
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Any field of TrainConfig: train.PATH=VALUE, such as train.sky=false; repeatable.")
     ] = None,
@@ -80,6 +82,7 @@ def train(
         up=up,
         distance=distance,
         height_m=height,
+        contradictions=contradictions,
         memory_bytes=None if memory is None else bytes_of(memory),
         validate=validate,
         seed=seed,

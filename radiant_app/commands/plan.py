@@ -206,7 +206,8 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     pictures[MAP] = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
     _write(request, made, content, pictures)
-    return {**_summary(request.out, made, ()), **content.summary()}
+    unit = {} if scene.frame.unit == "m" else {"unit": scene.frame.unit}
+    return {**_summary(request.out, made, ()), **content.summary(), **unit}
 
 
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:

@@ -25,28 +25,34 @@ def method_row(row: ComparedPlan) -> dict[str, Any]:
 def plan_tables(result: dict[str, Any]) -> list[str]:
     """What was made of profiles of other trainings, which is then taken out of `result`, and the
     tables of `--compare`, `--slack-curve`, the borders and flights that it has, as text."""
-    tables = (("methods", method_table), ("slack_curve", slack_table), ("borders", border_table), ("flight", flight_table))
+    unit = result.get("unit", "m")
+    tables = (
+        ("methods", lambda rows: method_table(rows, unit)),
+        ("slack_curve", lambda rows: slack_table(rows, unit)),
+        ("borders", border_table),
+        ("flight", flight_table),
+    )
     costs = [result.pop("costs")] if "costs" in result else []
     return [*costs, *(aligned(result[name]) for name, aligned in tables if result.get(name))]
 
 
-def method_table(rows: list[dict[str, Any]]) -> str:
-    """The rows of `--compare`, aligned."""
+def method_table(rows: list[dict[str, Any]], unit: str = "m") -> str:
+    """The rows of `--compare`, aligned; lengths are in `unit`."""
     lines = [f"{'method':<14} {'makespan':>12} {'/ bound':>9} {'no region':>9} {'Σ distance²':>13} {'iterations':>10} {'imbalance':>9}"]
     lines += [
         f"{row['method']:<14} {row['makespan_s']:>10.1f} s {row['makespan_over_bound']:>9.4f} {row['cameras_in_no_region']:>9} "
-        f"{row['squared_distance_m2']:>10.4g} m² {row['iterations']:>10} {row['last_imbalance']:>9.3f}"
+        f"{row['squared_distance_m2']:>10.4g} {unit}² {row['iterations']:>10} {row['last_imbalance']:>9.3f}"
         for row in rows
     ]
     return "\n".join(lines)
 
 
-def slack_table(rows: list[dict[str, Any]]) -> str:
-    """The rows of `--slack-curve`, aligned."""
+def slack_table(rows: list[dict[str, Any]], unit: str = "m") -> str:
+    """The rows of `--slack-curve`, aligned; lengths are in `unit`."""
     lines = [f"{'slack':>7} {'makespan':>12} {'mean distance':>14} {'rms distance':>13} {'borders':>11}"]
     lines += [
-        f"{row['slack']:>7.3f} {row['makespan_s']:>10.1f} s {row['mean_distance_m']:>12.1f} m {row['rms_distance_m']:>11.1f} m "
-        f"{row['border_m']:>9.0f} m"
+        f"{row['slack']:>7.3f} {row['makespan_s']:>10.1f} s {row['mean_distance_m']:>12.1f} {unit} {row['rms_distance_m']:>11.1f} {unit} "
+        f"{row['border_m']:>9.0f} {unit}"
         for row in rows
     ]
     return "\n".join(lines)

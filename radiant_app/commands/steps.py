@@ -16,7 +16,7 @@ from radiant_app.files.out_folder import require_folder_for
 from radiant_app.files.run_folder import sfm_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.sources import SURVEY, reconstruct_source, sfm_record, sfm_task
+from radiant_app.workers.sources import POSITIONS, SURVEY, reconstruct_source, sfm_record, sfm_task
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.messages import message_record
@@ -51,6 +51,7 @@ def sfm(  # noqa: PLR0913
         "gps_residual_m": result.scene.frame.residual_m,
         "unregistered": list(result.unregistered),
         **({} if result.survey is None else {SURVEY: result.survey}),
+        **({} if result.positions is None else {POSITIONS: result.positions}),
         "warnings": "; ".join(result.warnings) or "none",
         "folder": str(out),
     }

@@ -27,6 +27,7 @@ from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, St
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import Manifest, open_folder
 from radiant_app.files.score_file import SCORES, ScoreFile
+from radiant_app.report.ground_control import placing_of_run
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
@@ -35,6 +36,7 @@ from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import captures_of, detect_source, has_scene, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras
+from radiant_core.choices import Contradictions
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
@@ -87,6 +89,7 @@ class TrainRequest:
     """Which way is up; like the next two a field of `Placement`, and not with a scene."""
     distance: str | None = None
     height_m: float | None = None
+    contradictions: Contradictions = "stop"
     memory_bytes: int | None = None
     """What the process may hold; None: as much as the preset's Gaussians take."""
     validate: bool | None = None
@@ -148,7 +151,8 @@ def train(
         with _Stage("evaluation", emit, clock) as stage:
             held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
             figures = _score_model(request.out, (model, training), held_out, photos, stage)
-        metrics = {**figures, "training": summary, **_totals(manifest, len(model))}
+        placing = placing_of_run(request.source if has_scene(request.source) else request.out)
+        metrics = {**figures, **placing, "num_photographs": len(scene.cameras), "training": summary, **_totals(manifest, len(model))}
         write_json(request.out / "metrics.json", metrics)
         return metrics
 
@@ -192,7 +196,9 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         source=request.source,
         out=request.out,
         seed=request.seed,
-        sfm=SfmOptions(masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m),
+        sfm=SfmOptions(
+            masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m, contradictions=request.contradictions
+        ),
     )
     scene, images = sfm_stage(config, progress, request.memory_bytes)
     return scene, _Photos(images=images, masks=masks_folder_of(request.out), captures=captures_of(request.out))

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
-from radiant_core.choices import CutBy, DevicesUsed, Effort, LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
+from radiant_core.choices import Contradictions, CutBy, DevicesUsed, Effort, LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
@@ -116,6 +116,10 @@ class SfmOptions:
     """Refuse ground control in a system whose best transformation lacks a grid; else a warning
     tells the metres."""
 
+    contradictions: Contradictions = "stop"
+    """Where --gcp, --distance, --height or --north and the photographs' GPS differ by more than GPS
+    can be off: stop, or warn and go by what is given here."""
+
     @property
     def placed_by_hand(self) -> bool:
         """Whether the user gives a direction, a length or surveyed points."""
@@ -125,6 +129,7 @@ class SfmOptions:
     def placement(self) -> dict[str, Any]:
         """The fields of `radiant_core.sfm.world_frame.placement.Placement`."""
         fields = {"up": self.up or "auto", "distance": self.distance, "height_m": self.height_m, "north": self.north}
+        fields |= {"contradictions": self.contradictions}
         if self.gcp is None:
             return fields
         from radiant_core.georef.control_points import control_request  # numpy

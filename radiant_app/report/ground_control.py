@@ -6,9 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from radiant_app.workers.sources import SURVEY
+import numpy as np
+
+from radiant_app.workers.sources import DOUBTS, POSITIONS, SURVEY
 from radiant_core.errors import StoreDamaged
 from radiant_core.io.run_store import read_json
+
+MAX_NAMED = 5
 
 
 def survey_of_run(run: Path) -> dict[str, Any] | None:
@@ -22,22 +26,74 @@ def survey_of_run(run: Path) -> dict[str, Any] | None:
     return None
 
 
+def placing_of_run(run: Path) -> dict[str, Any]:
+    """How a run's or scene's photographs were placed, for metrics.json: the count of GPS positions,
+    doubts about the frame, and photographs without a pose; empty where they lie on devices."""
+    for folder in (run / "sfm", run):
+        if (folder / "result.json").is_file():
+            try:
+                record = read_json(folder / "result.json")
+            except StoreDamaged:
+                return {}
+            found = {key: record[key] for key in (POSITIONS, DOUBTS) if key in record}
+            return {**found, "num_unplaced": len(record["unregistered"])} if "unregistered" in record else found
+    return {}
+
+
 def survey_lines(record: Mapping[str, Any]) -> list[str]:
     """A line for ground control, one for check points, one for camera positions, as there are."""
     lines = []
     for kind, name in (("control", "ground control"), ("check", "check points")):
         if (summary := record[kind]) is not None:
+            total, counting = summary["num_points"], summary.get("num_counting", summary["num_points"])
             east, north, up = (f"{1000 * value:.0f}" for value in summary["rms_m"])
             expected = f", expected {1000 * summary['expected_axis_m']:.0f} mm" if kind == "check" else ""
+            points = _counted(counting, total, "points")
             lines.append(
-                f"{name}: {summary['num_points']} points, RMS {1000 * summary['rms_axis_m']:.0f} mm per axis (east {east}, north {north}, "
-                f"up {up}){expected}"
+                f"{name}: {points}, RMS {1000 * summary['rms_axis_m']:.0f} mm per axis (east {east}, north {north}, up {up}){expected}"
             )
     if record["num_positions"]:
         shift = ", ".join(f"{value:.3f}" for value in record["positions_shift_m"])
         apart = f"; they lie {shift} m east, north, up of the ground control's datum" if record["control"] is not None else ""
-        lines.append(f"camera positions: {record['num_positions']}, RMS {1000 * record['positions_rms_m']:.0f} mm per axis{apart}")
-    return lines
+        total, counting = record["num_positions"], record.get("num_positions_counting", record["num_positions"])
+        said = str(total) if counting == total else f"{counting} of {total} count"
+        lines.append(f"camera positions: {said}, RMS {1000 * record['positions_rms_m']:.0f} mm per axis{apart}")
+    return [*lines, *_left_out(record)]
+
+
+def positions_lines(record: Mapping[str, Any] | None) -> list[str]:
+    """A line on the GPS positions that place a scene; none where no photograph has one."""
+    if record is None or not record["num_positions"]:
+        return []
+    total, counting, photographs = record["num_positions"], record["num_counting"], record["num_photographs"]
+    of = f" ({photographs} photographs)" if photographs != total else ""
+    left = [f"{row['name']} {row['away_m']:.3g} m" for row in record["left_out"][:MAX_NAMED]] if counting else []
+    more = " …" if counting and len(record["left_out"]) > MAX_NAMED else ""
+    others = f"; not: {', '.join(left)}{more}" if left else ""
+    return [f"GPS positions: {counting} of {total} count{of}{others}"]
+
+
+def _counted(counting: int, total: int, what: str) -> str:
+    return f"{total} {what}" if counting == total else f"{counting} of {total} {what} count"
+
+
+def _left_out(record: Mapping[str, Any]) -> list[str]:
+    """A line on the points that do not count, by name."""
+    rows = [point for point in record["points"] if not point.get("counts", True)]
+    if not rows:
+        return []
+    named = []
+    for row in rows[:MAX_NAMED]:
+        away_mm = 1000 * float(np.linalg.norm(row["residual_m"]))
+        named.append(f"{row['name']} ({row['num_counting']} of {row['num_images']} marks fit, {away_mm:,.0f} mm off)")
+    return [f"do not count: {', '.join(named)}{' …' if len(rows) > MAX_NAMED else ''}"]
+
+
+def _marks(point: Mapping[str, Any]) -> str:
+    """How many photographs show a point, and how many of its marks count where not all do."""
+    total, counting = point["num_images"], point.get("num_counting", point["num_images"])
+    said = str(total) if counting == total else f"{counting} of {total}"
+    return said if point.get("counts", True) else f"{said}, does not count"
 
 
 def survey_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -46,7 +102,7 @@ def survey_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
         {
             "name": point["name"],
             "kind": "check" if point["is_check"] else "control",
-            "images": point["num_images"],
+            "images": _marks(point),
             "east": f"{1000 * point['residual_m'][0]:+.0f}",
             "north": f"{1000 * point['residual_m'][1]:+.0f}",
             "up": f"{1000 * point['residual_m'][2]:+.0f}",

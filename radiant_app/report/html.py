@@ -24,6 +24,7 @@ from radiant_app.report.survey import Survey, survey_of
 from radiant_app.report.verdict import verdict_of
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.prediction_error import SYSTEM_NAME, gantt_rows
+from radiant_app.workers.sources import POSITIONS
 from radiant_core.aggregate.tree import refines_for
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_scene
@@ -257,8 +258,9 @@ def _survey(run: Path, manifest: Manifest) -> Survey:
     if (run / "delivered").is_dir():
         return survey_of(load_scene(run / "delivered" / "scene.safetensors"), 0, None)
     scene = load_scene(run / "sfm" / "scene.safetensors")
-    left_out = read_json(run / "sfm" / "result.json", ("unregistered",))["unregistered"]
-    return survey_of(scene, len(left_out), _photographs_in(Path(manifest.config["source"]), scene.cameras.names))
+    record = read_json(run / "sfm" / "result.json", ("unregistered",))
+    photographs = _photographs_in(Path(manifest.config["source"]), scene.cameras.names)
+    return survey_of(scene, len(record["unregistered"]), photographs, record.get(POSITIONS))
 
 
 def _photographs_in(source: Path, names: Sequence[str]) -> Path | None:

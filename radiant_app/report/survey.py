@@ -7,9 +7,11 @@ the median depth of the points that it shows, over its focal length in pixels.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +45,8 @@ class Survey:
     dates: tuple[str, str] | None = None
     """First and last day, by the clocks of the cameras."""
     epsg: int | None = None
+    num_positions: tuple[int, int] | None = None
+    """GPS positions that count, of all."""
 
     @property
     def line(self) -> str:
@@ -66,11 +70,15 @@ class Survey:
         place = f"at {abs(latitude):.5f}° {'N' if latitude >= 0 else 'S'} {abs(longitude):.5f}° {'E' if longitude >= 0 else 'W'}"
         crs = "" if self.epsg is None else f" (WGS 84, exported in EPSG:{self.epsg})"
         residual_m = self.frame.residual_m
-        return place + crs + ("" if residual_m is None else f", cameras within {residual_m:.2f} m of GPS (median)")
+        if residual_m is None:
+            return place + crs
+        counting = "" if self.num_positions is None else f", of which {self.num_positions[0]} of {self.num_positions[1]} positions count"
+        return f"{place}{crs}, cameras within {residual_m:.2f} m of GPS (median){counting}"
 
 
-def survey_of(scene: SfmScene, num_left_out: int, photographs: Path | None) -> Survey:
-    """Find the facts of a scene; `photographs`: their folder, None where they lie on devices."""
+def survey_of(scene: SfmScene, num_left_out: int, photographs: Path | None, positions: Mapping[str, Any] | None = None) -> Survey:
+    """Find the facts of a scene; `photographs`: their folder, None where they lie on devices;
+    `positions`: the record of those of GPS that count."""
     metres = scene.frame.kind != "unscaled"
     return Survey(
         num_placed=len(scene.cameras),
@@ -80,6 +88,7 @@ def survey_of(scene: SfmScene, num_left_out: int, photographs: Path | None) -> S
         gsd_m=sampling_distance(scene) if metres else None,
         dates=None if photographs is None else _dates(photographs, scene.cameras.names),
         epsg=_epsg(scene.frame),
+        num_positions=None if positions is None else (positions["num_counting"], positions["num_positions"]),
     )
 
 

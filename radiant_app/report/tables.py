@@ -63,11 +63,13 @@ def print_scene(result: Mapping[str, Any]) -> None:
     typer.echo(f"photographs: {result['cameras']} of {result['cameras'] + len(result['unregistered'])} placed")
     typer.echo(f"points: {result['points']:,}")
     residual_m = result["gps_residual_m"]
-    from radiant_app.report.ground_control import survey_lines  # numpy
+    from radiant_app.report.ground_control import positions_lines, survey_lines  # numpy
 
     survey = result.get("ground_control")
     of = "median distance to GPS" if survey is None else "RMS to camera positions, per axis,"
     typer.echo(f"frame: {result['frame']}" + ("" if residual_m is None else f", {of} {residual_m:.2f} m"))
+    for line in positions_lines(result.get("gps_positions")):
+        typer.echo(line)
     for line in () if survey is None else survey_lines(survey):
         typer.echo(line)
     if result["warnings"] != "none":

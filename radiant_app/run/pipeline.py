@@ -25,7 +25,7 @@ from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.files.system_file import even_system, load_system
 from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
-from radiant_app.report.ground_control import survey_of_run
+from radiant_app.report.ground_control import placing_of_run, survey_of_run
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
@@ -247,6 +247,7 @@ def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: 
     promises = promises_of(config, pooled=result.get("pooled", True))
     if (survey := survey_of_run(run)) is not None:
         more = {SURVEY: survey, **more}
+    more = {**placing_of_run(run), **more}
     metrics = {**result, "seconds": seconds, "peak_bytes": peaks, **planned, "prediction": prediction, "promises": promises, **more}
     write_json(run / "metrics.json", metrics)
     return metrics

@@ -18,7 +18,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,6 +42,9 @@ from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig, SfmResult
+
+if TYPE_CHECKING:
+    from radiant_core.sfm.world_frame.device_frame import DeviceFrame
 
 MADE_FROM, OWN_POSES = "made_from.json", "own/poses"
 
@@ -220,7 +223,7 @@ def _place_by_gps(folder: Path, photos: Path, task: PlacingTask, reporter: Event
     frame = device_frame(result.scene, positions, np.array(task.origin), task.sfm.seed)
     if isinstance(frame, RefusedFrame):
         raise BadInput(f"its frame is refused: {frame.reason}")
-    reporter.decide(_frame_decision(reporter.stage, frame.uncertainty, frame.num_inliers))
+    reporter.decide(_frame_decision(reporter.stage, frame))
     _draw_frame(folder, frame.scene.cameras, positions, task.origin, frame.sigma_m)
     return _PlacedScene(scene=frame.scene, images=result.undistorted_folder, uncertainty=frame.uncertainty)
 
@@ -274,13 +277,14 @@ def _warn_about_copies(num_copies: int, num_photographs: int, reporter: EventRep
         reporter.warn(message)
 
 
-def _frame_decision(stage: str, uncertainty: FrameUncertainty, num_positions: int) -> Decision:
+def _frame_decision(stage: str, frame: DeviceFrame) -> Decision:
+    uncertainty = frame.uncertainty
     return Decision(
         stage=stage,
         topic="frame",
         choice="metric, from the device's own GPS",
         figure=uncertainty.position_m,
         unit="m",
-        reason=f"from {num_positions} positions; scale known to {uncertainty.scale:.2%}, "
+        reason=f"{frame.num_inliers} of {frame.num_positions} positions count; scale known to {uncertainty.scale:.2%}, "
         f"rotation to {np.degrees(uncertainty.rotation_rad):.2f}°",
     )

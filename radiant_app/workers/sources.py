@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 SURVEY = "ground_control"
 """What result.json and metrics.json name the fit to surveyed points and positions by."""
+POSITIONS, DOUBTS = "gps_positions", "doubts"
+"""What they name the count of GPS positions that place the scene by, and doubts about that."""
 SourceKind = Literal["photographs", "colmap", "mill19"]
 
 
@@ -60,7 +63,7 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
         assert model is not None
         return scene_from_colmap(model, images, folder, report, masks, task.placement)
     if kind == "mill19":
-        if task.placement != Placement():
+        if replace(task.placement, contradictions="stop") != Placement():
             raise BadInput(
                 f"{images} brings its own frame, which is used as it is: leave out --up, --north, --distance, --height and --gcp."
             )
@@ -72,7 +75,10 @@ def sfm_record(result: SfmResult, folder: Path) -> dict[str, Any]:
     """The content of result.json: the photographs' and masks' places, photographs without pose."""
     masks = {} if result.masks_folder is None else {"masks": portable_path(result.masks_folder, folder)}
     survey = {} if result.survey is None else {SURVEY: result.survey}
-    return {"images": portable_path(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks, **survey}
+    positions = {} if result.positions is None else {POSITIONS: result.positions}
+    doubts = {DOUBTS: list(result.doubts)} if result.doubts else {}
+    images = portable_path(result.undistorted_folder, folder)
+    return {"images": images, "unregistered": list(result.unregistered), **masks, **survey, **positions, **doubts}
 
 
 def portable_path(images: Path, folder: Path) -> str:

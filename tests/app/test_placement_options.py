@@ -80,4 +80,4 @@ def test_a_photograph_that_is_not_there_is_named_before_the_work_begins(tmp_path
 @pytest.mark.parametrize("command", ["run", "sfm", "train"])
 def test_every_command_that_makes_a_scene_has_the_options(command: str) -> None:
     shown = CliRunner().invoke(app, [command, "--help"]).output
-    assert all(option in shown for option in ("--up", "--distance", "--height"))
+    assert all(option in shown for option in ("--up", "--distance", "--height", "--contradictions"))

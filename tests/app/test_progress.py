@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -311,6 +312,28 @@ def test_words_for_quality_follow_the_worse_of_both_figures() -> None:
     ]  # fmt: skip
     few = verdict_of({"psnr_db": 13.406, "ssim": 0.372, "images": [{}]})
     assert few.line == "poor: 13.41 dB PSNR and SSIM 0.37 on 1 held-out photograph (too few to be sure)"
+
+
+@pytest.mark.parametrize(
+    ("known", "word", "doubt"),
+    [
+        ({}, "very good", ""),
+        ({"num_unplaced": 1, "num_photographs": 60}, "very good", ""),
+        ({"num_unplaced": 12, "num_photographs": 48}, "fair", "12 of 60 photographs have no place in it"),
+        ({"num_unplaced": 40, "num_photographs": 20}, "poor", "40 of 60"),
+        ({"missing": {"devices/north-1": "lost"}}, "fair", "no model came from devices/north-1"),
+        ({"seam_found": True}, "fair", "a seam is found"),
+        ({"doubts": ["up may be wrong."]}, "fair", "in doubt (1 warning)"),
+        ({"num_unscored": 3}, "good", "3 of 11 held-out photographs are not scored"),
+        ({"ground_control": {"check": {"rms_axis_m": 0.5, "expected_axis_m": 0.05}}}, "fair", "10 times as far off as expected"),
+        ({"images": [{"mean_color_psnr_db": 31.0}] * 8}, "poor", "no better than one flat colour"),
+        ({"images": [{}]}, "good", "too few to be sure"),
+    ],
+)
+def test_the_weakest_part_gives_the_word(known: dict[str, Any], word: str, doubt: str) -> None:
+    verdict = verdict_of({"psnr_db": 30.0, "ssim": 0.9, "images": [{}] * 8, **known})
+    assert verdict.word == word and doubt in verdict.doubt
+    assert verdict.line.startswith(f"{word}: 30.00 dB") and (word == "very good") == (verdict.doubt == "")
 
 
 def test_the_first_sign_of_life_comes_before_heavy_libraries() -> None:

@@ -273,12 +273,12 @@ def _verdict(index: int, model: PlacedModel, solved: SolvedFrames, used: Sequenc
     misses = [edge_xi(pair.edge, solved.corrections[pair.a], solved.corrections[pair.b])[:3] for pair in own_pairs]
     squares = [pair.edge.fit.residual_m**2 + float(miss @ miss) for pair, miss in zip(own_pairs, misses, strict=True)]
     neighbours = tuple(sorted(pair.other(index) for pair in own_pairs))
-    num_points = sum(pair.edge.fit.num_pairs for pair in own_pairs)
+    num_points, num_followed = (sum(getattr(pair.edge.fit, name) for pair in own_pairs) for name in ("num_pairs", "num_followed"))
     return RefinedFrame(
         status="ok",
         correction=solved.corrections[index],
         uncertainty=solved.uncertainty(index),
-        reason=f"{num_points} points on ground common with {len(own_pairs)} other models agree.",
+        reason=f"{num_points} of {num_followed} points on ground common with {len(own_pairs)} other models agree.",
         residual_m=float(np.sqrt(np.mean(squares))),
         neighbours=neighbours,
     )

@@ -44,14 +44,16 @@ class PointPairs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PairFit:
-    """Similarity a ← b, covariance (7,7) of ξ about `center` (3,) in a's frame, how many pairs
-    agree, their median distance in m."""
+    """Similarity a ← b, covariance (7,7) of ξ about `center` (3,) in a's frame, how many of the
+    pairs agree, and the median distance of those in m."""
 
     a_from_b: Sim3
     center: FloatArray
     covariance: FloatArray
     num_pairs: int
     residual_m: float
+    num_followed: int
+    """Pairs that there were."""
 
 
 def compose(outer: Sim3, inner: Sim3) -> Sim3:
@@ -134,7 +136,12 @@ def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
     agreeing = weights > 0.25
     distances = np.linalg.norm(residuals[agreeing] if agreeing.any() else residuals, axis=1)
     return PairFit(
-        a_from_b=fit, center=center, covariance=covariance, num_pairs=int(agreeing.sum()), residual_m=float(np.median(distances))
+        a_from_b=fit,
+        center=center,
+        covariance=covariance,
+        num_pairs=int(agreeing.sum()),
+        residual_m=float(np.median(distances)),
+        num_followed=len(pairs),
     )
 
 

@@ -43,6 +43,7 @@ def icp_match(a: FloatArray, b: FloatArray, first_radius_m: float) -> PairFit | 
         covariance=np.diag((MAX_APART / 2) ** 2 + apart**2),
         num_pairs=int(there.overlap * len(b)),
         residual_m=there.residual_m,
+        num_followed=len(b),
     )
 
 

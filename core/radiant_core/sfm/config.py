@@ -116,3 +116,7 @@ class SfmResult:
     """Masks of the undistorted photographs (`radiant_core.io.photos.masks`); None without any."""
     survey: dict[str, Any] | None = None
     """What was adjusted to, and how well it fits (`control.place.survey_record`); None without."""
+    positions: dict[str, Any] | None = None
+    """How many GPS positions place the scene, and which do not (`world_frame.position_count`)."""
+    doubts: tuple[str, ...] = ()
+    """Those of the warnings after which place, scale or up of the scene may be wrong."""

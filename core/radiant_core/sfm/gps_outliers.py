@@ -1,4 +1,9 @@
-"""Photographs whose GPS is far from their place: the fit leaves them aside. Once per scene."""
+"""Photographs whose GPS is far from their place: the fit leaves them aside. Once per scene.
+
+A difference alone does not say which of the two is off. GPS is it where a photograph would have
+been taken so far outside of the site that it could not overlap with the others; nearer, a lens that
+is taken for another or wrong matches may have put the photograph wrongly as well.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +20,8 @@ OUTLIER_FACTOR = 10.0
 """Farther than this many median residuals is no noise of a receiver."""
 LEAST_M = 10.0
 """Nearer than this any receiver may be off."""
+OUTSIDE_M, OUTSIDE_EXTENTS = 1_000.0, 3.0
+"""Farther than both no photograph overlaps with others of the site."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,15 +32,28 @@ class GpsOutliers:
     names: tuple[str, ...]
     away_m: tuple[float, ...]
     num_gps: int
+    extent_m: float = 0.0
+    """Of all cameras of the scene, across."""
+
+    @property
+    def is_gps_off(self) -> bool:
+        """Whether all of them lie so far out that nothing but their GPS can be wrong."""
+        return min(self.away_m) > max(OUTSIDE_M, OUTSIDE_EXTENTS * self.extent_m)
 
     def warning(self, *, named: bool = True) -> tuple[str, ...]:
         """The warning about them, if any, in a sentence; without names where those are private."""
         if not self.names:
             return ()
         away = f"up to {self.away_m[0] / 1e3:,.1f} km" if self.away_m[0] >= 1e3 else f"up to {self.away_m[0]:,.0f} m"
-        sentence = f"the GPS positions of {len(self.names)} of {self.num_gps} photographs are {away} from where the photographs were taken"
-        listed = f": {', '.join(self.names[:MAX_NAMED])}{' …' if len(self.names) > MAX_NAMED else ''}" if named else ""
-        return (f"{sentence}, and are not used{listed}.",)
+        many = f"{len(self.names)} of {self.num_gps} photographs"
+        sentence = f"the GPS positions of {many} are {away} from where the photographs were taken, and are not used"
+        if not self.is_gps_off:
+            sentence = (
+                f"GPS and structure from motion put {many} {away} apart, whose GPS positions are not used: either these are off, or the "
+                "photographs are placed wrongly (another lens or zoom, wrong matches)"
+            )
+        listed = f" ({', '.join(self.names[:MAX_NAMED])}{' …' if len(self.names) > MAX_NAMED else ''})" if named else ""
+        return (f"{sentence}{listed}.",)
 
 
 def gps_outliers(scene: SfmScene, photographs: tuple[Photograph, ...]) -> GpsOutliers:
@@ -49,5 +69,8 @@ def gps_outliers(scene: SfmScene, photographs: tuple[Photograph, ...]) -> GpsOut
     limit_m = max(LEAST_M, OUTLIER_FACTOR * float(np.median(away_m[known]))) if known.any() else LEAST_M
     far = [int(index) for index in np.argsort(-away_m) if known[index] and away_m[index] > limit_m]
     return GpsOutliers(
-        names=tuple(scene.cameras.names[index] for index in far), away_m=tuple(away_m[far].tolist()), num_gps=int(known.sum())
+        names=tuple(scene.cameras.names[index] for index in far),
+        away_m=tuple(away_m[far].tolist()),
+        num_gps=int(known.sum()),
+        extent_m=float(np.linalg.norm(np.ptp(scene.cameras.centers[:, :2], axis=0))),
     )

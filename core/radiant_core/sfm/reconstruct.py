@@ -21,6 +21,7 @@ from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
 from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmProgress, SfmResult, number_phases, with_preview
+from radiant_core.sfm.control.before_matching import check_control
 from radiant_core.sfm.control.place import place_surveyed, survey_record
 from radiant_core.sfm.control.survey import Surveyed, adjust_to_survey
 from radiant_core.sfm.copies import without_repeats
@@ -30,7 +31,7 @@ from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undis
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.placement import Placement
-from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_in_world
+from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_in_world, with_warnings
 
 PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "triangulating", "undistorting")
 
@@ -51,6 +52,7 @@ def reconstruct(
     photographs = listing.photographs
     placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
+    contradicted = check_control(placement, photographs, {photo.name: photo.size_wh for photo in photographs})
     config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
     report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
     attempt = find_poses(PhotographSet(folder=photo_folder, photographs=photographs, masks=masks), work_folder, config, report)
@@ -73,6 +75,7 @@ def reconstruct(
         fit_model(folder, placed.world_from_model, scene.cameras)
     remove_images(undistorted.image_folder, scene.cameras)
     outliers = gps_outliers(scene, photographs)
+    placed = with_warnings(placed, contradicted)
     return SfmResult(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
@@ -96,13 +99,17 @@ def reconstruct(
         ),
         masks_folder=masks,
         survey=None if surveyed is None else survey_record(surveyed),
+        positions=None if placed.positions is None else placed.positions.record,
+        doubts=placed.doubts,
     )
 
 
 def _placed(
     model: ColmapModel, surveyed: Surveyed | None, photographs: tuple[Photograph, ...], seed: int, placement: Placement
 ) -> PlacedScene:
-    return scene_in_world(model, photographs, seed, placement) if surveyed is None else place_surveyed(model, surveyed)
+    if surveyed is None:
+        return scene_in_world(model, photographs, seed, placement)
+    return place_surveyed(model, surveyed, photographs, placement)
 
 
 def scene_from_colmap(
@@ -124,6 +131,8 @@ def scene_from_colmap(
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
     _require_images(model, listing, image_folder)
+    sizes_wh = {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
+    contradicted = check_control(placement, listing.photographs, sizes_wh)
     images_to_use = image_folder
     if masks is not None or not pinhole:
         start_clean(work_folder)
@@ -142,7 +151,7 @@ def scene_from_colmap(
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
-    placed = _placed(model, surveyed, listing.photographs, 0, placement)
+    placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement), contradicted)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     if not pinhole:
         # What was given stays as it is; sparse/ is there where COLMAP could not read it as it was.
@@ -158,6 +167,8 @@ def scene_from_colmap(
         warnings=(*warn_of_unused(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
         masks_folder=masks,
         survey=None if surveyed is None else survey_record(surveyed),
+        positions=None if placed.positions is None else placed.positions.record,
+        doubts=placed.doubts,
     )
 
 

@@ -89,7 +89,7 @@ def test_the_joint_solution_shares_the_gauge_by_what_each_gps_is_good_for() -> N
     # comes.
     fit = PairFit(
         a_from_b=Sim3(scale=1.0, rotation=np.eye(3), translation=np.array([1.0, 0, 0])),
-        center=np.zeros(3), covariance=np.diag(FLOOR**2), num_pairs=100, residual_m=0.0,
+        center=np.zeros(3), covariance=np.diag(FLOOR**2), num_pairs=100, residual_m=0.0, num_followed=120,
     )  # fmt: skip
     sure, vague = (FrameUncertainty(position_m=p, scale=0.01, rotation_rad=0.01) for p in (0.1, 1.0))
     solved = solve_frames(np.zeros((2, 3)), [sure, vague], [FrameEdge(a=0, b=1, fit=fit)])

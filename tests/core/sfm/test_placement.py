@@ -55,7 +55,7 @@ def test_a_known_distance_goes_before_the_scale_of_gps_and_leaves_its_place() ->
     photos = photographs_at(cameras.names, cameras.centers)
     model = in_any_frame(cameras, points, np.random.default_rng(1))
     by_gps, _, _ = in_world(model, photos)
-    scene, _, _ = in_world(model, photos, Placement(distance=f"000.jpg, 001.jpg, {2 * apart(cameras)}"))
+    scene, _, _ = in_world(model, photos, Placement(distance=f"000.jpg, 001.jpg, {2 * apart(cameras)}", contradictions="warn"))
     assert scene.frame.kind == "metric"
     # 1e-3: the made-up GPS takes degrees for metres with a factor that is off by less.
     assert apart(scene.cameras) == pytest.approx(2 * apart(cameras))

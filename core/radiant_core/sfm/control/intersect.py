@@ -50,7 +50,8 @@ def refine_points(bundle: Bundle, ties: Ties, points: FloatArray, num_steps: int
 
 def sum_by(rows: Rows, values: FloatArray, count: int) -> FloatArray:
     """Sums (count,…) of values (K,…) over the rows (K,) that they belong to."""
-    flat = values.reshape(len(rows), -1)
+    # Not -1: of no values at all the rest cannot be told.
+    flat = values.reshape(len(rows), int(np.prod(values.shape[1:], dtype=np.int64)))
     sums = np.zeros((flat.shape[1], count))
     for column in range(flat.shape[1]):
         sums[column] = np.bincount(rows, flat[:, column], count)

@@ -9,20 +9,30 @@ import numpy as np
 
 from radiant_core.frames import Sim3
 from radiant_core.io.colmap.records import ColmapModel
+from radiant_core.io.photos.listing import Photograph
+from radiant_core.sfm.control.against_gps import against_gps
 from radiant_core.sfm.control.quality import Summary
 from radiant_core.sfm.control.survey import Surveyed
+from radiant_core.sfm.world_frame.contradictions import settle
+from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import PlacedScene, cameras_of, move_scene
 
 STAY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
 
-def place_surveyed(model: ColmapModel, surveyed: Surveyed) -> PlacedScene:
-    """The scene of the undistorted model, moved by nothing."""
+def place_surveyed(model: ColmapModel, surveyed: Surveyed, photographs: tuple[Photograph, ...], placement: Placement) -> PlacedScene:
+    """The scene of the undistorted model, moved by nothing. BadInput where a list contradicts the
+    photographs' GPS and that is to stop the work."""
+    scene = move_scene(model, cameras_of(model), STAY, surveyed.frame)
+    against: tuple[str, ...] = ()
+    if placement.control is not None and surveyed.control is not None:
+        against = settle(against_gps(scene.cameras, scene.frame, photographs, placement.control), placement.contradictions)
     return PlacedScene(
-        scene=move_scene(model, cameras_of(model), STAY, surveyed.frame),
+        scene=scene,
         world_from_model=STAY,
         decisions=(surveyed.decision(),),
-        warnings=surveyed.warnings,
+        warnings=(*surveyed.warnings, *against),
+        doubts=(*surveyed.doubts, *against),
     )
 
 
@@ -33,6 +43,7 @@ def survey_record(surveyed: Surveyed) -> dict[str, Any]:
         "tie_sigma_px": surveyed.tie_sigma_px,
         "mark_sigma_px": surveyed.mark_sigma_px,
         "num_positions": surveyed.num_positions,
+        "num_positions_counting": surveyed.num_positions_counting,
         "positions_rms_m": surveyed.positions_rms_m,
         "positions_shift_m": list(surveyed.shift_m),
         "control": _summary(surveyed.control),
@@ -48,6 +59,7 @@ def _summary(summary: Summary | None) -> dict[str, Any] | None:
         return None
     return {
         "num_points": summary.num_points,
+        "num_counting": summary.num_counting,
         "rms_m": list(summary.rms_m),
         "expected_m": list(summary.expected_m),
         "rms_axis_m": summary.rms_axis_m,

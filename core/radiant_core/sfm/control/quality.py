@@ -5,6 +5,10 @@
 
 J: derivatives of a point's pixels by the point, B: by cameras and lenses, both over σ of a mark;
 Σ_cameras: the inverse of the adjustment's normal equations. Once per scene.
+
+The adjustment takes weight from what does not fit, so that a point whose marks are all wrong stays
+exactly where it was surveyed: no difference, and nothing learnt. Hence every point says how many of
+its marks count, and counts itself where two of them do and it is not far off among the others.
 """
 
 from __future__ import annotations
@@ -17,6 +21,11 @@ from radiant_core.numerics import FloatArray
 from radiant_core.sfm.control.adjust import Adjusted
 from radiant_core.sfm.control.bundle import Ties
 from radiant_core.sfm.control.intersect import intersect_rays, refine_points
+
+COUNTING_SIGMAS = 6.0
+"""A mark farther off than this has lost half of its weight (Huber at 3 σ)."""
+MIN_MARKS = 2
+MAX_CONDITION = 1e14
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +41,15 @@ class PointQuality:
     it was adjusted, which the residual is part of."""
     residual_px: float
     """RMS of its marks."""
+    num_counting: int
+    """Marks that count."""
+    counts: bool = True
+    """Whether the point does."""
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether enough of its marks count for its residual to say anything."""
+        return self.num_counting >= MIN_MARKS
 
     @property
     def length_m(self) -> float:
@@ -41,9 +59,10 @@ class PointQuality:
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """RMS per axis of several points, measured and expected."""
+    """RMS per axis of those of several points whose marks count, measured and expected."""
 
     num_points: int
+    num_counting: int
     rms_m: tuple[float, float, float]
     expected_m: tuple[float, float, float]
 
@@ -59,12 +78,14 @@ class Summary:
 
 
 def summarize(points: tuple[PointQuality, ...]) -> Summary | None:
-    """Of some points together; None without any."""
+    """Of some points together; None without any. What its marks do not place is in no RMS."""
     if not points:
         return None
+    num_counting = sum(point.counts for point in points)
+    num_points, points = len(points), tuple(point for point in points if point.is_seen) or points
     rms = np.sqrt(np.mean(np.square([point.residual_m for point in points]), axis=0))
     expected = np.sqrt(np.mean(np.square([point.expected_m for point in points]), axis=0))
-    return Summary(num_points=len(points), rms_m=_triple(rms), expected_m=_triple(expected))
+    return Summary(num_points=num_points, num_counting=num_counting, rms_m=_triple(rms), expected_m=_triple(expected))
 
 
 def check_points(
@@ -78,22 +99,28 @@ def check_points(
         own = marks.at(marks.points == row)
         if not np.isfinite(found[row]).all():
             continue
-        covariance, rms_px = _covariance(adjusted, own, found[row], mark_px)
+        own, residuals_px = _in_front(adjusted, own, found[row])
+        covariance = _covariance(adjusted, own, found[row], mark_px)
+        if covariance is None:
+            continue
         expected = np.sqrt(np.diag(covariance) + sigmas_m**2)
         kept.append(
             PointQuality(
                 name=name,
                 is_check=True,
-                num_images=len(own.images),
+                num_images=len(residuals_px),
                 residual_m=_triple(found[row] - places_m[row]),
                 expected_m=_triple(expected),
-                residual_px=rms_px,
+                residual_px=_rms(residuals_px),
+                num_counting=_num_counting(residuals_px, mark_px),
             )
         )
     return tuple(kept)
 
 
-def control_points(adjusted: Adjusted, marks: Ties, names: tuple[str, ...], places_m: FloatArray) -> tuple[PointQuality, ...]:
+def control_points(
+    adjusted: Adjusted, marks: Ties, names: tuple[str, ...], places_m: FloatArray, mark_px: float
+) -> tuple[PointQuality, ...]:
     """Ground control after the adjustment."""
     normal, first = adjusted.normal, len(adjusted.bundle.points)
     kept = []
@@ -111,17 +138,30 @@ def control_points(adjusted: Adjusted, marks: Ties, names: tuple[str, ...], plac
                 residual_m=_triple(adjusted.control_m[row] - places_m[row]),
                 expected_m=_triple(np.sqrt(np.diag(covariance))),
                 residual_px=_rms(pixels - own.pixels),
+                num_counting=_num_counting(pixels - own.pixels, mark_px),
             )
         )
     return tuple(kept)
 
 
-def _covariance(adjusted: Adjusted, marks: Ties, point: FloatArray, mark_px: float) -> tuple[FloatArray, float]:
-    """Of an intersected point (3,3), and the RMS of its marks in px."""
+def _in_front(adjusted: Adjusted, marks: Ties, point: FloatArray) -> tuple[Ties, FloatArray]:
+    """The marks of a point (3,) in photographs that have it before them, and how far all (K,2) are
+    off in px, NaN in the others."""
+    pixels = adjusted.bundle.project(marks.images, np.repeat(point[None], len(marks.images), axis=0))
+    return marks.at(np.flatnonzero(np.isfinite(pixels[:, 0]))), pixels - marks.pixels
+
+
+def _covariance(adjusted: Adjusted, marks: Ties, point: FloatArray, mark_px: float) -> FloatArray | None:
+    """Of an intersected point (3,3); None where its marks do not fix it."""
     bundle = adjusted.bundle
-    pixels, by_pose, by_lens, by_point = bundle.derivatives(marks.images, np.repeat(point[None], len(marks.images), axis=0))
+    if len(marks.images) < MIN_MARKS:
+        return None
+    _, by_pose, by_lens, by_point = bundle.derivatives(marks.images, np.repeat(point[None], len(marks.images), axis=0))
     J = by_point.reshape(-1, 3) / mark_px
-    inverse = np.linalg.inv(J.T @ J)
+    normal = J.T @ J
+    if not np.linalg.cond(normal) < MAX_CONDITION:
+        return None
+    inverse = np.linalg.inv(normal)
     C, F = len(bundle.names), bundle.most_free
     B = np.zeros((len(marks.images), 2, 6 * C + F * len(bundle.lenses) + 3))
     for row, image in enumerate(marks.images.tolist()):
@@ -129,11 +169,19 @@ def _covariance(adjusted: Adjusted, marks: Ties, point: FloatArray, mark_px: flo
         at = 6 * C + F * int(bundle.lens_of_image[image])
         B[row, :, at : at + F] = by_lens[row]
     follow = inverse @ J.T @ B.reshape(-1, B.shape[2]) / mark_px
-    return inverse + follow @ adjusted.normal.solve(follow.T), _rms(pixels - marks.pixels)
+    return inverse + follow @ adjusted.normal.solve(follow.T)
+
+
+def _num_counting(residuals_px: FloatArray, mark_px: float) -> int:
+    """Marks (K,2) that are not farther off than noise; one behind its camera is NaN."""
+    lengths = np.linalg.norm(residuals_px, axis=1)
+    return int((lengths <= COUNTING_SIGMAS * mark_px).sum())
 
 
 def _rms(residuals: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(residuals)))) if residuals.size else 0.0
+    """Of those that are there: a photograph has none of what is behind it."""
+    there = residuals[np.isfinite(residuals).all(axis=1)]
+    return float(np.sqrt(np.mean(np.square(there)))) if there.size else 0.0
 
 
 def _triple(values: FloatArray) -> tuple[float, float, float]:

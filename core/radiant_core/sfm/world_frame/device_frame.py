@@ -51,6 +51,9 @@ class DeviceFrame:
     common_from_device: Sim3
     uncertainty: FrameUncertainty
     num_inliers: int
+    """GPS positions that count."""
+    num_positions: int
+    """All of its photographs'."""
     sigma_m: float
     """Standard deviation of GPS per axis, as the residuals show it."""
     up_source: str
@@ -106,6 +109,7 @@ def device_frame(
         common_from_device=common_from_device,
         uncertainty=uncertainty,
         num_inliers=num_inliers,
+        num_positions=len(names),
         sigma_m=sigma_m,
         up_source=up_source,
     )

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
+from radiant_core.choices import Contradictions
 from radiant_core.errors import BadInput
 from radiant_core.georef.control_points import ControlPoints, ControlRequest, parse_control
 from radiant_core.numerics import FloatArray
@@ -48,6 +49,8 @@ class Placement:
     its top edge points."""
     control: ControlRequest | None = None
     """Surveyed points, which fix all of the frame."""
+    contradictions: Contradictions = "stop"
+    """What becomes of what contradicts the photographs' GPS (`contradictions.py`)."""
 
     def __post_init__(self) -> None:
         if self.control is not None and (self.up, self.distance, self.height_m, self.north) != (AUTO, None, None, None):
@@ -91,6 +94,24 @@ class Placement:
         turn = np.arctan2(across[1], across[0]) - np.radians(90.0 - heading_deg)
         cosine, sine = np.cos(turn), np.sin(turn)
         return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+    @property
+    def length_option(self) -> str:
+        """The known length as it was typed."""
+        return f"--distance {self.distance}" if self.distance is not None else f"--height {self.height_m:g}"
+
+    def length_by(self, factor: float) -> str:
+        """The known length in a scene that is `factor` times smaller than it makes it."""
+        if self.distance is not None:
+            return f"the two photographs are {_split_distance(self.distance)[1] / factor:.3g} m apart"
+        assert self.height_m is not None
+        return f"the cameras are {self.height_m / factor:.3g} m over the ground that they see"
+
+    @property
+    def north_deg(self) -> float:
+        """Where `north` says that its photograph looks."""
+        assert self.north is not None
+        return _split_north(self.north)[1]
 
     @property
     def gives_scale(self) -> bool:

@@ -4,19 +4,18 @@ Once per scene. A robust similarity to GPS fixes the frame, unless GPS cannot sa
 positions lie on a line, or the photographs would all be rolled if it were right (altitudes drift by
 a hundred metres in some cameras), or the scene fixes it better and says otherwise. Then up comes
 from the scene (`up.py`), only heading, scale and shift from GPS. What a user says of up and of a
-length (`placement.py`) goes before both.
+length (`placement.py`) goes before both, unless it contradicts GPS (`contradictions.py`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
-from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.listing import Photograph
@@ -25,15 +24,25 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap.pairs import gps_positions
 from radiant_core.sfm.world_frame.align import Alignment, AlignStatus, robust_sim3
 from radiant_core.sfm.world_frame.altitudes import fill_heights
+from radiant_core.sfm.world_frame.contradictions import (
+    MAX_INDEPENDENT,
+    Contradiction,
+    contradicting_north,
+    contradicting_scale,
+    contradicting_up,
+    heading_sigma_deg,
+    scale_sigma,
+    settle,
+)
+from radiant_core.sfm.world_frame.known_sizes import agreeing_north, rescale, turn_to_north
 from radiant_core.sfm.world_frame.orient import level_fit, unscaled_from_world
 from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.sfm.world_frame.position_count import PositionCount, count_positions
 from radiant_core.sfm.world_frame.up import UpEstimate, estimate_up, roll_deg
 
 MAX_GPS_ROLL_DEG = 15.0
 MAX_GPS_LEAN_DEG = 3.0
 """GPS and the scene may put up so far apart: a usual slope."""
-MAX_INDEPENDENT = 4
-"""GPS altitudes drift during a flight: more positions than these make up no surer."""
 UNPLACED = Placement()
 UNSCALED = Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3))
 
@@ -46,6 +55,15 @@ class PlacedScene:
     world_from_model: Sim3
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
+    """Those of the warnings after which place, scale or up may be wrong."""
+    positions: PositionCount | None = None
+    """Of GPS, where it was asked."""
+
+
+def with_warnings(placed: PlacedScene, doubts: tuple[str, ...]) -> PlacedScene:
+    """The scene with more that puts its place in doubt."""
+    return replace(placed, warnings=(*doubts, *placed.warnings), doubts=(*doubts, *placed.doubts))
 
 
 def cameras_of(model: ColmapModel) -> Cameras:
@@ -74,17 +92,27 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     gps = _judge(fit, cameras, up, forced=forced)
     metric, warnings = _metric_from_model(cameras.centers[known], positions_m[known], gps, up, scaled=placement.gives_scale)
     world_from_model = metric or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
-    world_from_model, scaled = _rescale(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
+    world_from_model, scaled = rescale(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
     frame = Frame(kind="scaled", origin_lat_lon_alt=np.zeros(3)) if scaled else UNSCALED
-    if placement.north is not None and metric is not None:
-        raise BadInput("--north is given and the photographs' GPS says where north is: leave it out.")
-    world_from_model, turned = _turn(world_from_model, cameras, placement)
+    world_from_turned, turned = turn_to_north(world_from_model, cameras, placement)
+    against: tuple[str, ...] = ()
+    residuals_m = None
     if metric is not None:
-        residuals = np.linalg.norm(world_from_model.apply(cameras.centers[known]) - positions_m[known], axis=1)
+        found = _against_gps(placement, gps, scaled, turned)
+        against = settle(found, placement.contradictions)
+        if turned and not any("--north" in each.taken for each in found):
+            world_from_turned, turned = world_from_model, (agreeing_north(turned[0]),)
+        residuals_m = np.linalg.norm(world_from_turned.apply(cameras.centers[known]) - positions_m[known], axis=1)
         frame = Frame(
-            kind="metric", origin_lat_lon_alt=heights.origin, residual_m=float(np.median(residuals)), altitude_known=heights.altitude_known
+            kind="metric",
+            origin_lat_lon_alt=heights.origin,
+            residual_m=float(np.median(residuals_m)),
+            altitude_known=heights.altitude_known,
         )
+    world_from_model = world_from_turned
+    count = count_positions(cameras.names, positions_m, fit, residuals_m)
     by_gps = metric is not None and gps.verdict == "ok"
+    doubts = () if by_gps or forced or up.doubt is None else (_doubt_warning(up),)
     return PlacedScene(
         scene=move_scene(model, cameras, world_from_model, frame),
         world_from_model=world_from_model,
@@ -94,58 +122,28 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
             *turned,
             _frame_decision(frame, gps, up, int(known.sum()), forced=forced),
         ),
-        warnings=(*heights.warnings, *warnings, *(() if by_gps or forced or up.doubt is None else (_doubt_warning(up),))),
+        warnings=(*heights.warnings, *warnings, *count.warning, *against, *doubts),
+        doubts=(*count.warning, *against, *doubts),
+        positions=count,
     )
 
 
-def _rescale(world_from_model: Sim3, scene: SfmScene, placement: Placement) -> tuple[Sim3, tuple[Decision, ...]]:
-    """The similarity with the scale of a known length, about the cameras' middle, and the decision;
-    unchanged without one."""
-    factor = placement.scale(scene.cameras, scene.points, scene.observations)
-    if factor is None:
-        return world_from_model, ()
-    middle = scene.cameras.centers.mean(axis=0)
-    scaled = Sim3(
-        scale=factor * world_from_model.scale,
-        rotation=world_from_model.rotation,
-        translation=factor * (world_from_model.translation - middle) + middle,
-    )
-    option = f"--distance {placement.distance}" if placement.distance is not None else f"--height {placement.height_m:g}"
-    decision = Decision(
-        stage="sfm",
-        topic="scale",
-        choice="metres by a known length",
-        figure=factor,
-        unit="times the scale without it",
-        reason=option,
-        forced=True,
-    )
-    return scaled, (decision,)
-
-
-def _turn(world_from_model: Sim3, cameras: Cameras, placement: Placement) -> tuple[Sim3, tuple[Decision, ...]]:
-    """The similarity turned about up so that north is where the user says, and the decision."""
-    level = Cameras(
-        names=cameras.names,
-        Ks=cameras.Ks,
-        cam_from_world=world_from_model.apply_to_poses(cameras.cam_from_world),
-        sizes_wh=cameras.sizes_wh,
-    )
-    turn = placement.turn_to_north(level)
-    if turn is None:
-        return world_from_model, ()
-    turned = Sim3(scale=world_from_model.scale, rotation=turn @ world_from_model.rotation, translation=turn @ world_from_model.translation)
-    angle_deg = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
-    decision = Decision(
-        stage="sfm",
-        topic="north",
-        choice="north by a photograph's direction",
-        figure=angle_deg,
-        unit="deg turned",
-        reason=f"--north {placement.north}",
-        forced=True,
-    )
-    return turned, (decision,)
+def _against_gps(
+    placement: Placement, gps: _JudgedGps, scaled: tuple[Decision, ...], turned: tuple[Decision, ...]
+) -> tuple[Contradiction, ...]:
+    """What the user says that contradicts a frame by GPS; decisions as `rescale` and
+    `turn_to_north`."""
+    found: list[Contradiction | None] = []
+    for decision in scaled:
+        factor = decision.figure or 1.0
+        found.append(contradicting_scale(factor, scale_sigma(gps.fit), placement.length_option, placement.length_by(factor)))
+    for decision in turned:
+        turn_deg = decision.figure or 0.0
+        option = f"--north {placement.north}"
+        found.append(contradicting_north(turn_deg, heading_sigma_deg(gps.fit), option, placement.north_deg + turn_deg))
+    if gps.verdict == "overruled" and gps.fit.status == "ok":
+        found.append(contradicting_up(gps.lean_deg, gps.up_deg, f"--up {placement.up}"))
+    return tuple(each for each in found if each is not None)
 
 
 def move_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, frame: Frame) -> SfmScene:
@@ -207,7 +205,8 @@ def _metric_from_model(
         return None, (f"{what}, {lost}",)
     level = level_fit(centers[gps.fit.inliers], positions_m[gps.fit.inliers], up.up) if gps.verdict != "inconsistent" else None
     if level is None:
-        return None, (f"the GPS positions do not fit the photographs' geometry (all alike, or too rough for this site), {lost}",)
+        why = "(positions all alike, too rough for this site, or photographs placed wrongly)"
+        return None, (f"GPS and the photographs' geometry do not fit each other {why}, {lost}",)
     if gps.verdict == "overruled":
         return level, ()
     if gps.verdict == "tilted":

@@ -130,7 +130,7 @@ def test_a_site_without_a_place_gets_metres_and_up_from_three_points() -> None:
 
 def test_what_does_not_fix_a_scene_is_refused() -> None:
     for wrong, said in (
-        (replace(control(), is_check=np.ones(15, bool)), "0 points of ground control are marked"),
+        (replace(control(), is_check=np.ones(15, bool)), "kept out for checking, and no positions of known accuracy"),
         (replace(control(), mark_images=("nowhere.jpg",) * len(control().mark_images)), "is in a photograph that was placed"),
         (replace(control(), places_m=control().places_m * [1.0, 0.0, 0.0]), "lie on a line"),
     ):
@@ -178,3 +178,44 @@ def test_rays_meet_where_points_are() -> None:
     assert np.nanmax(np.abs(found - bundle.points[:50])) < 1e-6
     np.testing.assert_allclose(refine_points(clean, exact, bundle.points[:50] + 0.01), bundle.points[:50], atol=1e-6)
     assert np.isnan(intersect_rays(clean, exact.at(np.arange(1)), 1)).all(), "one ray fixes no point"
+
+
+def test_a_list_without_check_points_says_of_its_control_alone() -> None:
+    model = found_model()
+    surveyed = adjust_to_survey(model, photographs(model), control(num_check=0), lambda progress: None)
+    assert surveyed is not None and surveyed.check is None and surveyed.control is not None
+    assert (surveyed.control.num_points, surveyed.control.num_counting) == (5, 5)
+    assert survey_record(surveyed)["check"] is None
+
+
+def test_points_may_be_checks_alone_where_positions_of_known_accuracy_place_the_scene() -> None:
+    model, truth = found_model(), true_centers()
+    photos = tuple(
+        replace(
+            photo,
+            lat_lon_alt=tuple(geodetic_from_enu(truth[photo.name][None], TRUE_ORIGIN)[0]),
+            position_sigma_m=(0.03, 0.03, 0.03),
+        )
+        for photo in photographs(model)
+    )
+    checks = replace(control(), is_check=np.ones(15, bool))
+    surveyed = adjust_to_survey(model, photos, checks, lambda progress: None)
+    assert surveyed is not None and surveyed.control is None and surveyed.check is not None
+    assert surveyed.check.num_points == 15 and surveyed.check.rms_axis_m < 0.1
+
+
+@pytest.mark.parametrize("num_wrong", [1, 3])
+def test_marks_that_lost_their_weight_do_not_count(num_wrong: int) -> None:
+    """Without a count such a point reads 0 mm: it stays where it was surveyed."""
+    right = control(num_check=0)
+    wrong = right.mark_points < num_wrong
+    pixels = np.where(wrong[:, None], right.mark_pixels[:, ::-1] * 0.8 + 60, right.mark_pixels)
+    model = found_model()
+    if num_wrong > 2:
+        with pytest.raises(BadInput, match=r"ground control does not fit the photographs: \d of 5 points count"):
+            adjust_to_survey(model, photographs(model), replace(right, mark_pixels=pixels), lambda progress: None)
+        return
+    surveyed = adjust_to_survey(model, photographs(model), replace(right, mark_pixels=pixels), lambda progress: None)
+    assert surveyed is not None and surveyed.control is not None
+    assert (surveyed.control.num_counting, surveyed.control.num_points) == (4, 5)
+    assert not surveyed.points[0].counts and any("gcp-1" in warning for warning in surveyed.warnings)
