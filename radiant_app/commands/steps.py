@@ -14,6 +14,7 @@ import numpy as np
 from radiant_app.events import StageProgress, StageStarted
 from radiant_app.files.run_folder import sfm_folder
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.folder_kinds import named_folder
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import SURVEY, reconstruct_source, sfm_record, sfm_task
 from radiant_core.errors import BadInput
@@ -72,7 +73,7 @@ def training_part(scene: SfmScene) -> SfmScene:
 def require_run(folder: Path, name: str = "plan.json") -> None:
     """Raise BadInput unless `folder` holds the file `name` of a run."""
     if not (folder / name).is_file():
-        raise BadInput(f"{folder} holds no {name}: give the folder of a run that went that far, made by 'radiant run --out'.")
+        raise BadInput(f"{named_folder(folder)} holds no {name}: give the folder of a run that went that far, made by 'radiant run --out'.")
 
 
 def require_model(model: Path) -> None:

@@ -17,7 +17,7 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapPoints, check_model
+from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
 from radiant_core.io.colmap.text import write_model
 from radiant_core.io.mill19 import read_mill19
 from radiant_core.io.photos.copies import copies_warning, file_copies
@@ -95,6 +95,20 @@ def scene_from_poses(
     `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are
     0. Raises BadInput when a photograph is missing or not of its camera's size, or when no point
     can be triangulated."""
+    model = triangulated_model(cameras, photo_folder, work_folder, config, report, masks)
+    return SfmScene(
+        cameras=cameras.named([image.name for image in model.images]),
+        points=model.points.xyz,
+        colors=model.points.colors,
+        observations=model.observations(),
+        frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
+    )
+
+
+def triangulated_model(
+    cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None
+) -> ColmapModel:
+    """The same as a COLMAP model, in `work_folder`/sparse too; raises alike."""
     phases = with_preview(("checking photographs", "features", "matching", "triangulating"), config)
     report = number_phases(report, phases)
     photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
@@ -115,13 +129,7 @@ def scene_from_poses(
     model = read_model(model_folder)
     if not len(model.points.ids):
         raise BadInput(f"no point can be triangulated in {photo_folder}: check that the poses belong to these photographs.")
-    return SfmScene(
-        cameras=cameras.named([image.name for image in model.images]),
-        points=model.points.xyz,
-        colors=model.points.colors,
-        observations=model.observations(),
-        frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
-    )
+    return model
 
 
 def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple[str, ...]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from radiant_core.errors import BadInput
+from radiant_core.io.colmap.image_files import photographs_without_pose, read_with_files, unposed_count
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.copies import copies_count
@@ -24,6 +25,7 @@ from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmProgress, SfmRe
 from radiant_core.sfm.control.place import place_surveyed, survey_record
 from radiant_core.sfm.control.survey import Surveyed, adjust_to_survey
 from radiant_core.sfm.copies import without_repeats
+from radiant_core.sfm.given_points import POINT_PHASES, with_points
 from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.known_poses import triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
@@ -115,21 +117,31 @@ def scene_from_colmap(
     skipped and named. Points seen only where `masks` are 0 are left out. BadInput for an unreadable
     model, an image that is missing or not of its camera's shape, or arguments that do not fit.
     """
-    model = read_model(model_folder)
+    model, files = read_with_files(model_folder, image_folder)
+    unposed = photographs_without_pose(files)
     placement.check_names((image.name for image in model.images), of_model=True)
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
-    report = number_phases(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
+    needed: dict[Phase, bool] = {"checking photographs": True, "refining": placement.control is not None, "undistorting": not pinhole}
+    phases = [phase for phase, is_needed in needed.items() if is_needed]
+    report = number_phases(report, phases if len(model.points.ids) else [*phases, *POINT_PHASES])
     listing = list_usable(image_folder, report, tuple(image.name for image in model.images))
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
     _require_images(model, listing, image_folder)
     images_to_use = image_folder
-    if masks is not None or not pinhole:
+    if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
+    if files.renamed and (placement.control is not None or not pinhole):
+        model_folder = work_folder / "named"
+        write_for_colmap(model, model_folder)
     surveyed = None
     if placement.control is not None:
-        start_clean(work_folder)
+        if not len(model.points.tracks):
+            raise BadInput(
+                f"the model in {model_folder} does not say which points its images see, which --gcp needs to move them together: give a "
+                "model with its tracks, or the photographs alone."
+            )
         model_folder, surveyed = _adjusted_copy(model_folder, work_folder / "adjusted", listing.photographs, placement, report)
         model = read_model(model_folder)
     given = take_masks(masks, listing.photographs, work_folder)
@@ -142,6 +154,7 @@ def scene_from_colmap(
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
+    model, said = with_points(model, images_to_use, work_folder, report, masks)
     placed = _placed(model, surveyed, listing.photographs, 0, placement)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     if not pinhole:
@@ -153,9 +166,17 @@ def scene_from_colmap(
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
-        unregistered=(),
+        unregistered=unposed,
         decisions=(*placed.decisions, *masks_decision(scene, masks)),
-        warnings=(*warn_of_unused(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
+        warnings=(
+            *files.notes(),
+            *_named(unposed_count(unposed, files), unposed),
+            *warn_of_unused(listing),
+            *said,
+            *repeats,
+            *gps_outliers(scene, listing.photographs).warning(),
+            *placed.warnings,
+        ),
         masks_folder=masks,
         survey=None if surveyed is None else survey_record(surveyed),
     )
