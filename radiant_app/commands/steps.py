@@ -16,7 +16,7 @@ from radiant_app.files.run_folder import sfm_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.folder_kinds import named_folder
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.sources import SURVEY, reconstruct_source, sfm_record, sfm_task
+from radiant_app.workers.sources import SURVEY, reconstruct_source, save_given_frames, sfm_record, sfm_task
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.messages import message_record
@@ -44,6 +44,7 @@ def sfm(  # noqa: PLR0913
         result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=display).sfm_progress)
     save_scene(out / "scene.safetensors", result.scene)
     write_json(out / "result.json", sfm_record(result, out))
+    save_given_frames(out, result)
     return {
         "cameras": len(result.scene.cameras),
         "points": len(result.scene.points),

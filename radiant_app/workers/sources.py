@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from radiant_app.workers.folder_kinds import require_photographs
 from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput
+from radiant_core.georef.given_frame import NAME as GIVEN_FRAME
+from radiant_core.georef.given_frame import save_given_frame
 from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
@@ -86,6 +88,14 @@ def _reconstruct(task: SfmTask, folder: Path, report: Callable[[SfmProgress], No
             )
         return scene_from_mill19(images, folder, report, masks=masks)
     return reconstruct(images, folder, task.sfm, report, masks, task.placement)
+
+
+def save_given_frames(folder: Path, result: SfmResult) -> list[str]:
+    """Write the way back to the frame of a given model beside its scene; names of files."""
+    if result.given_frame is None:
+        (folder / GIVEN_FRAME).unlink(missing_ok=True)
+        return []
+    return [save_given_frame(folder, result.given_frame)]
 
 
 def sfm_record(result: SfmResult, folder: Path) -> dict[str, Any]:

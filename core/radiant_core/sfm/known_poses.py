@@ -16,10 +16,11 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
+from radiant_core.georef.given_frame import GivenFrame
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
 from radiant_core.io.colmap.text import write_model
-from radiant_core.io.mill19 import read_mill19
+from radiant_core.io.mill19 import given_from_scene, images_without_pose, read_mill19
 from radiant_core.io.photos.copies import copies_warning, file_copies
 from radiant_core.io.photos.listing import CameraKey, Photograph
 from radiant_core.numerics import FloatArray
@@ -53,7 +54,9 @@ def scene_from_mill19(
 ) -> SfmResult:
     """The scene of a Mill 19 / Mega-NeRF folder: its poses, points triangulated from its
     photographs. Raises BadInput for another layout, or an image or a mask that is unusable."""
-    cameras, copied = without_copies(read_mill19(folder), folder)
+    given = read_mill19(folder)
+    unposed = images_without_pose(folder, given)
+    cameras, copied = without_copies(given, folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
     scene, repeats = without_repeats(scene, folder)
     masks = work_folder / FINAL if (work_folder / FINAL).is_dir() else None
@@ -65,14 +68,18 @@ def scene_from_mill19(
         unit="photographs",
         reason="coordinates.pt gives a scale and no place on the globe",
     )
+    count = len(given) + len(unposed)
+    named = ", ".join(unposed[:10])
+    unposed_note = (f"{len(unposed)} of {count} images in rgbs have no metadata and are left out: {named}.",) if unposed else ()
     warning = "the folder's poses are used as they are; its unit is the metre only if whoever made it said so."
     return SfmResult(
         scene=scene,
         undistorted_folder=folder,
-        unregistered=(),
+        unregistered=unposed,
         decisions=(decision, *masks_decision(scene, masks)),
-        warnings=(*copied, *repeats, warning),
+        warnings=(*copied, *unposed_note, *repeats, warning),
         masks_folder=masks,
+        given_frame=GivenFrame(given_from_scene=given_from_scene(folder), model="the Mill 19 folder (c2w of its metadata)"),
     )
 
 

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from radiant_core.errors import BadInput
+from radiant_core.georef.given_frame import GivenFrame
 from radiant_core.io.colmap.image_files import photographs_without_pose, read_with_files, unposed_count
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
+from radiant_core.numerics import FloatArray
 from radiant_core.sfm.attempts import PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
@@ -31,9 +35,11 @@ from radiant_core.sfm.known_poses import triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
+from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_in_world
 
+GIVEN_MODEL = "the COLMAP model"
 PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "triangulating", "undistorting")
 
 
@@ -102,9 +108,17 @@ def reconstruct(
 
 
 def _placed(
-    model: ColmapModel, surveyed: Surveyed | None, photographs: tuple[Photograph, ...], seed: int, placement: Placement
+    model: ColmapModel,
+    surveyed: Surveyed | None,
+    photographs: tuple[Photograph, ...],
+    seed: int,
+    placement: Placement,
+    *,
+    keeps_frame: bool = False,
 ) -> PlacedScene:
-    return scene_in_world(model, photographs, seed, placement) if surveyed is None else place_surveyed(model, surveyed)
+    if surveyed is not None:
+        return place_surveyed(model, surveyed)
+    return scene_in_world(model, photographs, seed, placement, keeps_frame=keeps_frame)
 
 
 def scene_from_colmap(
@@ -122,12 +136,13 @@ def scene_from_colmap(
     placement.check_names((image.name for image in model.images), of_model=True)
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
     needed: dict[Phase, bool] = {"checking photographs": True, "refining": placement.control is not None, "undistorting": not pinhole}
-    phases = [phase for phase, is_needed in needed.items() if is_needed]
-    report = number_phases(report, phases if len(model.points.ids) else [*phases, *POINT_PHASES])
+    phases: tuple[Phase, ...] = tuple(phase for phase, is_needed in needed.items() if is_needed)
+    report = number_phases(report, phases if len(model.points.ids) else (*phases, *POINT_PHASES))
     listing = list_usable(image_folder, report, tuple(image.name for image in model.images))
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
+    given_centers = {image.name: -image.cam_from_world[:3, :3].T @ image.translation for image in model.images}
     _require_images(model, listing, image_folder)
     images_to_use = image_folder
     if masks is not None or placement.control is not None or not pinhole:
@@ -155,7 +170,8 @@ def scene_from_colmap(
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     model, said = with_points(model, images_to_use, work_folder, report, masks)
-    placed = _placed(model, surveyed, listing.photographs, 0, placement)
+    placed = _placed(model, surveyed, listing.photographs, 0, placement, keeps_frame=True)
+    given_frame = _given_frame(placed, None if surveyed is None else given_centers)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     if not pinhole:
         # What was given stays as it is; sparse/ is there where COLMAP could not read it as it was.
@@ -176,10 +192,24 @@ def scene_from_colmap(
             *repeats,
             *gps_outliers(scene, listing.photographs).warning(),
             *placed.warnings,
+            *given_frame.notes(),
         ),
         masks_folder=masks,
+        given_frame=given_frame,
         survey=None if surveyed is None else survey_record(surveyed),
     )
+
+
+def _given_frame(placed: PlacedScene, centers: dict[str, FloatArray] | None) -> GivenFrame:
+    """The way back to the given model: exact, or what fits its `centers` (3,) best where its poses
+    were adjusted."""
+    if centers is None:
+        return GivenFrame(given_from_scene=placed.world_from_model.inverse(), model=GIVEN_MODEL)
+    cameras = placed.scene.cameras
+    given = np.array([centers[name] for name in cameras.names])
+    back = fit_sim3(cameras.centers, given)
+    error = float(np.linalg.norm(back.apply(cameras.centers) - given, axis=1).max())
+    return GivenFrame(given_from_scene=back, model=GIVEN_MODEL, largest_error=error)
 
 
 def _adjusted_copy(

@@ -53,10 +53,11 @@ def picture_folder(project: Path) -> Path | None:
     return min(reduced, key=lambda path: int(path.name[7:]), default=None)
 
 
-def notes_on_project(project: Path) -> tuple[str, ...]:
-    """What a project holds that is not used, one sentence for each kind; names no photograph."""
+def notes_on_project(project: Path, *, for_poses: bool = False) -> tuple[str, ...]:
+    """What a project holds that is not used, one sentence for each kind; names no photograph.
+    `for_poses`: its model is used wherever the photographs are."""
     models, pictures = find_models(project), picture_folder(project)
-    used = models[0].folder if models and pictures is not None else None
+    used = models[0].folder if models and (for_poses or pictures is not None) else None
     return (*_model_notes(project, models, used), *_format_notes(project, used), *_picture_notes(project, pictures, used))
 
 

@@ -25,13 +25,14 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap.pairs import gps_positions
 from radiant_core.sfm.world_frame.align import Alignment, AlignStatus, robust_sim3
 from radiant_core.sfm.world_frame.altitudes import fill_heights
-from radiant_core.sfm.world_frame.orient import level_fit, unscaled_from_world
+from radiant_core.sfm.world_frame.orient import kept_from_world, level_fit, unscaled_from_world
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.up import UpEstimate, estimate_up, roll_deg
 
 MAX_GPS_ROLL_DEG = 15.0
 MAX_GPS_LEAN_DEG = 3.0
 """GPS and the scene may put up so far apart: a usual slope."""
+MAX_FORCED_LEAN_DEG = 0.01
 MAX_INDEPENDENT = 4
 """GPS altitudes drift during a flight: more positions than these make up no surer."""
 UNPLACED = Placement()
@@ -59,8 +60,11 @@ def cameras_of(model: ColmapModel) -> Cameras:
     )
 
 
-def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed: int, placement: Placement = UNPLACED) -> PlacedScene:
-    """The scene of a pinhole model in the world frame, with what was decided and the warnings."""
+def scene_in_world(
+    model: ColmapModel, photographs: tuple[Photograph, ...], seed: int, placement: Placement = UNPLACED, *, keeps_frame: bool = False
+) -> PlacedScene:
+    """The scene of a pinhole model in the world frame, with what was decided and the warnings;
+    `keeps_frame`: without GPS it stays in its own frame where z is up in that."""
     cameras = cameras_of(model)
     by_name = {photo.name: photo for photo in photographs}
     positions_m, origin = gps_positions(tuple(by_name[name] for name in cameras.names))
@@ -73,7 +77,8 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     fit = robust_sim3(cameras.centers[known], positions_m[known], seed)
     gps = _judge(fit, cameras, up, forced=forced)
     metric, warnings = _metric_from_model(cameras.centers[known], positions_m[known], gps, up, scaled=placement.gives_scale)
-    world_from_model = metric or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
+    as_given = kept_from_world(cameras, model.points.xyz, model.observations(), _lean_deg(up, forced)) if keeps_frame else None
+    world_from_model = metric or as_given or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
     world_from_model, scaled = _rescale(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
     frame = Frame(kind="scaled", origin_lat_lon_alt=np.zeros(3)) if scaled else UNSCALED
     if placement.north is not None and metric is not None:
@@ -96,6 +101,12 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
         ),
         warnings=(*heights.warnings, *warnings, *(() if by_gps or forced or up.doubt is None else (_doubt_warning(up),))),
     )
+
+
+def _lean_deg(up: UpEstimate, forced: bool) -> float:
+    """How far z of a given model is from up: what is asked for is not to be rounded."""
+    lean_deg = float(np.degrees(np.arccos(np.clip(up.up[2], -1, 1))))
+    return np.inf if forced and lean_deg > MAX_FORCED_LEAN_DEG else lean_deg
 
 
 def _rescale(world_from_model: Sim3, scene: SfmScene, placement: Placement) -> tuple[Sim3, tuple[Decision, ...]]:
