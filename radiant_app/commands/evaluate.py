@@ -203,14 +203,17 @@ def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Ca
 
 def _require_shapes(cameras: Cameras, everything: Cameras, images: Path) -> None:
     """Photographs of another shape than their cameras would be squeezed, and score too low."""
+    from radiant_core.sfm.known_poses import is_almost, misfit_text
+
     names = cameras.names if len(cameras) > 1 else everything.names[:2]
     found = {photo.name: photo.size_wh for photo in list_photographs(images, names=names).photographs}
     for name, size_wh in zip(cameras.names, cameras.sizes_wh.tolist(), strict=True):
         if name not in found:
             raise BadInput(f"the held-out photograph {name!r} is missing or damaged in {images}: put the images of the model there.")
-        ratios = [side / of_camera for side, of_camera in zip(found[name], size_wh, strict=True)]
-        if abs(ratios[0] - ratios[1]) > 0.01 * max(ratios):
-            raise BadInput(f"photograph {name!r} has {found[name]} px and its camera {tuple(size_wh)}: give the images of the model.")
+        camera_wh = (size_wh[0], size_wh[1])
+        ratios = [side / of_camera for side, of_camera in zip(found[name], camera_wh, strict=True)]
+        if abs(ratios[0] - ratios[1]) > 0.01 * max(ratios) or is_almost(found[name], camera_wh):
+            raise BadInput(misfit_text(f"photograph {name!r}", found[name], camera_wh))
 
 
 def _require_sizes(cameras: Cameras, lpips: Lpips | None) -> None:

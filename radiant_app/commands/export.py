@@ -149,7 +149,16 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     with create_folder(request.out):
         save_colmap(request.out, scene)
     figures = {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
-    return {**figures, **place.write(request.out)}
+    return {**figures, **_photographs_of(request.model), **place.write(request.out)}
+
+
+def _photographs_of(model: Path) -> dict[str, str]:
+    """Where the photographs are that an exported model is of: undistorted, not as they were taken."""
+    from radiant_app.workers.sources import has_scene, images_folder_of
+
+    if not has_scene(model):
+        return {}
+    return {"photographs": f"{images_folder_of(model)} (those that the model is of; not others of the same names)"}
 
 
 def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:

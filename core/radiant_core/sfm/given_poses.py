@@ -23,8 +23,9 @@ from radiant_core.io.colmap.image_files import ImageFiles, photographs_without_p
 from radiant_core.io.colmap.records import ColmapModel, check_model
 from radiant_core.io.colmap.text import write_model
 from radiant_core.io.mill19 import given_from_scene, images_without_pose, read_mill19
+from radiant_core.io.photos.listing import photograph_size_wh
 from radiant_core.io.records import save_cameras
-from radiant_core.sfm.known_poses import NO_POINTS
+from radiant_core.sfm.known_poses import NO_POINTS, misfit_text
 from radiant_core.sfm.world_frame.up import roll_deg
 
 NO_POINTS_2D, NO_IDS = np.zeros((0, 2)), np.zeros(0, np.int64)
@@ -86,6 +87,7 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
     if len(cameras) < 2:
         raise BadInput(f"{folder} has {len(cameras)} poses, expected those of all photographs.")
     _require_z_up(cameras, folder)
+    _require_sizes(model, photos)
     given = shifted_frame(cameras, "the COLMAP model")
     if where == "own" and not given.is_same:
         raise BadInput(
@@ -123,6 +125,15 @@ def _moved(model: ColmapModel, given: GivenFrame) -> ColmapModel:
     shift = given.given_from_scene.translation
     images = tuple(replace(image, translation=image.translation + image.cam_from_world[:3, :3] @ shift) for image in model.images)
     return replace(model, images=images, points=replace(model.points, xyz=model.points.xyz - shift))
+
+
+def _require_sizes(model: ColmapModel, photos: Path) -> None:
+    """Raise BadInput where a photograph that is here has another size than its camera; of each
+    camera one is looked at."""
+    for image in {image.camera_id: image for image in model.images if (photos / image.name).is_file()}.values():
+        size_wh, camera_wh = photograph_size_wh(photos / image.name), model.cameras[image.camera_id].size_wh
+        if size_wh is not None and size_wh != camera_wh:
+            raise BadInput(misfit_text(f"photograph {image.name!r}", size_wh, camera_wh))
 
 
 def _require_z_up(cameras: Cameras, folder: Path) -> None:

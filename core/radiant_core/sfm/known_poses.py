@@ -40,6 +40,8 @@ from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.world import cameras_of
 
 DEFAULT_CONFIG = SfmConfig()
+UNDISTORTED_CHANGE = 0.05
+"""Shares of a side by which undistorting changes it, for lenses of drones."""
 NO_POINTS = ColmapPoints(
     ids=np.zeros(0, np.int64),
     xyz=np.zeros((0, 3)),
@@ -183,9 +185,28 @@ def _photographs_of(cameras: Cameras, photographs: tuple[Photograph, ...]) -> tu
     for name, K, size_wh in zip(cameras.names, cameras.Ks, cameras.sizes_wh, strict=True):
         photo = by_name[name]
         if photo.size_wh != tuple(size_wh):
-            raise BadInput(f"photograph {name!r} has {photo.size_wh} px and its camera {tuple(size_wh)}: scale the one or the other.")
+            raise BadInput(misfit_text(f"photograph {name!r}", photo.size_wh, (int(size_wh[0]), int(size_wh[1]))))
         grouped.append(replace(photo, camera=CameraKey(make="", model=repr(K.tolist()), focal_mm=None, size_wh=photo.size_wh)))
     return tuple(grouped)
+
+
+def is_almost(size_wh: tuple[int, int], camera_wh: tuple[int, int]) -> bool:
+    """Whether a photograph is of another size than its camera, by little: undistorting does that,
+    and no reduced copy is so large."""
+    return size_wh != camera_wh and all(
+        abs(side / of_camera - 1) < UNDISTORTED_CHANGE for side, of_camera in zip(size_wh, camera_wh, strict=True)
+    )
+
+
+def misfit_text(what: str, size_wh: tuple[int, int], camera_wh: tuple[int, int]) -> str:
+    """What is said of a photograph (`what`) of another size than the camera of its pose."""
+    sizes = f"{what} has {size_wh} px and its camera {camera_wh}"
+    if is_almost(size_wh, camera_wh):
+        return (
+            f"{sizes}: the poses are of undistorted photographs and these are as they were taken: give the undistorted ones, which a run "
+            "has in sfm/undistorted/images, or poses of these."
+        )
+    return f"{sizes}: give the photographs that the poses were made from, in their size."
 
 
 def _posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Reconstruction:
@@ -198,7 +219,7 @@ def _posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Rec
         for image in store.read_all_images():
             index = index_of[image.name]
             K, (width, height) = cameras.Ks[index], cameras.sizes_wh[index]
-            params = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+            params = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
             intrinsics[image.camera_id] = ColmapCamera(
                 camera_id=image.camera_id, model="PINHOLE", size_wh=(int(width), int(height)), params=params
             )

@@ -31,7 +31,7 @@ from radiant_core.sfm.control.survey import Surveyed, adjust_to_survey
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.given_points import POINT_PHASES, with_points
 from radiant_core.sfm.gps_outliers import gps_outliers
-from radiant_core.sfm.known_poses import triangulate
+from radiant_core.sfm.known_poses import is_almost, misfit_text, triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
@@ -239,11 +239,8 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
         # A reduced pinhole image may be off by a pixel of rounding; points of a distorted one are
         # undistorted in its own pixels.
         fits = abs(width - height) <= 0.01 * max(width, height) if camera.is_pinhole else width == height == 1
-        if not fits:
-            raise BadInput(
-                f"image {image.name!r} has {sizes[image.name]} px and its camera {camera.size_wh}: "
-                "give the images that the model was made from."
-            )
+        if not fits or is_almost(sizes[image.name], camera.size_wh):
+            raise BadInput(misfit_text(f"image {image.name!r}", sizes[image.name], camera.size_wh))
 
 
 def _unregistered_counts(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:
