@@ -83,7 +83,8 @@ def test_a_model_that_lies_elsewhere_is_named(place: str, tmp_path: Path) -> Non
     write_part(tmp_path / place, 5)
     shown = Path(place).as_posix()
     assert notes_on_project(tmp_path) == (
-        f"not used: the COLMAP model in {shown} (5 images, 576 points): put its photographs into images/ and it into sparse/ to use its poses.",
+        f"not used: the COLMAP model in {shown} (5 images, 576 points): put its photographs into images/ and it into sparse/ to use its "
+        "poses.",
     )
     write_part(tmp_path / "sparse" / "0", 4)
     assert f"not used: {shown} (5 images, 576 points)." in notes_on_project(tmp_path)[0]
