@@ -7,7 +7,7 @@ from typing import Annotated, cast
 
 import typer
 
-from radiant_app.cli.option_types import AsJson, SizeOption
+from radiant_app.cli.option_types import AsJson, FileCrsOption, SizeOption
 from radiant_app.report.tables import finish
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent, Trajectory
 from radiant_core.errors import BadInput
@@ -76,14 +76,7 @@ def export(
         bool, typer.Option("--clean", help="A model: what too few photographs constrain goes into NAME_unconstrained.ply.")
     ] = False,
     uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
-    crs: Annotated[
-        str | None,
-        typer.Option(
-            "--crs",
-            metavar="EPSG:NNNN[+MMMM]",
-            help="Coordinate system of the file, +MMMM its vertical datum; PROJ strings, WKT; given: that of the COLMAP model.",
-        ),
-    ] = None,
+    crs: FileCrsOption = None,
     lod: Annotated[bool, typer.Option("--lod", help="A folder of streamed SOG: levels of detail that a viewer fetches as needed.")] = False,
     tiles: Annotated[
         TileContent | None,

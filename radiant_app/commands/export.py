@@ -153,7 +153,7 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _photographs_of(model: Path) -> dict[str, str]:
-    """Where the photographs are that an exported model is of: undistorted, not as they were taken."""
+    """Where the photographs are that an exported model is of: undistorted, not as taken."""
     from radiant_app.workers.sources import has_scene, images_folder_of
 
     if not has_scene(model):

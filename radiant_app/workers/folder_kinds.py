@@ -1,4 +1,5 @@
-"""What a folder is that was given for another kind: one sentence that names it. Once per command."""
+"""What a folder is that was given for another kind: one sentence that names it. Once per
+command."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.colmap.candidates import PICTURE_SUFFIXES
 from radiant_core.io.run_store import read_json
 
+MODEL_SUFFIXES = (".ply", ".spz", ".sog", ".splat")
 PHOTOGRAPHS = "a folder of photographs, a COLMAP project or a Mill 19 folder"
 
 
@@ -40,8 +42,8 @@ def kind_of(folder: Path) -> FolderKind | None:
 def require_photographs(source: Path) -> None:
     """Raise BadInput, naming what it is, for a source that is no folder or one of another kind."""
     if not source.is_dir():
-        what = "does not exist" if not source.exists() else "is a model" if source.suffix.lower() in (".ply", ".spz", ".sog") else ""
-        raise BadInput(f"{source} {what}, and no folder: give {PHOTOGRAPHS}." if what else f"{source} is no folder: give {PHOTOGRAPHS}.")
+        what = "but a model" if source.suffix.lower() in MODEL_SUFFIXES and source.is_file() else ""
+        raise BadInput(f"{' '.join(filter(None, (str(source), 'is no folder', what)))}: give {PHOTOGRAPHS}.")
     if _holds_photographs(source):
         return
     kind = kind_of(source)
@@ -50,7 +52,7 @@ def require_photographs(source: Path) -> None:
 
 
 def named_folder(folder: Path) -> str:
-    """`folder` and what it is, for a command that expects a run: "x, a folder of 12 photographs,"."""
+    """`folder` and what it is, for a command that expects a run: "x, which has 2 photographs,"."""
     if not folder.is_dir():
         return str(folder)
     if _holds_photographs(folder):

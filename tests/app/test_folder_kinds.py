@@ -87,9 +87,9 @@ def test_a_training_of_no_photographs_is_refused_alike_and_leaves_nothing(kind: 
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("none", "does not exist, and no folder: give a folder of photographs"),
-        ("scene.ply", "is a model, and no folder: give"),
-        ("scene.SPZ", "is a model, and no folder: give"),
+        ("none", "is no folder: give a folder of photographs"),
+        ("scene.ply", "is no folder but a model: give"),
+        ("scene.SPZ", "is no folder but a model: give"),
         ("photo.jpg", "is no folder: give a folder of photographs, a COLMAP project or a Mill 19 folder."),
     ],
 )

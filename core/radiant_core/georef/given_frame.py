@@ -1,5 +1,5 @@
-"""The way back from a scene to the frame of the model that it was made from. Once per scene, and once
-per file that is written in that frame.
+"""The way back from a scene to the frame of the model that it was made from. Once per scene, and
+once per file that is written in that frame.
 
     x_given = given_from_scene x_scene,    file coordinate = x_given − offset
 

@@ -2,8 +2,9 @@
 where it does not say who sees them. Once per scene.
 
 Poses that were imported (from a flight's log, from another program, after a merge) often come
-without tracks, and training needs to know how far away what a photograph shows is. A point counts as
-seen where it projects into a photograph in front of it and none much nearer lies in the same cell:
+without tracks, and training needs to know how far away what a photograph shows is. A point counts
+as seen where it projects into a photograph in front of it and none much nearer lies in the same
+cell:
     depth ≤ 1.05 · least depth among the points in its cell of (long side / 64)²
 """
 
@@ -31,8 +32,8 @@ POINT_PHASES: tuple[Phase, ...] = ("features", "pairs", "matching", "triangulati
 def with_points(
     model: ColmapModel, photo_folder: Path, work_folder: Path, report: Report, masks: Path | None = None
 ) -> tuple[ColmapModel, tuple[str, ...]]:
-    """The model with points that its photographs see, and what was done to it. Raises BadInput where
-    no point can be triangulated, or none lies in a photograph."""
+    """The model with points that its photographs see, and what was done to it. Raises BadInput
+    where no point can be triangulated, or none lies in a photograph."""
     if not len(model.points.ids):
         made = triangulated_model(cameras_of(model), photo_folder, work_folder / "triangulated", SfmConfig(), report, masks)
         return made, (f"the model has no points: {len(made.points.ids)} were triangulated from its photographs and poses.",)

@@ -19,6 +19,7 @@ from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.numerics import FloatArray
+from radiant_core.scene import SfmScene
 from radiant_core.sfm.attempts import PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
@@ -135,9 +136,7 @@ def scene_from_colmap(
     unposed = photographs_without_pose(files)
     placement.check_names((image.name for image in model.images), of_model=True)
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
-    needed: dict[Phase, bool] = {"checking photographs": True, "refining": placement.control is not None, "undistorting": not pinhole}
-    phases: tuple[Phase, ...] = tuple(phase for phase, is_needed in needed.items() if is_needed)
-    report = number_phases(report, phases if len(model.points.ids) else (*phases, *POINT_PHASES))
+    report = number_phases(report, _phases_of(model, placement, pinhole=pinhole))
     listing = list_usable(image_folder, report, tuple(image.name for image in model.images))
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
@@ -152,11 +151,7 @@ def scene_from_colmap(
         write_for_colmap(model, model_folder)
     surveyed = None
     if placement.control is not None:
-        if not len(model.points.tracks):
-            raise BadInput(
-                f"the model in {model_folder} does not say which points its images see, which --gcp needs to move them together: give a "
-                "model with its tracks, or the photographs alone."
-            )
+        _require_tracks(model, model_folder)
         model_folder, surveyed = _adjusted_copy(model_folder, work_folder / "adjusted", listing.photographs, placement, report)
         model = read_model(model_folder)
     given = take_masks(masks, listing.photographs, work_folder)
@@ -174,10 +169,7 @@ def scene_from_colmap(
     given_frame = _given_frame(placed, None if surveyed is None else given_centers)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     if not pinhole:
-        # What was given stays as it is; sparse/ is there where COLMAP could not read it as it was.
-        for folder in (work_folder / "sparse", work_folder / "undistorted" / "sparse"):
-            if folder.is_dir():
-                fit_model(folder, placed.world_from_model, scene.cameras)
+        _fit_models(work_folder, placed, scene)
         remove_images(images_to_use, scene.cameras)
     return SfmResult(
         scene=without_masked_points(scene, masks),
@@ -198,6 +190,27 @@ def scene_from_colmap(
         given_frame=given_frame,
         survey=None if surveyed is None else survey_record(surveyed),
     )
+
+
+def _phases_of(model: ColmapModel, placement: Placement, *, pinhole: bool) -> tuple[Phase, ...]:
+    needed: dict[Phase, bool] = {"checking photographs": True, "refining": placement.control is not None, "undistorting": not pinhole}
+    phases: tuple[Phase, ...] = tuple(phase for phase, is_needed in needed.items() if is_needed)
+    return phases if len(model.points.ids) else (*phases, *POINT_PHASES)
+
+
+def _require_tracks(model: ColmapModel, model_folder: Path) -> None:
+    if not len(model.points.tracks):
+        raise BadInput(
+            f"the model in {model_folder} does not say which points its images see, which --gcp needs to move them together: give a "
+            "model with its tracks, or the photographs alone."
+        )
+
+
+def _fit_models(work_folder: Path, placed: PlacedScene, scene: SfmScene) -> None:
+    """What was given stays as it is; sparse/ is there where COLMAP could not read it as it was."""
+    for folder in (work_folder / "sparse", work_folder / "undistorted" / "sparse"):
+        if folder.is_dir():
+            fit_model(folder, placed.world_from_model, scene.cameras)
 
 
 def _given_frame(placed: PlacedScene, centers: dict[str, FloatArray] | None) -> GivenFrame:

@@ -1,5 +1,5 @@
-"""The models and folders of pictures of a COLMAP project: which are used, and what is left. Once per
-reading.
+"""The models and folders of pictures of a COLMAP project: which are used, and what is left. Once
+per reading.
 
 COLMAP's mapper writes sparse/0, sparse/1, … for the parts that it could not join, in no order of
 size. The model with the most images is used, then with the most points; images/ holds its pictures,

@@ -53,8 +53,8 @@ class ImageFiles:
 
 
 def read_with_files(model_folder: Path, folder: Path, *, required: bool = True) -> tuple[ColmapModel, ImageFiles]:
-    """The model, its images named by their files in `folder`, and those. Raises as `read_model`, and
-    as `require_files` where every image is `required`."""
+    """The model, its images named by their files in `folder`, and those. Raises as `read_model`,
+    and as `require_files` where every image is `required`."""
     cameras, images, points = read_records(model_folder)
     names = [image.name for image in images]
     matched = match_images(names, folder)
@@ -131,7 +131,7 @@ def _match(names: Collection[str], paths: Collection[str]) -> dict[str, str]:
 
 
 def _alike(parts: Parts, candidates: Sequence[tuple[Parts, str]]) -> list[str]:
-    """The candidates that are these parts, or else those that end like them, or that they end like."""
+    """The candidates that are these parts, or else those of which one ends like the other."""
     equal = [path for other, path in candidates if other == parts]
     return equal or [path for other, path in candidates if parts[-len(other) :] == other[-len(parts) :]]
 

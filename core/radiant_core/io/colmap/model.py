@@ -56,7 +56,7 @@ def read_records(folder: Path) -> tuple[list[ColmapCamera], list[ColmapImage], C
 
 
 def formats_of(folder: Path) -> tuple[str, ...]:
-    """The suffixes in which all three files of a model are in `folder`, the one that is read first."""
+    """The suffixes in which `folder` has all three files of a model, the one that is read first."""
     return tuple(suffix for suffix in _PARSERS if all((folder / f"{stem}{suffix}").is_file() for stem in STEMS))
 
 

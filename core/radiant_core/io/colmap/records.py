@@ -36,13 +36,13 @@ PARAM_COUNTS = {
     "EUCM": 6,
     "EQUIRECTANGULAR": 2,
 }
-"""Number of parameters of each camera model, in the order of COLMAP's model numbers 0, 1, 2, …; from
-12 on those of COLMAP 4."""
+"""Number of parameters of each camera model, in the order of COLMAP's model numbers 0, 1, 2, …;
+from 12 on those of COLMAP 4."""
 PANORAMA = "EQUIRECTANGULAR"
 BENT_PINHOLES = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "FOV", "SIMPLE_DIVISION", "DIVISION")
 """Pinholes where everything behind the principal point is 0; fisheyes are none even then."""
 MAX_STRAIGHT = 1e-8
-"""COLMAP takes a lens with no larger coefficient for straight, and leaves its pictures as they are."""
+"""COLMAP takes a lens with no larger coefficient for straight and leaves its pictures alone."""
 
 
 @dataclass(frozen=True, kw_only=True)

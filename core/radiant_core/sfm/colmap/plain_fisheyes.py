@@ -1,8 +1,10 @@
-"""Fisheyes without coefficients, which COLMAP takes for pinholes when it undistorts. Once per model.
+"""Fisheyes without coefficients, which COLMAP takes for pinholes when it undistorts. Once per
+model.
 
-pycolmap 4.2.1 asks a lens for its coefficients alone: where they are all within 1e-8, or it has none
-(SIMPLE_FISHEYE, FISHEYE), `is_undistorted` is true and the bent picture is copied as it is. The same
-lens with one coefficient just above that is undistorted: it moves no ray by more than 5e-8 of f.
+pycolmap 4.2.1 asks a lens for its coefficients alone: where they are all within 1e-8, or it has
+none (SIMPLE_FISHEYE, FISHEYE), `is_undistorted` is true and the bent picture is copied as it is.
+The same lens with one coefficient just above that is undistorted, which moves no ray by more than
+5e-8 of its angle.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDAr
 
 
 def kept_from_world(cameras: Cameras, points: FloatArray, observations: NDArray[np.int64], lean_deg: float) -> Sim3 | None:
-    """The frame of a given model as it is, but for a whole offset where it lies far out: where its z
-    is up to `lean_deg` and the median camera–point distance is a length that training is used to
+    """The frame of a given model as it is, but for a whole offset where it lies far out: where its
+    z is up to `lean_deg` and the median camera–point distance is a length that training is used to
     (`KEPT_DISTANCES`). None elsewhere."""
     distances = np.linalg.norm(points[observations[:, 0]] - cameras.centers[observations[:, 1]], axis=1)
     if lean_deg > MAX_KEPT_LEAN_DEG or not len(distances) or not KEPT_DISTANCES[0] <= np.median(distances) <= KEPT_DISTANCES[1]:
