@@ -68,6 +68,8 @@ def given_from_scene(folder: Path) -> Sim3:
 
 def _image_name(folder: Path, split: str, metadata_path: Path) -> str:
     names = [name for suffix in SUFFIXES if (folder / (name := f"{split}/rgbs/{metadata_path.stem}{suffix}")).is_file()]
+    # Where letter case does not count .jpg and .JPG are one file.
+    names = [name for at, name in enumerate(names) if not any((folder / name).samefile(folder / other) for other in names[:at])]
     if len(names) > 1:
         raise BadInput(f"{metadata_path} has {len(names)} images, {' and '.join(names)}: leave the one that it was made from.")
     if names:
