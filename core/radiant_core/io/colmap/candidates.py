@@ -76,8 +76,7 @@ def _model_notes(project: Path, models: tuple[ModelPlace, ...], used: Path | Non
 
 
 def _format_notes(project: Path, used: Path | None) -> Iterator[str]:
-    suffixes = () if used is None else formats_of(used)
-    if used is not None and len(suffixes) > 1:
+    if used is not None and len(suffixes := formats_of(used)) > 1:
         counts = [f"{_count(used / f'images{suffix}', 'images')} images in {suffix}" for suffix in suffixes]
         yield f"{_name(used, project)} holds a model twice ({', '.join(counts)}): the {suffixes[0]} files are used, the others are not."
 
