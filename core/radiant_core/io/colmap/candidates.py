@@ -67,10 +67,11 @@ def _model_notes(project: Path, models: tuple[ModelPlace, ...], used: Path | Non
         return
     listed = ", ".join(f"{_name(model.folder, project)} ({_counted(model)})" for model in others)
     if used is not None:
-        equal = any((model.num_images, model.num_points) == (models[0].num_images, models[0].num_points) for model in models[1:])
+        first = models[0]
+        equal = any((model.num_images, model.num_points) == (first.num_images, first.num_points) for model in models[1:])
         why = "the first of those with the most" if equal else "which has the most"
         why = f", {why}" if len(models) > 1 else ""
-        yield f"the model {_name(used, project)} is used ({_counted(models[0])}){why}; not used: {listed}."
+        yield f"the model {_name(used, project)} is used ({_counted(first)}){why}; not used: {listed}."
     else:
         yield f"not used: the COLMAP model in {listed}: put its photographs into images/ and it into sparse/ to use its poses."
 
