@@ -38,6 +38,14 @@ CrsOption = Annotated[
     str | None,
     typer.Option("--crs", metavar="EPSG:NNNN[+MMMM]", help="Coordinate system of the file, +MMMM its vertical datum; PROJ strings, WKT."),
 ]
+FileCrsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--crs",
+        metavar="EPSG:NNNN[+MMMM]",
+        help="Coordinate system of the file, +MMMM its vertical datum; PROJ strings, WKT; given: that of the COLMAP model.",
+    ),
+]
 WholeLinesOption = Annotated[
     float | None, typer.Option(min=1, help="Devices fly whole lines where the makespan stays within so many times the shortest: 1.05.")
 ]

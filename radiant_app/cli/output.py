@@ -7,7 +7,7 @@ from typing import Annotated, cast
 
 import typer
 
-from radiant_app.cli.option_types import AsJson, CrsOption, RequireCrsGridsOption, SizeOption
+from radiant_app.cli.option_types import AsJson, FileCrsOption, RequireCrsGridsOption, SizeOption
 from radiant_app.report.tables import finish
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent, Trajectory
 from radiant_core.errors import BadInput
@@ -76,7 +76,7 @@ def export(
         bool, typer.Option("--clean", help="A model: what too few photographs constrain goes into NAME_unconstrained.ply.")
     ] = False,
     uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
-    crs: CrsOption = None,
+    crs: FileCrsOption = None,
     require_grids: RequireCrsGridsOption = False,
     lod: Annotated[bool, typer.Option("--lod", help="A folder of streamed SOG: levels of detail that a viewer fetches as needed.")] = False,
     tiles: Annotated[

@@ -20,7 +20,8 @@ from radiant_app.commands.steps import require_file_to_be, stage_bar
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
-from radiant_app.workers.sources import captures_of, detect_source, load_scored_scene, masks_folder_of
+from radiant_app.workers.folder_kinds import named_folder
+from radiant_app.workers.sources import captures_of, load_scored_scene, locate_source, masks_folder_of, notes_on_source
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
@@ -71,6 +72,8 @@ class _HeldOut:
     """Their folder; None: that of the held-out ones."""
     captures: Captures = field(default_factory=dict)
     copies: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What of a COLMAP project is not used."""
     """Warnings about photographs that repeat others and are neither held out nor trained on."""
 
 
@@ -101,6 +104,8 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     }
     if light is not None:
         result["light"] = light.decision("evaluation").choice
+    if held_out.notes:
+        result["source"] = " ".join(held_out.notes)
     if held_out.copies:
         result["copies"] = " ".join((*held_out.copies, "A model that another program trained on them has seen what is scored."))
     if result["psnr_db"] < np.mean([row["mean_color_psnr_db"] for row in rows]):
@@ -131,7 +136,9 @@ def load_scored_cameras(run: Path) -> Cameras | None:
 def _load_model(model: Path) -> Splats:
     if model.is_dir():
         if not (model / "scene.ply").is_file():
-            raise BadInput(f"{model} holds no scene.ply: give the folder of a finished run, a 3DGS PLY or a model.safetensors.")
+            raise BadInput(
+                f"{named_folder(model)} holds no scene.ply: give the folder of a finished run, a 3DGS PLY or a model.safetensors."
+            )
         return load_ply(model / "scene.ply")
     if model.suffix.lower() not in (".ply", ".safetensors"):
         raise BadInput(f"{model} is neither a run nor a .ply or .safetensors: convert it to a 3DGS PLY first.")
@@ -161,9 +168,10 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
         )
     if (folder / "delivered").is_dir():
         raise BadInput(f"the photographs of {folder} stayed on its devices, which scored it: its metrics.json has the figures.")
-    kind, images, model = detect_source(folder)
+    kind, images, model = locate_source(folder)
+    notes: tuple[str, ...] = ()
     if kind == "colmap" and model is not None:
-        everything, copies = _colmap_cameras(model, folder, images)
+        everything, copies, notes = _colmap_cameras(model, folder, images)
     else:
         scene, copies, images = load_scored_scene(folder)
         everything = scene.cameras
@@ -174,36 +182,40 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     cameras = cameras.scaled(request.long_side_px or DEFAULT_LONG_SIDE_PX)
     trained = everything.select(~held_out_mask(everything.names))
     captures = read_captures(images, everything.names) if kind == "colmap" else captures_of(folder)
-    return _HeldOut(cameras=cameras, photographs=images, masks=masks, trained=trained, captures=captures, copies=copies)
+    return _HeldOut(cameras=cameras, photographs=images, masks=masks, trained=trained, captures=captures, copies=copies, notes=notes)
 
 
-def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """A project's cameras without copies, and warnings about those; split as by `radiant train`."""
-    from radiant_core.io.colmap.model import read_model
+def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Cameras, tuple[str, ...], tuple[str, ...]]:
+    """A project's cameras without copies, split as by `radiant train`; warnings about copies, and
+    about what of the project is not used."""
+    from radiant_core.io.colmap.image_files import read_with_files
     from radiant_core.sfm.copies import cameras_without_repeats
     from radiant_core.sfm.known_poses import without_copies
     from radiant_core.sfm.world_frame.world import cameras_of
 
-    model = read_model(model_folder)
+    model, files = read_with_files(model_folder, images, required=False)
     if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):
         raise BadInput(
             f"the photographs of {project} are distorted: run 'radiant sfm' or COLMAP's undistorter, and train and score on that."
         )
     cameras, copied = without_copies(cameras_of(model), images)
     cameras, repeated = cameras_without_repeats(cameras, model.points.xyz, images)
-    return cameras, (*copied, *repeated)
+    return cameras, (*copied, *repeated), (*notes_on_source(project), *files.notes())
 
 
 def _require_shapes(cameras: Cameras, everything: Cameras, images: Path) -> None:
     """Photographs of another shape than their cameras would be squeezed, and score too low."""
+    from radiant_core.sfm.known_poses import is_almost, misfit_text
+
     names = cameras.names if len(cameras) > 1 else everything.names[:2]
     found = {photo.name: photo.size_wh for photo in list_photographs(images, names=names).photographs}
     for name, size_wh in zip(cameras.names, cameras.sizes_wh.tolist(), strict=True):
         if name not in found:
             raise BadInput(f"the held-out photograph {name!r} is missing or damaged in {images}: put the images of the model there.")
-        ratios = [side / of_camera for side, of_camera in zip(found[name], size_wh, strict=True)]
-        if abs(ratios[0] - ratios[1]) > 0.01 * max(ratios):
-            raise BadInput(f"photograph {name!r} has {found[name]} px and its camera {tuple(size_wh)}: give the images of the model.")
+        camera_wh = (size_wh[0], size_wh[1])
+        ratios = [side / of_camera for side, of_camera in zip(found[name], camera_wh, strict=True)]
+        if abs(ratios[0] - ratios[1]) > 0.01 * max(ratios) or is_almost(found[name], camera_wh):
+            raise BadInput(misfit_text(f"photograph {name!r}", found[name], camera_wh))
 
 
 def _require_sizes(cameras: Cameras, lpips: Lpips | None) -> None:

@@ -148,12 +148,21 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
     scene = _scene_without_repeats(run_of(request), display)
     place = place_of(request.model, request.crs)
-    if place.reference is not None:
-        scene = place.reference.move_scene(scene)
+    if place.move is not None:
+        scene = place.move.move_scene(scene)
     with create_folder(request.out):
         save_colmap(request.out, scene)
     figures = {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
-    return {**figures, **place.write(request.out)}
+    return {**figures, **_photographs_of(request.model), **place.write(request.out)}
+
+
+def _photographs_of(model: Path) -> dict[str, str]:
+    """Where the photographs are that an exported model is of: undistorted, not as taken."""
+    from radiant_app.workers.sources import has_scene, images_folder_of
+
+    if not has_scene(model):
+        return {}
+    return {"photographs": f"{images_folder_of(model)} (those that the model is of; not others of the same names)"}
 
 
 def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:
@@ -178,14 +187,14 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         text = f"its triangles could cover {_percent(surface.most_covered)} of the ground at most; {_ADVICE}"
         display(Warned(stage="surface", message=text))
     place = place_of(request.model, request.crs)
-    vertices = surface.mesh.vertices if place.reference is None else place.reference.apply(surface.mesh.vertices)
+    vertices = surface.mesh.vertices if place.move is None else place.move.apply(surface.mesh.vertices)
     save_mesh(request.out, vertices, surface.mesh.triangles, surface.mesh.colors, place.comments)
     return {
         "vertices": len(vertices),
         "triangles": len(surface.mesh.triangles),
         "resolution": round(surface.voxel, 4),
         "unit": run.unit,
-        **(_origin_of(run) if place.reference is None else place.write(request.out)),
+        **(_origin_of(run) if place.move is None else place.write(request.out)),
     }
 
 

@@ -8,6 +8,7 @@ import math
 from radiant_app.commands.export_request import ExportRequest
 from radiant_core.choices import ExportFormat
 from radiant_core.errors import BadInput
+from radiant_core.georef.given_frame import GIVEN
 
 OF_HEIGHTS: tuple[ExportFormat, ...] = ("dsm", "dtm", "contours", "laz", "glb")
 OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "ortho", *OF_HEIGHTS)
@@ -63,6 +64,8 @@ def _require_system(request: ExportRequest, kind: ExportFormat) -> None:
         if request.require_grids:
             raise BadInput("--require-grids is of a system that is asked for: give it with --crs.")
         return
+    if request.crs == GIVEN and kind not in PLACED:
+        raise BadInput(f"--crs {GIVEN} is of {', '.join(PLACED)} files: leave it out, or name a system such as EPSG:32632.")
     if kind == "tiles":
         raise BadInput("3D Tiles lie on the globe in its own axes (ECEF, EPSG:4978), as the format wants it: leave --crs out.")
     if kind in LEVELLED:

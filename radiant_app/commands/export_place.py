@@ -10,6 +10,7 @@ from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
+from radiant_core.georef.given_frame import GIVEN, GivenFrame, load_given_frame
 from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_heights, require_placed
 from radiant_core.georef.sidecar import save_local_sidecar, save_sidecar
 
@@ -27,6 +28,13 @@ class ExportPlace:
     """How the scene becomes coordinates of `--crs`; None without it."""
     frame: Frame | None = None
     """Of the scene, None of a model without one."""
+    given: GivenFrame | None = None
+    """How the scene becomes coordinates of the given model; None unless asked for."""
+
+    @property
+    def move(self) -> Georeference | GivenFrame | None:
+        """What moves the scene; None where it stays."""
+        return self.reference or self.given
 
     def write_local(self, out: Path) -> dict[str, Any]:
         """Write beside a file in the scene's own metres where on the globe those lie, if that is
@@ -37,6 +45,11 @@ class ExportPlace:
 
     def write(self, out: Path) -> dict[str, Any]:
         """Write what stands beside the file; figures for the command line."""
+        if self.given is not None:
+            written = save_local_sidecar(out, self.given.record())
+            offset = ", ".join(f"{value:.10g}" for value in self.given.offset)
+            about = {"crs": f"that of {self.given.model}", "offset": f"{offset} (add it to the file's coordinates)"}
+            return {**about, "georeference": written.name}
         if self.reference is None:
             return {}
         written = save_sidecar(out, self.reference)
@@ -53,6 +66,11 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
     """What to write of a model's place; BadInput where the scene has none, or the model is a file
     without a scene."""
     frame = _frame_of(model)
+    if crs == GIVEN:
+        given = load_given_frame(model) if model.is_dir() else None
+        if given is None:
+            raise BadInput(f"{model} was made from no given model: --crs {GIVEN} needs the folder of a run or scene of a COLMAP project.")
+        return ExportPlace(comments=given.comments(), given=given)
     if crs is None:
         return ExportPlace(comments=() if frame is None else local_comments(frame), frame=frame)
     if frame is None:
@@ -64,7 +82,7 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
 def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ...]:
     """Which grids PROJ lacks for `crs` at the model's scene and what that costs, nothing where it
     lacks none or the scene is nowhere; BadInput where `require_grids`."""
-    frame = _frame_of(model)
+    frame = None if crs == GIVEN else _frame_of(model)
     if frame is None or frame.kind != "metric":
         return ()
     return grid_warnings(parse_crs(crs), frame.origin_lat_lon_alt[None], require_grids=require_grids)

@@ -121,4 +121,4 @@ def run_of(request: ExportRequest) -> RunView:
 def placed(request: ExportRequest, splats: Splats) -> tuple[Splats, ExportPlace]:
     """The Gaussians in the coordinates of the file, and what says where those lie."""
     place = place_of(request.model, request.crs)
-    return (splats if place.reference is None else place.reference.move(splats)), place
+    return (splats if place.move is None else place.move.move(splats)), place

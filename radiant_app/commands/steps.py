@@ -15,8 +15,9 @@ from radiant_app.events import StageProgress, StageStarted
 from radiant_app.files.out_folder import require_folder_for
 from radiant_app.files.run_folder import sfm_folder
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.folder_kinds import named_folder
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.sources import POSITIONS, SURVEY, reconstruct_source, sfm_record, sfm_task
+from radiant_app.workers.sources import POSITIONS, SURVEY, reconstruct_source, save_given_frames, sfm_record, sfm_task
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.messages import message_record
@@ -44,6 +45,7 @@ def sfm(  # noqa: PLR0913
         result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=display).sfm_progress)
     save_scene(out / "scene.safetensors", result.scene)
     write_json(out / "result.json", sfm_record(result, out))
+    save_given_frames(out, result)
     return {
         "cameras": len(result.scene.cameras),
         "points": len(result.scene.points),
@@ -74,7 +76,7 @@ def training_part(scene: SfmScene) -> SfmScene:
 def require_run(folder: Path, name: str = "plan.json") -> None:
     """Raise BadInput unless `folder` holds the file `name` of a run."""
     if not (folder / name).is_file():
-        raise BadInput(f"{folder} holds no {name}: give the folder of a run that went that far, made by 'radiant run --out'.")
+        raise BadInput(f"{named_folder(folder)} holds no {name}: give the folder of a run that went that far, made by 'radiant run --out'.")
 
 
 def require_model(model: Path) -> None:

@@ -40,6 +40,7 @@ from radiant_core.choices import Contradictions
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
+from radiant_core.georef.given_frame import load_given_frame, save_given_frame
 from radiant_core.hierarchy.device import PreparedTraining, fit_prepared, prepare_training, training_summary
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine
@@ -216,6 +217,9 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
             "`radiant run` when it is made, or train from the photographs."
         )
     scene, warnings, images = load_scored_scene(request.source)
+    given = load_given_frame(request.source)
+    if given is not None and request.out.is_dir():
+        save_given_frame(request.out, given)
     for message in warnings:
         listen(Warned(stage=STAGE, message=message))
     return scene, _Photos(images=images, masks=masks_folder_of(request.source), captures=captures_of(request.source))

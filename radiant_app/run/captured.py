@@ -19,6 +19,7 @@ from radiant_app.events import Warned
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.progress import Progress
+from radiant_app.workers.folder_kinds import require_photographs
 from radiant_app.workers.tasks import PositionsTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
@@ -71,6 +72,7 @@ def device_folders(source: Path, system: System) -> dict[str, Path] | None:
     """The subfolders of `source` that are named by devices; None where it holds photographs."""
     if not source.is_dir():
         raise BadInput(f"{source} is no folder: give a folder of photographs, or one with a subfolder per device.")
+    require_photographs(source)
     inner = {path.name: path for path in sorted(source.iterdir()) if path.is_dir() and not path.name.startswith(".")}
     ids = [device.id for device in system.devices]
     named = {name: path for name, path in inner.items() if name in ids}

@@ -32,6 +32,7 @@ from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_app.workers.tasks import HELD_OUT_NAME, FieldTask, PlacingTask, SfmSettings
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.georef.given_frame import save_given_frame
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import MODEL_NAME
@@ -46,6 +47,15 @@ from radiant_core.plan.revision.captured import find_captured_elsewhere, plan_of
 from radiant_core.plan.system import System
 from radiant_core.sfm.given_poses import GivenPoses, read_given_poses
 from radiant_core.train.config import TrainConfig
+
+
+def _read_poses(config: RunConfig, folders: dict[str, Path] | None, progress: Progress) -> GivenPoses:
+    """The given poses; says what of them is not used, and writes the way back to their frame."""
+    poses = read_given_poses(config.source, config.sfm.poses, "together" if folders is None else "by device")
+    for message in poses.notes:
+        progress.listen(Warned(stage="plan", message=message))
+    save_given_frame(config.out, poses.given)
+    return poses
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +87,7 @@ class DevicePhotographs:
         # A resumed run plans again, from the photographs it finds.
         progress.manifest.drop_notes("plan")
         folders = device_folders(config.source, system)
-        poses = read_given_poses(config.source, config.sfm.poses) if config.frames == "known" else None
+        poses = _read_poses(config, folders, progress) if config.frames == "known" else None
         return cls(config=config, captured=locate_photographs(config, poses, folders, progress), folders=folders, poses=poses)
 
     @property

@@ -22,6 +22,7 @@ from radiant_app.workers.sources import detect_source
 from radiant_app.workers.tasks import SfmTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.colmap.image_files import match_images
 from radiant_core.io.colmap.model import image_names, model_files
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.messages import message_record
@@ -65,7 +66,7 @@ def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
         names = [path.relative_to(source).as_posix() for path in pictures if (path.parts[-3], path.stem) in posed]
         others = [source / "coordinates.pt", *poses]
     elif model is not None:
-        names, others = list(image_names(model)), model_files(model)
+        names, others = list(match_images(image_names(model), images).files.values()), model_files(model)
     else:
         names, others = sorted(path.name for path in images.iterdir() if path.suffix.lower() in SUFFIXES), []
     names = [name for name in names if is_image_name(name)]

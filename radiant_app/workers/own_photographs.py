@@ -68,7 +68,7 @@ def find_own(folder: Path, frames: str) -> OwnPhotographs:
     names = sorted(path.name for path in photographs.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if frames != "known":
         return OwnPhotographs(folder=photographs, names=tuple(names), poses=None)
-    poses = read_given_poses(photographs, None if record["poses"] is None else Path(record["poses"]))
+    poses = read_given_poses(photographs, None if record["poses"] is None else Path(record["poses"]), "own")
     if poses.model is None:
         raise BadInput("the poses of this device are no COLMAP model: give one with --poses.")
     here = set(names)
@@ -102,6 +102,8 @@ def run_own_field(folder: Path, task: OwnFieldTask, reporter: EventReporter) -> 
     own = find_own(folder, task.frames)
     names, held_out = own.trained_on(task.first_held_out), own.held_out(task.first_held_out)
     if own.poses is not None:
+        for message in own.poses.unnamed_notes:
+            reporter.warn(message)
         (folder / OWN_POSES).parent.mkdir(exist_ok=True)
         own.poses.deal([*names, *held_out], (folder / OWN_POSES).parent)
     placing = PlacingTask(

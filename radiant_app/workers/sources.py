@@ -7,8 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from radiant_app.workers.folder_kinds import require_photographs
 from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput
+from radiant_core.georef.given_frame import NAME as GIVEN_FRAME
+from radiant_core.georef.given_frame import save_given_frame
+from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
@@ -27,17 +31,28 @@ SourceKind = Literal["photographs", "colmap", "mill19"]
 
 def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
     """Kind, folder of photographs, and the COLMAP model's folder if there is one: `images/` beside
-    `sparse/` is a COLMAP project, `train/metadata` is Mill 19. BadInput when it is no folder."""
-    if not source.is_dir():
-        raise BadInput(f"{source} is no folder: give a folder of photographs, a COLMAP project or a Mill 19 folder.")
+    `sparse/` is a COLMAP project, of whose models `find_models` chooses; `train/metadata` is
+    Mill 19. BadInput when it is no folder, or one of another kind."""
+    require_photographs(source)
+    return locate_source(source)
+
+
+def locate_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
+    """`detect_source` of a folder that may be of another kind."""
     if (source / "train" / "metadata").is_dir():
         return "mill19", source, None
-    if (source / "images").is_dir():
-        for model in (source / "sparse" / "0", source / "sparse"):
-            if any((model / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt")):
-                return "colmap", source / "images", model
-        return "photographs", source / "images", None
-    return "photographs", source, None
+    models, pictures = find_models(source), picture_folder(source)
+    if models and pictures is not None:
+        return "colmap", pictures, models[0].folder
+    return "photographs", source / "images" if (source / "images").is_dir() else source, None
+
+
+def notes_on_source(source: Path) -> tuple[str, ...]:
+    """What a source holds that is not used although it could be; names no photograph."""
+    if detect_source(source)[0] != "mill19":
+        return notes_on_project(source)
+    unused = [path.name for path in (source / "images", source / "sparse") if path.is_dir()]
+    return (f"train/metadata makes {source.name} a Mill 19 folder; not used: {', '.join(unused)}.",) if unused else ()
 
 
 def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
@@ -54,6 +69,12 @@ def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placem
 
 def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     """Run structure from motion in `folder` on the source that the task names."""
+    result = _reconstruct(task, folder, report)
+    notes = notes_on_source(Path(task.source))
+    return replace(result, warnings=(*notes, *result.warnings), unnamed_warnings=(*notes, *result.unnamed_warnings))
+
+
+def _reconstruct(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     from radiant_core.sfm.known_poses import scene_from_mill19
     from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
@@ -69,6 +90,14 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
             )
         return scene_from_mill19(images, folder, report, masks=masks)
     return reconstruct(images, folder, task.sfm, report, masks, task.placement)
+
+
+def save_given_frames(folder: Path, result: SfmResult) -> list[str]:
+    """Write the way back to the frame of a given model beside its scene; names of files."""
+    if result.given_frame is None:
+        (folder / GIVEN_FRAME).unlink(missing_ok=True)
+        return []
+    return [save_given_frame(folder, result.given_frame)]
 
 
 def sfm_record(result: SfmResult, folder: Path) -> dict[str, Any]:

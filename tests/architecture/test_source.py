@@ -92,3 +92,15 @@ def test_setup_refuses_what_it_does_not_know_in_one_sentence() -> None:
         assert result.returncode == 2
         assert len(result.stderr.strip().splitlines()) == 1
         assert arguments[-1] in result.stderr
+
+
+def test_no_message_shows_a_tuple_of_an_array() -> None:
+    """numpy prints "(np.int64(319), np.int64(239))" there: shapes alone are plain numbers."""
+    shown = [
+        f"{source}:{node.lineno}"
+        for source in SOURCES
+        for node in ast.walk(parsed(source))
+        if isinstance(node, ast.FormattedValue) and isinstance(call := node.value, ast.Call) and isinstance(call.func, ast.Name)
+        if call.func.id == "tuple" and not ast.unparse(call.args[0]).endswith(".shape")
+    ]
+    assert shown == []

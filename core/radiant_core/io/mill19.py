@@ -20,8 +20,10 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.frames import Sim3
 from radiant_core.numerics import FloatArray
 
+SUFFIXES = (".jpg", ".JPG", ".jpeg", ".png", ".PNG")
 MAX_METADATA_BYTES = 1 << 20
 _WORLD_FROM_DRB = np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]])
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -51,11 +53,27 @@ def read_mill19(folder: Path) -> Cameras:
     )
 
 
+def images_without_pose(folder: Path, cameras: Cameras) -> tuple[str, ...]:
+    """The images in train/rgbs and val/rgbs that no metadata speaks of."""
+    there = sorted(path for split in ("train", "val") for path in (folder / split / "rgbs").glob("*") if path.suffix in SUFFIXES)
+    return tuple(name for path in there if (name := path.relative_to(folder).as_posix()) not in set(cameras.names))
+
+
+def given_from_scene(folder: Path) -> Sim3:
+    """The similarity from the frame of `read_mill19` to that of c2w in the metadata."""
+    path = folder / "coordinates.pt"
+    scale = float(_numbers(_load(path), "pose_scale_factor", (), path))
+    return Sim3(scale=1 / scale, rotation=_WORLD_FROM_DRB.T, translation=np.zeros(3))
+
+
 def _image_name(folder: Path, split: str, metadata_path: Path) -> str:
-    for suffix in (".jpg", ".JPG", ".png"):
-        name = f"{split}/rgbs/{metadata_path.stem}{suffix}"
-        if (folder / name).is_file():
-            return name
+    names = [name for suffix in SUFFIXES if (folder / (name := f"{split}/rgbs/{metadata_path.stem}{suffix}")).is_file()]
+    # Where letter case does not count .jpg and .JPG are one file.
+    names = [name for at, name in enumerate(names) if not any((folder / name).samefile(folder / other) for other in names[:at])]
+    if len(names) > 1:
+        raise BadInput(f"{metadata_path} has {len(names)} images, {' and '.join(names)}: leave the one that it was made from.")
+    if names:
+        return names[0]
     raise BadInput(f"{metadata_path} has no image {split}/rgbs/{metadata_path.stem}.jpg beside it: fetch the image or remove it.")
 
 

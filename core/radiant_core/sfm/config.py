@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 from radiant_core.choices import Effort, Matching
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
+from radiant_core.georef.given_frame import GivenFrame
 from radiant_core.scene import SfmScene
 
 Mapper = Literal["auto", "incremental", "global"]
@@ -114,6 +115,8 @@ class SfmResult:
     """Of `reconstruct`: the same with numbers for names, for receivers that must not learn them."""
     masks_folder: Path | None = None
     """Masks of the undistorted photographs (`radiant_core.io.photos.masks`); None without any."""
+    given_frame: GivenFrame | None = None
+    """The way back to the frame of the model that the scene was made from; None of photographs."""
     survey: dict[str, Any] | None = None
     """What was adjusted to, and how well it fits (`control.place.survey_record`); None without."""
     positions: dict[str, Any] | None = None

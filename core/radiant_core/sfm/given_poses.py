@@ -1,6 +1,7 @@
 """Poses that come with the photographs: a COLMAP model, or a Mill 19 folder. Once per run.
 
-The world is that of the poses, as it is; z must be up for a plan of the ground.
+The world is that of the poses, but for a whole offset where they lie far from its origin; z must be
+up for a plan of the ground.
 """
 
 from __future__ import annotations
@@ -8,24 +9,34 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Literal
 
 import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap.model import read_model
+from radiant_core.geometry.similarity import move_cameras
+from radiant_core.georef.given_frame import GivenFrame, shifted_frame
+from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
+from radiant_core.io.colmap.image_files import ImageFiles, photographs_without_pose, read_with_files, unposed_count
 from radiant_core.io.colmap.records import ColmapModel, check_model
 from radiant_core.io.colmap.text import write_model
-from radiant_core.io.mill19 import read_mill19
+from radiant_core.io.mill19 import given_from_scene, images_without_pose, read_mill19
+from radiant_core.io.photos.listing import photograph_size_wh
 from radiant_core.io.records import save_cameras
-from radiant_core.sfm.known_poses import NO_POINTS
+from radiant_core.sfm.known_poses import NO_POINTS, misfit_text
 from radiant_core.sfm.world_frame.up import roll_deg
 
 NO_POINTS_2D, NO_IDS = np.zeros((0, 2)), np.zeros(0, np.int64)
 MAX_ROLL_DEG = 30.0
 """A photograph is taken level or looking down: where its x axes are farther from the horizontal
 than this, z is not up."""
+
+
+Where = Literal["together", "by device", "own"]
+"""together: all photographs in one folder; by device: in subfolders; own: those of one device of
+many, whose poses are beside those of others."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,6 +47,12 @@ class GivenPoses:
     """Centres and rotations; the calibration is right only where `model` is None."""
     photos: Path
     model: ColmapModel | None
+    given: GivenFrame
+    """The way back to the frame that the poses were given in."""
+    notes: tuple[str, ...] = ()
+    """What was given and is not used, or taken for another."""
+    unnamed_notes: tuple[str, ...] = ()
+    """The same without names of photographs."""
 
     def deal(self, names: Sequence[str], folder: Path) -> bool:
         """Write the poses of these photographs into `folder`: poses/, a COLMAP model, or
@@ -52,26 +69,80 @@ class GivenPoses:
         return True
 
 
-def read_given_poses(source: Path, model_folder: Path | None) -> GivenPoses:
-    """The poses in `model_folder`, or else those beside the photographs of `source`. Raises
-    BadInput where there are none, or where z is not up in them."""
+def read_given_poses(source: Path, model_folder: Path | None, where: Where = "together") -> GivenPoses:
+    """The poses in `model_folder`, or else those beside the photographs of `source`. Poses that lie
+    far from their origin are moved by a whole offset. Raises BadInput where there are none, where z
+    is not up in them, or where they lie far out and are those of one device of many."""
     if model_folder is None and (source / "train" / "metadata").is_dir():
-        return GivenPoses(cameras=read_mill19(source), photos=source, model=None)
-    folder = model_folder or next((place for place in (source / "sparse" / "0", source / "sparse") if place.is_dir()), None)
-    if folder is None:
+        return _read_mill19_poses(source)
+    models, photos = find_models(source), picture_folder(source) or source
+    if model_folder is None and not models:
         raise BadInput(f"{source} has no poses beside its photographs (sparse/ or a Mill 19 folder): give a COLMAP model with --poses.")
-    model = read_model(folder)
+    folder = model_folder or models[0].folder
+    model, files = read_with_files(folder, photos, required=False)
+    if where == "by device":
+        files = _by_file_name(files)
+        model = replace(model, images=tuple(replace(image, name=PurePosixPath(image.name).name) for image in model.images))
     cameras = _cameras_of(model)
     if len(cameras) < 2:
         raise BadInput(f"{folder} has {len(cameras)} poses, expected those of all photographs.")
+    _require_z_up(cameras, folder)
+    _require_sizes(model, photos)
+    given = shifted_frame(cameras, "the COLMAP model")
+    if where == "own" and not given.is_same:
+        raise BadInput(
+            f"the poses lie up to {np.abs(cameras.centers).max():.3g} from their origin, where float32 loses what is small: take the same "
+            "whole numbers off the poses of all devices."
+        )
+    unposed = photographs_without_pose(files) if where != "by device" else ()
+    beside = notes_on_project(source, for_poses=True) if model_folder is None else ()
+    counts = (*files.count(), *unposed_count(unposed, files))
+    return GivenPoses(
+        cameras=move_cameras(cameras, given.given_from_scene.inverse()),
+        photos=photos,
+        model=_moved(model, given),
+        given=given,
+        notes=(*beside, *files.notes(), *unposed_count(unposed, files), *given.notes()),
+        unnamed_notes=(*beside, *counts, *given.notes()),
+    )
+
+
+def _read_mill19_poses(source: Path) -> GivenPoses:
+    cameras = read_mill19(source)
+    unposed = images_without_pose(source, cameras)
+    note = f"{len(unposed)} of {len(cameras) + len(unposed)} images in rgbs have no metadata and are left out."
+    given = GivenFrame(given_from_scene=given_from_scene(source), model="the Mill 19 folder (c2w of its metadata)")
+    return GivenPoses(cameras=cameras, photos=source, model=None, given=given, notes=(note,) if unposed else ())
+
+
+def _by_file_name(files: ImageFiles) -> ImageFiles:
+    """Files in folders of devices, by their name there."""
+    return replace(files, files={PurePosixPath(name).name: PurePosixPath(file).name for name, file in files.files.items()})
+
+
+def _moved(model: ColmapModel, given: GivenFrame) -> ColmapModel:
+    """The model in the frame of the scene, which is a shift from that of the model."""
+    shift = given.given_from_scene.translation
+    images = tuple(replace(image, translation=image.translation + image.cam_from_world[:3, :3] @ shift) for image in model.images)
+    return replace(model, images=images, points=replace(model.points, xyz=model.points.xyz - shift))
+
+
+def _require_sizes(model: ColmapModel, photos: Path) -> None:
+    """Raise BadInput where a photograph that is here has another size than its camera; of each
+    camera one is looked at."""
+    for image in {image.camera_id: image for image in model.images if (photos / image.name).is_file()}.values():
+        size_wh, camera_wh = photograph_size_wh(photos / image.name), model.cameras[image.camera_id].size_wh
+        if size_wh is not None and size_wh != camera_wh:
+            raise BadInput(misfit_text(f"photograph {image.name!r}", size_wh, camera_wh))
+
+
+def _require_z_up(cameras: Cameras, folder: Path) -> None:
     rolled_deg = roll_deg(cameras, np.array([0.0, 0.0, 1.0]))
     if rolled_deg > MAX_ROLL_DEG:
         raise BadInput(
             f"in {folder} z is not up (the photographs are rolled by {rolled_deg:.0f}° against it): turn the model so that z points up, "
             "or let --frames shared find it."
         )
-    photos = source / "images" if (source / "images").is_dir() else source
-    return GivenPoses(cameras=cameras, photos=photos, model=model)
 
 
 def _cameras_of(model: ColmapModel) -> Cameras:

@@ -16,10 +16,11 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
+from radiant_core.georef.given_frame import GivenFrame
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapPoints, check_model
+from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
 from radiant_core.io.colmap.text import write_model
-from radiant_core.io.mill19 import read_mill19
+from radiant_core.io.mill19 import given_from_scene, images_without_pose, read_mill19
 from radiant_core.io.photos.copies import copies_warning, file_copies
 from radiant_core.io.photos.listing import CameraKey, Photograph
 from radiant_core.numerics import FloatArray
@@ -39,6 +40,8 @@ from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.world import cameras_of
 
 DEFAULT_CONFIG = SfmConfig()
+UNDISTORTED_CHANGE = 0.05
+"""Shares of a side by which undistorting changes it, for lenses of drones."""
 NO_POINTS = ColmapPoints(
     ids=np.zeros(0, np.int64),
     xyz=np.zeros((0, 3)),
@@ -53,7 +56,9 @@ def scene_from_mill19(
 ) -> SfmResult:
     """The scene of a Mill 19 / Mega-NeRF folder: its poses, points triangulated from its
     photographs. Raises BadInput for another layout, or an image or a mask that is unusable."""
-    cameras, copied = without_copies(read_mill19(folder), folder)
+    given = read_mill19(folder)
+    unposed = images_without_pose(folder, given)
+    cameras, copied = without_copies(given, folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
     scene, repeats = without_repeats(scene, folder)
     masks = work_folder / FINAL if (work_folder / FINAL).is_dir() else None
@@ -65,14 +70,18 @@ def scene_from_mill19(
         unit="photographs",
         reason="coordinates.pt gives a scale and no place on the globe",
     )
+    count = len(given) + len(unposed)
+    named = ", ".join(unposed[:10])
+    unposed_note = (f"{len(unposed)} of {count} images in rgbs have no metadata and are left out: {named}.",) if unposed else ()
     warning = "the folder's poses are used as they are; its unit is the metre only if whoever made it said so."
     return SfmResult(
         scene=scene,
         undistorted_folder=folder,
-        unregistered=(),
+        unregistered=unposed,
         decisions=(decision, *masks_decision(scene, masks)),
-        warnings=(*copied, *repeats, warning),
+        warnings=(*copied, *unposed_note, *repeats, warning),
         masks_folder=masks,
+        given_frame=GivenFrame(given_from_scene=given_from_scene(folder), model="the Mill 19 folder (c2w of its metadata)"),
     )
 
 
@@ -95,6 +104,20 @@ def scene_from_poses(
     `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are
     0. Raises BadInput when a photograph is missing or not of its camera's size, or when no point
     can be triangulated."""
+    model = triangulated_model(cameras, photo_folder, work_folder, config, report, masks)
+    return SfmScene(
+        cameras=cameras.named([image.name for image in model.images]),
+        points=model.points.xyz,
+        colors=model.points.colors,
+        observations=model.observations(),
+        frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
+    )
+
+
+def triangulated_model(
+    cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None
+) -> ColmapModel:
+    """The same as a COLMAP model, in `work_folder`/sparse too; raises alike."""
     phases = with_preview(("checking photographs", "features", "matching", "triangulating"), config)
     report = number_phases(report, phases)
     photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
@@ -115,13 +138,7 @@ def scene_from_poses(
     model = read_model(model_folder)
     if not len(model.points.ids):
         raise BadInput(f"no point can be triangulated in {photo_folder}: check that the poses belong to these photographs.")
-    return SfmScene(
-        cameras=cameras.named([image.name for image in model.images]),
-        points=model.points.xyz,
-        colors=model.points.colors,
-        observations=model.observations(),
-        frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
-    )
+    return model
 
 
 def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple[str, ...]]:
@@ -168,9 +185,28 @@ def _photographs_of(cameras: Cameras, photographs: tuple[Photograph, ...]) -> tu
     for name, K, size_wh in zip(cameras.names, cameras.Ks, cameras.sizes_wh, strict=True):
         photo = by_name[name]
         if photo.size_wh != tuple(size_wh):
-            raise BadInput(f"photograph {name!r} has {photo.size_wh} px and its camera {tuple(size_wh)}: scale the one or the other.")
+            raise BadInput(misfit_text(f"photograph {name!r}", photo.size_wh, (int(size_wh[0]), int(size_wh[1]))))
         grouped.append(replace(photo, camera=CameraKey(make="", model=repr(K.tolist()), focal_mm=None, size_wh=photo.size_wh)))
     return tuple(grouped)
+
+
+def is_almost(size_wh: tuple[int, int], camera_wh: tuple[int, int]) -> bool:
+    """Whether a photograph is of another size than its camera, by little: undistorting does that,
+    and no reduced copy is so large."""
+    return size_wh != camera_wh and all(
+        abs(side / of_camera - 1) < UNDISTORTED_CHANGE for side, of_camera in zip(size_wh, camera_wh, strict=True)
+    )
+
+
+def misfit_text(what: str, size_wh: tuple[int, int], camera_wh: tuple[int, int]) -> str:
+    """What is said of a photograph (`what`) of another size than the camera of its pose."""
+    sizes = f"{what} has {size_wh} px and its camera {camera_wh}"
+    if is_almost(size_wh, camera_wh):
+        return (
+            f"{sizes}: the poses are of undistorted photographs and these are as they were taken: give the undistorted ones, which a run "
+            "has in sfm/undistorted/images, or poses of these."
+        )
+    return f"{sizes}: give the photographs that the poses were made from, in their size."
 
 
 def _posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Reconstruction:
@@ -183,7 +219,7 @@ def _posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Rec
         for image in store.read_all_images():
             index = index_of[image.name]
             K, (width, height) = cameras.Ks[index], cameras.sizes_wh[index]
-            params = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+            params = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
             intrinsics[image.camera_id] = ColmapCamera(
                 camera_id=image.camera_id, model="PINHOLE", size_wh=(int(width), int(height)), params=params
             )

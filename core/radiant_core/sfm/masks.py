@@ -19,6 +19,7 @@ from radiant_core.io.photos.listing import Photograph
 from radiant_core.io.photos.masks import alpha_mask, find_masks, load_mask, mask_name, pixel_weights, save_mask, used_pixels
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.plain_fisheyes import bend_plain_fisheyes
 
 GIVEN, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
 
@@ -53,6 +54,7 @@ def undistort_masks(given: Path | None, model_folder: Path, work_folder: Path, n
     shutil.rmtree(part, ignore_errors=True)
     renamed.mkdir(parents=True)
     model = pycolmap.Reconstruction(model_folder)
+    bend_plain_fisheyes(model)
     names = [image.name for image in model.images.values()]
     for image in model.images.values():
         image.name = mask_name(image.name)

@@ -9,11 +9,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from radiant_core.errors import BadInput
+from radiant_core.georef.given_frame import GivenFrame
+from radiant_core.io.colmap.image_files import photographs_without_pose, read_with_files, unposed_count
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
+from radiant_core.numerics import FloatArray
+from radiant_core.scene import SfmScene
 from radiant_core.sfm.attempts import PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
@@ -25,14 +31,17 @@ from radiant_core.sfm.control.before_matching import check_control
 from radiant_core.sfm.control.place import place_surveyed, survey_record
 from radiant_core.sfm.control.survey import Surveyed, adjust_to_survey
 from radiant_core.sfm.copies import without_repeats
+from radiant_core.sfm.given_points import POINT_PHASES, with_points
 from radiant_core.sfm.gps_outliers import gps_outliers
-from radiant_core.sfm.known_poses import triangulate
+from radiant_core.sfm.known_poses import is_almost, misfit_text, triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
+from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_in_world, with_warnings
 
+GIVEN_MODEL = "the COLMAP model"
 PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "triangulating", "undistorting")
 
 
@@ -105,11 +114,17 @@ def reconstruct(
 
 
 def _placed(
-    model: ColmapModel, surveyed: Surveyed | None, photographs: tuple[Photograph, ...], seed: int, placement: Placement
+    model: ColmapModel,
+    surveyed: Surveyed | None,
+    photographs: tuple[Photograph, ...],
+    seed: int,
+    placement: Placement,
+    *,
+    keeps_frame: bool = False,
 ) -> PlacedScene:
-    if surveyed is None:
-        return scene_in_world(model, photographs, seed, placement)
-    return place_surveyed(model, surveyed, photographs, placement)
+    if surveyed is not None:
+        return place_surveyed(model, surveyed, photographs, placement)
+    return scene_in_world(model, photographs, seed, placement, keeps_frame=keeps_frame)
 
 
 def scene_from_colmap(
@@ -122,23 +137,28 @@ def scene_from_colmap(
     skipped and named. Points seen only where `masks` are 0 are left out. BadInput for an unreadable
     model, an image that is missing or not of its camera's shape, or arguments that do not fit.
     """
-    model = read_model(model_folder)
+    model, files = read_with_files(model_folder, image_folder)
+    unposed = photographs_without_pose(files)
     placement.check_names((image.name for image in model.images), of_model=True)
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
-    report = number_phases(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
+    report = number_phases(report, _phases_of(model, placement, pinhole=pinhole))
     listing = list_usable(image_folder, report, tuple(image.name for image in model.images))
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
+    given_centers = {image.name: -image.cam_from_world[:3, :3].T @ image.translation for image in model.images}
     _require_images(model, listing, image_folder)
     sizes_wh = {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
     contradicted = check_control(placement, listing.photographs, sizes_wh)
     images_to_use = image_folder
-    if masks is not None or not pinhole:
+    if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
+    if files.renamed and (placement.control is not None or not pinhole):
+        model_folder = work_folder / "named"
+        write_for_colmap(model, model_folder)
     surveyed = None
     if placement.control is not None:
-        start_clean(work_folder)
+        _require_tracks(model, model_folder)
         model_folder, surveyed = _adjusted_copy(model_folder, work_folder / "adjusted", listing.photographs, placement, report)
         model = read_model(model_folder)
     given = take_masks(masks, listing.photographs, work_folder)
@@ -151,25 +171,67 @@ def scene_from_colmap(
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
-    placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement), contradicted)
+    model, said = with_points(model, images_to_use, work_folder, report, masks)
+    placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement, keeps_frame=True), contradicted)
+    given_frame = _given_frame(placed, None if surveyed is None else given_centers)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     if not pinhole:
-        # What was given stays as it is; sparse/ is there where COLMAP could not read it as it was.
-        for folder in (work_folder / "sparse", work_folder / "undistorted" / "sparse"):
-            if folder.is_dir():
-                fit_model(folder, placed.world_from_model, scene.cameras)
+        _fit_models(work_folder, placed, scene)
         remove_images(images_to_use, scene.cameras)
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
-        unregistered=(),
+        unregistered=unposed,
         decisions=(*placed.decisions, *masks_decision(scene, masks)),
-        warnings=(*warn_of_unused(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
+        warnings=(
+            *files.notes(),
+            *_named(unposed_count(unposed, files), unposed),
+            *warn_of_unused(listing),
+            *said,
+            *repeats,
+            *gps_outliers(scene, listing.photographs).warning(),
+            *placed.warnings,
+            *given_frame.notes(),
+        ),
         masks_folder=masks,
+        given_frame=given_frame,
         survey=None if surveyed is None else survey_record(surveyed),
         positions=None if placed.positions is None else placed.positions.record,
         doubts=placed.doubts,
     )
+
+
+def _phases_of(model: ColmapModel, placement: Placement, *, pinhole: bool) -> tuple[Phase, ...]:
+    needed: dict[Phase, bool] = {"checking photographs": True, "refining": placement.control is not None, "undistorting": not pinhole}
+    phases: tuple[Phase, ...] = tuple(phase for phase, is_needed in needed.items() if is_needed)
+    return phases if len(model.points.ids) else (*phases, *POINT_PHASES)
+
+
+def _require_tracks(model: ColmapModel, model_folder: Path) -> None:
+    if not len(model.points.tracks):
+        raise BadInput(
+            f"the model in {model_folder} does not say which points its images see, which --gcp needs to move them together: give a "
+            "model with its tracks, or the photographs alone."
+        )
+
+
+def _fit_models(work_folder: Path, placed: PlacedScene, scene: SfmScene) -> None:
+    """What was given stays as it is; sparse/ is there where COLMAP could not read it as it was."""
+    for folder in (work_folder / "sparse", work_folder / "undistorted" / "sparse"):
+        if folder.is_dir():
+            fit_model(folder, placed.world_from_model, scene.cameras)
+
+
+def _given_frame(placed: PlacedScene, centers: dict[str, FloatArray] | None) -> GivenFrame:
+    """The way back to the given model: exact, or what fits its `centers` (3,) best where its poses
+    were adjusted."""
+    if centers is None:
+        return GivenFrame(given_from_scene=placed.world_from_model.inverse(), model=GIVEN_MODEL)
+    cameras = placed.scene.cameras
+    given = np.array([centers[name] for name in cameras.names])
+    back = fit_sim3(cameras.centers, given)
+    error = float(np.linalg.norm(back.apply(cameras.centers) - given, axis=1).max())
+    return GivenFrame(given_from_scene=back, model=GIVEN_MODEL, largest_error=error)
 
 
 def _adjusted_copy(
@@ -199,11 +261,8 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
         # A reduced pinhole image may be off by a pixel of rounding; points of a distorted one are
         # undistorted in its own pixels.
         fits = abs(width - height) <= 0.01 * max(width, height) if camera.is_pinhole else width == height == 1
-        if not fits:
-            raise BadInput(
-                f"image {image.name!r} has {sizes[image.name]} px and its camera {camera.size_wh}: "
-                "give the images that the model was made from."
-            )
+        if not fits or is_almost(sizes[image.name], camera.size_wh):
+            raise BadInput(misfit_text(f"image {image.name!r}", sizes[image.name], camera.size_wh))
 
 
 def _unregistered_counts(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:

@@ -318,10 +318,10 @@ def test_the_shortest_binary_records_fit_and_what_is_a_byte_short_is_told() -> N
     """One camera of the fewest parameters, one image with an empty name, one point that nobody
     sees; ids up to 2^63 - 1."""
     count = struct.pack("<Q", 1)
-    camera = struct.pack("<IiQQ3d", 7, 0, 640, 480, 500.0, 320.0, 240.0)
+    camera = struct.pack("<IiQQ2d", 7, 17, 640, 320, 640.0, 320.0)
     image = struct.pack("<I7dI", 5, 1, 0, 0, 0, 1, 2, 3, 7) + b"\0" + struct.pack("<Q", 0)
     point = struct.pack("<Q3d3Bd", 2**63 - 1, 1, 2, 3, 10, 20, 30, 0.5) + struct.pack("<Q", 0)
-    assert colmap_binary.parse_cameras(count + camera, "f")[0].params == (500.0, 320.0, 240.0)
+    assert colmap_binary.parse_cameras(count + camera, "f")[0].params == (640.0, 320.0)
     assert (found := colmap_binary.parse_images(count + image, "f")[0]).name == "" and found.translation.tolist() == [1, 2, 3]
     assert colmap_binary.parse_points(count + point, "f").ids.tolist() == [2**63 - 1]
     cut = r"f at byte {}: {} need {} bytes, {} are left: the file is cut or damaged\."

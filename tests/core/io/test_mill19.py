@@ -13,7 +13,7 @@ import torch
 
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.mill19 import read_mill19
+from radiant_core.io.mill19 import given_from_scene, images_without_pose, read_mill19
 
 SIZE_WH = (64, 48)
 
@@ -50,6 +50,29 @@ def folder(tmp_path: Path) -> Path:
         save(content, tmp_path / split / "metadata" / f"{stem}.pt")
         cv2.imwrite(str(tmp_path / split / "rgbs" / f"{stem}.jpg"), np.zeros((48, 64, 3), np.uint8))
     return tmp_path
+
+
+def test_the_way_back_leads_to_the_numbers_of_the_metadata(folder: Path) -> None:
+    back = given_from_scene(folder).apply(read_mill19(folder).centers)
+    # 1e-7: c2w is float32.
+    assert np.allclose(back, [[-0.5, 0.25, -0.125], [0, 0, 0]], atol=1e-7)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".JPG", ".jpeg", ".png", ".PNG"])
+def test_an_image_has_any_of_the_usual_endings_and_two_are_not_chosen_between(folder: Path, suffix: str) -> None:
+    images = folder / "train" / "rgbs"
+    (images / "000000.jpg").rename(images / f"000000{suffix}")
+    assert read_mill19(folder).names[0] == f"train/rgbs/000000{suffix}"
+    (images / "000000.jpeg").touch()
+    (images / "000000.png").touch()
+    with pytest.raises(BadInput, match=r"has [23] images, train/rgbs/000000\..* leave the one that it was made from"):
+        read_mill19(folder)
+
+
+def test_images_without_metadata_are_counted(folder: Path) -> None:
+    for name in ("train/rgbs/000007.jpg", "val/rgbs/000008.png", "val/rgbs/notes.txt"):
+        (folder / name).touch()
+    assert images_without_pose(folder, read_mill19(folder)) == ("train/rgbs/000007.jpg", "val/rgbs/000008.png")
 
 
 def test_axes_scale_and_split(folder: Path) -> None:

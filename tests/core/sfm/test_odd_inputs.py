@@ -153,10 +153,11 @@ def test_an_image_without_suffix_is_skipped_by_name_where_it_would_be_undistorte
     assert all((result.undistorted_folder / name).is_file() for name in result.scene.cameras.names)
 
 
-def test_a_fisheye_that_colmap_does_not_undistort_is_refused(hamlet: Path, tmp_path: Path) -> None:
+def test_a_fisheye_that_colmap_alone_does_not_undistort_becomes_a_pinhole(hamlet: Path, tmp_path: Path) -> None:
     project(hamlet, tmp_path, {}, "THIN_PRISM_FISHEYE 320 240 {f} {f} {cx} {cy} 0 0 0 0 0 0 0 0")
-    with pytest.raises(BadInput, match="THIN_PRISM_FISHEYE without distortion, which COLMAP does not undistort"):
-        scene_from_colmap(tmp_path / "model", tmp_path / "images", tmp_path / "work", lambda progress: None)
+    result = scene_from_colmap(tmp_path / "model", tmp_path / "images", tmp_path / "work", lambda progress: None)
+    assert len(result.scene.cameras) == 12 and result.undistorted_folder == tmp_path / "work" / "undistorted" / "images"
+    assert not (tmp_path / "work" / "undistorted" / "bent").exists()
 
 
 LOAD_IN_LITTLE = """

@@ -13,6 +13,7 @@ from radiant_core.io.colmap.records import PARAM_COUNTS, ColmapCamera, ColmapIma
 SUFFIX = ".bin"
 _MAX_NAME_BYTES = 1024
 _MODELS = tuple(PARAM_COUNTS.items())
+_MIN_CAMERA_BYTES = 24 + 8 * min(PARAM_COUNTS.values())
 _POINT2D = np.dtype([("xy", "<f8", 2), ("point3d_id", "<i8")])
 _POINT3D = np.dtype([("id", "<u8"), ("xyz", "<f8", 3), ("color", "u1", 3), ("error_px", "<f8"), ("num_seen", "<u8")])
 _SEEN = np.dtype([("image_id", "<u4"), ("index", "<u4")])
@@ -69,7 +70,7 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
     """The records of cameras.bin; BadInput with the byte offset."""
     cursor = _Cursor(data, path)
     cameras = []
-    for _ in range(cursor.count(48, "cameras")):
+    for _ in range(cursor.count(_MIN_CAMERA_BYTES, "cameras")):
         camera_id, model_number, width, height = cursor.take("<IiQQ")
         if not 0 <= model_number < len(_MODELS):
             raise BadInput(

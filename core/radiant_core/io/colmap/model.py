@@ -11,7 +11,7 @@ from pathlib import Path
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import binary as colmap_binary
 from radiant_core.io.colmap import text as colmap_text
-from radiant_core.io.colmap.records import ColmapModel, check_model
+from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
 
 MAX_FILE_BYTES = 1 << 33
 STEMS = ("cameras", "images", "points3D")
@@ -20,7 +20,7 @@ _PARSERS = {parser.SUFFIX: parser for parser in (colmap_binary, colmap_text)}
 
 def model_files(folder: Path) -> list[Path]:
     """The files of the model in `folder` that `read_model` reads; raises like that without one."""
-    suffix = _format_of(folder)
+    suffix = next(iter(formats_of(folder)), None)
     if suffix is None:
         raise BadInput(f"{folder} holds no COLMAP model: expected cameras, images and points3D, all .bin or all .txt.")
     return [folder / f"{stem}{suffix}" for stem in STEMS]
@@ -39,18 +39,25 @@ def read_model(folder: Path) -> ColmapModel:
     trailing bytes, an unknown camera model, values that are not finite, a name that leaves
     the folder, an id twice, or an id that is not there.
     """
+    return check_model(*read_records(folder), str(folder))
+
+
+def read_records(folder: Path) -> tuple[list[ColmapCamera], list[ColmapImage], ColmapPoints]:
+    """The records of the model in `folder`, not checked against each other; raises as
+    `read_model`."""
     paths = model_files(folder)
     parser = _PARSERS[paths[0].suffix]
-    parsers = (parser.parse_cameras, parser.parse_images, parser.parse_points)
-    cameras, images, points = (parse(_bytes_of(path), str(path)) for parse, path in zip(parsers, paths, strict=True))
-    return check_model(cameras, images, points, str(folder))
+    cameras, images, points = (_bytes_of(path) for path in paths)
+    return (
+        parser.parse_cameras(cameras, str(paths[0])),
+        parser.parse_images(images, str(paths[1])),
+        parser.parse_points(points, str(paths[2])),
+    )
 
 
-def _format_of(folder: Path) -> str | None:
-    for suffix in _PARSERS:
-        if all((folder / f"{stem}{suffix}").is_file() for stem in STEMS):
-            return suffix
-    return None
+def formats_of(folder: Path) -> tuple[str, ...]:
+    """The suffixes in which `folder` has all three files of a model, the one that is read first."""
+    return tuple(suffix for suffix in _PARSERS if all((folder / f"{stem}{suffix}").is_file() for stem in STEMS))
 
 
 def _bytes_of(path: Path) -> bytes:

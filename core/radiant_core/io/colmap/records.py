@@ -29,8 +29,20 @@ PARAM_COUNTS = {
     "RADIAL_FISHEYE": 5,
     "THIN_PRISM_FISHEYE": 12,
     "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4,
+    "DIVISION": 5,
+    "SIMPLE_FISHEYE": 3,
+    "FISHEYE": 4,
+    "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
 }
-"""Number of parameters of each camera model, in the order of COLMAP's model numbers 0, 1, 2, …"""
+"""Number of parameters of each camera model, in the order of COLMAP's model numbers 0, 1, 2, …;
+from 12 on those of COLMAP 4."""
+PANORAMA = "EQUIRECTANGULAR"
+BENT_PINHOLES = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "FOV", "SIMPLE_DIVISION", "DIVISION")
+"""Pinholes where everything behind the principal point is 0; fisheyes are none even then."""
+MAX_STRAIGHT = 1e-8
+"""COLMAP takes a lens with no larger coefficient for straight and leaves its pictures alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,9 +55,17 @@ class ColmapCamera:
     params: tuple[float, ...]
 
     @property
+    def num_focals(self) -> int:
+        """How many of `params` are focal lengths: they come first, the principal point follows."""
+        if self.model == PANORAMA:
+            return 0
+        return 1 if self.model.startswith("SIMPLE") or self.model in ("RADIAL", "RADIAL_FISHEYE") else 2
+
+    @property
     def is_pinhole(self) -> bool:
         """Whether the camera has no distortion at all."""
-        return self.model in ("PINHOLE", "SIMPLE_PINHOLE")
+        straight = all(abs(value) <= MAX_STRAIGHT for value in self.params[self.num_focals + 2 :])
+        return self.model in ("PINHOLE", "SIMPLE_PINHOLE") or (self.model in BENT_PINHOLES and straight)
 
     @property
     def K(self) -> FloatArray:
@@ -56,7 +76,7 @@ class ColmapCamera:
                 f"camera {self.camera_id} of the model is {self.model} without distortion, which COLMAP does not undistort: give it as "
                 "PINHOLE if its photographs are straight, or calibrate it again."
             )
-        fx, fy, cx, cy = self.params if self.model == "PINHOLE" else (self.params[0], *self.params)
+        fx, fy, cx, cy = (self.params[0], *self.params)[:4] if self.num_focals == 1 else self.params[:4]
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
@@ -148,8 +168,7 @@ def _check_camera(camera: ColmapCamera, source: str) -> None:
     label = f"{source}: camera {camera.camera_id}"
     if not all(0 < side <= MAX_SIDE_PX for side in camera.size_wh):
         raise BadInput(f"{label} has the size {camera.size_wh[0]} × {camera.size_wh[1]}, expected 1 to {MAX_SIDE_PX} px a side.")
-    num_focals = 1 if camera.model.startswith("SIMPLE") or camera.model in ("RADIAL", "RADIAL_FISHEYE") else 2
-    if not _within(MAX_COORDINATE, np.array(camera.params)) or min(camera.params[:num_focals]) <= 0:
+    if not _within(MAX_COORDINATE, np.array(camera.params)) or min(camera.params[: camera.num_focals], default=1) <= 0:
         raise BadInput(f"{label} has the parameters {camera.params}, expected finite numbers under 1e9 and a positive focal length.")
 
 
@@ -159,6 +178,11 @@ def _check_image(image: ColmapImage, cameras: dict[int, ColmapCamera], source: s
         raise BadInput(f"{label} has a name that is no relative path inside the image folder: rename the image.")
     if image.camera_id not in cameras:
         raise BadInput(f"{label} names camera {image.camera_id}, which is not in the cameras file: export the model again.")
+    if cameras[image.camera_id].model == PANORAMA:
+        raise BadInput(
+            f"{label} is {PANORAMA}, a panorama of 360°, which no flat photograph shows whole: cut the panoramas into pinhole photographs, "
+            "as COLMAP's panorama_sfm.py does, and give the model of those."
+        )
     pose = np.concatenate([image.quat_wxyz, image.translation])
     if not _within(MAX_COORDINATE, pose, image.points2d):
         raise BadInput(f"{label} has a pose or 2D point that is not finite or beyond {MAX_COORDINATE:g}: export it again.")

@@ -22,6 +22,8 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
     cameras = []
     for place, line in _records(_lines(data, path), path):
         words = line.split()
+        if len(words) > 4 and words[1] not in PARAM_COUNTS:
+            raise BadInput(f"{place}: {line[:60]!r} is no camera: {words[1]!r} is none of the models {', '.join(PARAM_COUNTS)}.")
         if PARAM_COUNTS.get("".join(words[1:2])) != len(words) - 4:
             raise BadInput(f"{place}: {line[:60]!r} is no camera: expected id, a known model, width, height and its parameters.")
         camera_id, width, height = _integers([words[0], words[2], words[3]], place)

@@ -211,6 +211,11 @@ def photograph_exposures(path: Path) -> tuple[float | None, float | None]:
     return exif.taken_s, exif.log2_exposure
 
 
+def photograph_size_wh(path: Path) -> tuple[int, int] | None:
+    """Size in px of a photograph, from its head; None where that does not say."""
+    return _facts(_read_head(path))[0]
+
+
 def _read_head(path: Path) -> bytes:
     """What holds the EXIF of a file: a TIFF has its directory wherever its writer put it, often at
     the end."""

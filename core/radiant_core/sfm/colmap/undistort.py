@@ -13,11 +13,13 @@ from radiant_core.errors import CannotWrite
 from radiant_core.frames import Sim3
 from radiant_core.io.run_store import require_room
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.plain_fisheyes import bend_plain_fisheyes
 from radiant_core.sfm.colmap.warp import can_warp, warp_jpeg
 from radiant_core.sfm.config import Report, SfmProgress
 from radiant_core.sfm.quick.threads import in_order, single_opencv_thread
 
 JPEG_QUALITY = 95
+BENT = "bent"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +36,7 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
     part, final = work_folder / "undistorted.part", work_folder / "undistorted"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
+    model_folder = _bent_copy(model_folder, part / BENT)
     plan = _plan(model_folder)
     total = len(plan.warped) + len(plan.others)
     report(SfmProgress(phase="undistorting", done=0, total=total))
@@ -42,6 +45,7 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
     require_room(work_folder)
     _warp_all(plan, image_folder, part / "images", num_threads, lambda done: report(_progress(len(plan.others) + done, total)))
     _name_for_stereo(part / "stereo", (*plan.warped, *plan.others))
+    shutil.rmtree(part / BENT, ignore_errors=True)
     part.rename(final)
     report(_progress(total, total))
     return Undistorted(model_folder=final / "sparse", image_folder=final / "images")
@@ -58,6 +62,16 @@ class _Plan:
 
     warped: Mapping[str, tuple[pycolmap.Camera, pycolmap.Camera]]
     others: tuple[str, ...]
+
+
+def _bent_copy(model_folder: Path, folder: Path) -> Path:
+    """The model's folder, or `folder` with what COLMAP needs where it has plain fisheyes."""
+    model = pycolmap.Reconstruction(model_folder)
+    if not bend_plain_fisheyes(model):
+        return model_folder
+    folder.mkdir()
+    model.write_binary(folder)
+    return folder
 
 
 def _plan(model_folder: Path) -> _Plan:

@@ -13,7 +13,10 @@ from radiant_core.sfm.config import Report, SfmProgress
 DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json")
 THOROUGH_FOLDER = "thorough"
 WORK_FILES = ("pairs.txt",)
-WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", "masks.part", "masks.given")
+WORK_FOLDERS = (
+    *("models", "sparse", "undistorted", "undistorted.part", "masks", "masks.part", "masks.given"),
+    *("adjusted", "named", "triangulated"),
+)
 """All that structure from motion puts into its work folder and removes there at the start."""
 
 

@@ -8,10 +8,14 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
+from radiant_core.georef.given_frame import offset_of
 from radiant_core.numerics import FloatArray
 
 MEDIAN_DEPTH_UNITS = 10.0
 """Median distance from a camera to the points it sees, in a frame without GPS."""
+KEPT_DISTANCES = (0.1, 1000.0)
+MAX_KEPT_LEAN_DEG = 5.0
+"""Ground slopes, and whoever made the model knew up from more than its photographs."""
 NUM_REFITS = 30
 
 
@@ -26,6 +30,16 @@ def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDAr
     rotation = level_rotation(up)
     scale = MEDIAN_DEPTH_UNITS / typical
     return Sim3(scale=scale, rotation=rotation, translation=-scale * rotation @ np.median(points, axis=0))
+
+
+def kept_from_world(cameras: Cameras, points: FloatArray, observations: NDArray[np.int64], lean_deg: float) -> Sim3 | None:
+    """The frame of a given model as it is, but for a whole offset where it lies far out: where its
+    z is up to `lean_deg` and the median camera–point distance is a length that training is used to
+    (`KEPT_DISTANCES`). None elsewhere."""
+    distances = np.linalg.norm(points[observations[:, 0]] - cameras.centers[observations[:, 1]], axis=1)
+    if lean_deg > MAX_KEPT_LEAN_DEG or not len(distances) or not KEPT_DISTANCES[0] <= np.median(distances) <= KEPT_DISTANCES[1]:
+        return None
+    return Sim3(scale=1.0, rotation=np.eye(3), translation=-offset_of(np.median(points, axis=0)))
 
 
 def level_fit(source: FloatArray, target: FloatArray, up: FloatArray) -> Sim3 | None:

@@ -35,7 +35,7 @@ from radiant_core.sfm.world_frame.contradictions import (
     settle,
 )
 from radiant_core.sfm.world_frame.known_sizes import agreeing_north, rescale, turn_to_north
-from radiant_core.sfm.world_frame.orient import level_fit, unscaled_from_world
+from radiant_core.sfm.world_frame.orient import kept_from_world, level_fit, unscaled_from_world
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.position_count import PositionCount, count_positions
 from radiant_core.sfm.world_frame.up import UpEstimate, estimate_up, roll_deg
@@ -43,6 +43,7 @@ from radiant_core.sfm.world_frame.up import UpEstimate, estimate_up, roll_deg
 MAX_GPS_ROLL_DEG = 15.0
 MAX_GPS_LEAN_DEG = 3.0
 """GPS and the scene may put up so far apart: a usual slope."""
+MAX_FORCED_LEAN_DEG = 0.01
 UNPLACED = Placement()
 UNSCALED = Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3))
 
@@ -77,8 +78,11 @@ def cameras_of(model: ColmapModel) -> Cameras:
     )
 
 
-def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed: int, placement: Placement = UNPLACED) -> PlacedScene:
-    """The scene of a pinhole model in the world frame, with what was decided and the warnings."""
+def scene_in_world(
+    model: ColmapModel, photographs: tuple[Photograph, ...], seed: int, placement: Placement = UNPLACED, *, keeps_frame: bool = False
+) -> PlacedScene:
+    """The scene of a pinhole model in the world frame, with what was decided and the warnings;
+    `keeps_frame`: without GPS it stays in its own frame where z is up in that."""
     cameras = cameras_of(model)
     by_name = {photo.name: photo for photo in photographs}
     positions_m, origin = gps_positions(tuple(by_name[name] for name in cameras.names))
@@ -91,7 +95,8 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     fit = robust_sim3(cameras.centers[known], positions_m[known], seed)
     gps = _judge(fit, cameras, up, forced=forced)
     metric, warnings = _metric_from_model(cameras.centers[known], positions_m[known], gps, up, scaled=placement.gives_scale)
-    world_from_model = metric or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
+    as_given = kept_from_world(cameras, model.points.xyz, model.observations(), _lean_deg(up, forced)) if keeps_frame else None
+    world_from_model = metric or as_given or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
     world_from_model, scaled = rescale(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
     frame = Frame(kind="scaled", origin_lat_lon_alt=np.zeros(3)) if scaled else UNSCALED
     world_from_turned, turned = turn_to_north(world_from_model, cameras, placement)
@@ -144,6 +149,12 @@ def _against_gps(
     if gps.verdict == "overruled" and gps.fit.status == "ok":
         found.append(contradicting_up(gps.lean_deg, gps.up_deg, f"--up {placement.up}"))
     return tuple(each for each in found if each is not None)
+
+
+def _lean_deg(up: UpEstimate, forced: bool) -> float:
+    """How far z of a given model is from up: what is asked for is not to be rounded."""
+    lean_deg = float(np.degrees(np.arccos(np.clip(up.up[2], -1, 1))))
+    return np.inf if forced and lean_deg > MAX_FORCED_LEAN_DEG else lean_deg
 
 
 def move_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, frame: Frame) -> SfmScene:
