@@ -7,7 +7,8 @@ from collections import Counter
 from pathlib import Path
 
 from radiant_core.io.photos.copies import copies_count, copies_warning
-from radiant_core.io.photos.listing import PhotoListing, list_photographs, unread_warning
+from radiant_core.io.photos.folders import folders_warning, unread_warning
+from radiant_core.io.photos.listing import PhotoListing, doubts_warning, list_photographs, skipped_in_short
 from radiant_core.sfm.config import Report, SfmProgress
 
 DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json")
@@ -24,15 +25,23 @@ def list_usable(folder: Path, report: Report, names: tuple[str, ...] | None = No
 
 
 def warn_of_unused(listing: PhotoListing, *, named: bool = True) -> tuple[str, ...]:
-    """Warnings about the files that are not used; counted where their names are private."""
+    """Warnings about the files that are not used, where photographs lie and what is doubtful in
+    them; counted where their names are private."""
     num_usable = len(listing.photographs) + len(listing.copies)
+    doubts = {photo.name: photo.position_doubt for photo in listing.photographs}
+    common = (
+        *folders_warning(listing.content, named=named),
+        *unread_warning(listing.content.unread),
+        *doubts_warning(doubts, len(listing.photographs), named=named),
+        *(stretch.said for stretch in listing.stretches),
+    )
     if named:
-        skipped = tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
-        return (*skipped, *unread_warning(listing.unread), *copies_warning(listing.copies, num_usable))
+        skipped = tuple(f"{clause} and is skipped." for clause in skipped_in_short(listing.skipped))
+        return (*skipped, *common, *copies_warning(listing.copies, num_usable))
     counts = Counter(skipped.reason for skipped in listing.skipped)
     total = num_usable + len(listing.skipped)
     counted = tuple(f"{count} of {total} files skipped, each of which {reason}." for reason, count in counts.items())
-    return (*counted, *unread_warning(listing.unread), *copies_count(len(listing.copies), num_usable))
+    return (*counted, *common, *copies_count(len(listing.copies), num_usable))
 
 
 def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:
