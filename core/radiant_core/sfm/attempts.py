@@ -15,6 +15,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
 from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
+from radiant_core.sfm.colmap.lenses import group_by_lens
 from radiant_core.sfm.colmap.mapping import GROWTH, MAX_LEFT_SHARE, Mapped, MappingJob, map_photographs
 from radiant_core.sfm.colmap.pairs import choose_pairs
 from radiant_core.sfm.colmap.previewed_pairs import keep_promising
@@ -42,6 +43,7 @@ class Attempt:
     given_masks: Path | None
     config: SfmConfig
     decisions: tuple[Decision, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def num_registered(self) -> int:
@@ -97,8 +99,9 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
             report=report,
         )
         mapped = map_photographs(job)
-    decisions = (matching, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
-    return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions)
+    lenses = group_by_lens(photos.photographs)
+    decisions = (lenses.decision, matching, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
+    return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions, warnings=lenses.warnings)
 
 
 def _shortened(config: SfmConfig) -> tuple[Decision, ...]:

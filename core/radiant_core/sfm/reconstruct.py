@@ -80,6 +80,7 @@ def reconstruct(
         decisions=(*limited, *attempt.decisions, *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
             *warn_of_unused(listing),
+            *attempt.warnings,
             *repeats,
             *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
             *_named(_doubted_counts(mapped.doubted), mapped.doubted),
@@ -88,6 +89,7 @@ def reconstruct(
         ),
         unnamed_warnings=(
             *warn_of_unused(listing, named=False),
+            *attempt.warnings,
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
             *_doubted_counts(mapped.doubted),

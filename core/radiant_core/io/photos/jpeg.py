@@ -34,6 +34,7 @@ BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLES_PER_PIXEL, EXTRA_SAMPLES = 0x0102, 0x0106,
 _RGB, _UNSPECIFIED = 2, 0
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH, FOCAL_35MM, DIGITAL_ZOOM = 0x920A, 0xA405, 0xA404
+PIXEL_WIDTH, PIXEL_HEIGHT = 0xA002, 0xA003
 BODY_SERIAL, CAMERA_SERIAL, LENS_MODEL, LENS_SERIAL = 0xA431, 0xC62F, 0xA434, 0xA435
 EXPOSURE_TIME, F_NUMBER, ISO_SPEED, TAKEN, TAKEN_FRACTION = 0x829A, 0x829D, 0x8827, 0x9003, 0x9291
 _XMP, _MORE_XMP = b"http://ns.adobe.com/xap/1.0/\0", b"http://ns.adobe.com/xmp/extension/\0"
@@ -66,6 +67,8 @@ class ExifFacts:
     lens: str = ""
     serial: str = ""
     """Of the body and the lens."""
+    taken_wh: tuple[int, int] | None = None
+    """Size in px that the camera says it took; a picture cut from it has another."""
     position_doubt: str = ""
     """What stands in place of a position, or what is doubtful in one."""
 
@@ -210,6 +213,7 @@ def read_exif(tiff: bytes) -> ExifFacts:
     details, gps = inner_directory(tiff, main.get(EXIF_POINTER)), inner_directory(tiff, main.get(GPS_POINTER))
     fix = read_fix(gps)
     zoom = number(details.get(DIGITAL_ZOOM))
+    taken_wh = tuple(int(number(details.get(tag)) or 0) for tag in (PIXEL_WIDTH, PIXEL_HEIGHT))
     serials = (text(details.get(BODY_SERIAL)) or text(main.get(CAMERA_SERIAL)), text(details.get(LENS_SERIAL)))
     return ExifFacts(
         make=text(main.get(MAKE)),
@@ -220,6 +224,7 @@ def read_exif(tiff: bytes) -> ExifFacts:
         digital_zoom=zoom if zoom is not None and zoom > 0 else 1.0,
         lens=text(details.get(LENS_MODEL)),
         serial=" ".join(part for part in serials if part),
+        taken_wh=(taken_wh[0], taken_wh[1]) if min(taken_wh) > 0 else None,
         lat_lon_alt=fix.lat_lon_alt,
         position_doubt=fix.fault or (f"GPS in the datum {fix.datum}" if fix.datum and fix.lat_lon_alt else ""),
         position_sigma_m=_sigma_of(number(gps.get(GPS_ERROR))),

@@ -62,6 +62,8 @@ class CameraKey:
     lens: str = ""
     serial: str = ""
     """Of the body and the lens: two drones of one model have two lenses."""
+    taken_wh: tuple[int, int] | None = None
+    """Size that the camera says it took, where the picture has another shape: it is cut from it."""
     folder: str = ""
     """Of photographs that say nothing of their camera: frames of one film lie in one folder."""
 
@@ -375,8 +377,16 @@ def _camera_of(exif: ExifFacts, name: str, size_wh: tuple[int, int]) -> CameraKe
         digital_zoom=exif.digital_zoom,
         lens=exif.lens,
         serial=exif.serial,
+        taken_wh=exif.taken_wh if exif.taken_wh is not None and _is_cut(size_wh, exif.taken_wh) else None,
         folder=name.rpartition("/")[0] if says_nothing else "",
     )
+
+
+def _is_cut(size_wh: tuple[int, int], taken_wh: tuple[int, int]) -> bool:
+    """Whether a picture is a part of what was taken: no larger, and of another shape, however it
+    was turned."""
+    (short, long), (taken_short, taken_long) = sorted(size_wh), sorted(taken_wh)
+    return long <= taken_long and short <= taken_short and abs(long * taken_short - short * taken_long) > 0.01 * long * taken_short
 
 
 def _samples(data: bytes, size_wh: tuple[int, int], kind: SampleKind) -> SampleRange | None:
