@@ -112,7 +112,7 @@ def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) 
     waypoints = load_plan_waypoints(tmp_path / "out" / "plan.json")
     assert waypoints is not None
     assert list(waypoints.names) == [name for name, held in zip(names, held_out, strict=True) if not held and name != names[1]]
-    assert f"without GPS in EXIF are not planned: {names[1]}" in result["warnings"]
+    assert f"without GPS in EXIF or XMP are not planned: {names[1]}" in result["warnings"]
     assert f"{held_out.sum()} of {len(names)} photographs" in result["warnings"]
     found = exif_waypoints(tmp_path).waypoints
     index = found.names.index(waypoints.names[0])

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from radiant_core.decisions import Decision
-from radiant_core.errors import BadInput
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
 from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
@@ -23,6 +22,7 @@ from radiant_core.sfm.colmap.quick_database import LEAST_TRIALS, MOST_TRIALS
 from radiant_core.sfm.colmap.workspace import THOROUGH_FOLDER
 from radiant_core.sfm.config import Report, SfmConfig
 from radiant_core.sfm.masks import take_masks
+from radiant_core.sfm.no_model import no_model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +30,8 @@ class PhotographSet:
     """Photographs of one folder, with a folder of masks if there is one."""
 
     folder: Path
+    given_folder: Path
+    """What the user named: `folder` may hold the same photographs in 8 bits."""
     photographs: tuple[Photograph, ...]
     masks: Path | None
 
@@ -75,10 +77,7 @@ def find_poses(photos: PhotographSet, work_folder: Path, config: SfmConfig, repo
 
 def _require_mapped(attempt: Attempt, photos: PhotographSet) -> Attempt:
     if attempt.mapped is None:
-        raise BadInput(
-            f"the {len(photos.photographs)} photographs in {photos.folder} do not overlap enough for structure "
-            "from motion: take photographs of one place in which neighbours share more than half of their view."
-        )
+        raise no_model(photos.photographs, photos.given_folder, photos.folder, attempt.database)
     return attempt
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.records import ColmapModel
+from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.sfm.attempts import PhotographSet, find_poses
@@ -28,6 +29,7 @@ from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.known_poses import triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
+from radiant_core.sfm.readable import readable_folder, remove_readable, stretch_decisions
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_in_world
@@ -47,13 +49,16 @@ def reconstruct(
     """
     phases = with_preview(PHASES, config)
     report = number_phases(report, phases)
-    listing = list_usable(photo_folder, report)
+    listing = list_usable(photo_folder, report, stretch=True)
     photographs = listing.photographs
     placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
     config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
     report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
-    attempt = find_poses(PhotographSet(folder=photo_folder, photographs=photographs, masks=masks), work_folder, config, report)
+    given_masks, beside = masks, beside_warning(photo_folder, masks)
+    given_folder, photo_folder = photo_folder, readable_folder(listing, photo_folder, work_folder)
+    photos = PhotographSet(folder=photo_folder, given_folder=given_folder, photographs=photographs, masks=masks)
+    attempt = find_poses(photos, work_folder, config, report)
     mapped, given = attempt.mapped, attempt.given_masks
     assert mapped is not None
     (work_folder / "sparse").mkdir()
@@ -66,6 +71,7 @@ def reconstruct(
     report(SfmProgress(phase="triangulating", done=total, total=total))
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
+    remove_readable(work_folder)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
     placed = _placed(read_model(undistorted.model_folder), surveyed, photographs, config.seed, placement)
     scene, repeats = without_repeats(placed.scene, undistorted.image_folder)
@@ -77,9 +83,9 @@ def reconstruct(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
-        decisions=(*limited, *attempt.decisions, *placed.decisions, *masks_decision(scene, masks)),
+        decisions=(*limited, *stretch_decisions(listing), *attempt.decisions, *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
-            *warn_of_unused(listing),
+            *warn_of_unused(listing, beside),
             *attempt.warnings,
             *repeats,
             *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
@@ -88,7 +94,7 @@ def reconstruct(
             *placed.warnings,
         ),
         unnamed_warnings=(
-            *warn_of_unused(listing, named=False),
+            *warn_of_unused(listing, beside_warning(given_folder, given_masks, named=False), named=False),
             *attempt.warnings,
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
@@ -121,14 +127,16 @@ def scene_from_colmap(
     placement.check_names((image.name for image in model.images), of_model=True)
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
     report = number_phases(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
-    listing = list_usable(image_folder, report, tuple(image.name for image in model.images))
+    listing = list_usable(image_folder, report, tuple(image.name for image in model.images), stretch=True)
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
     _require_images(model, listing, image_folder)
-    images_to_use = image_folder
+    beside = beside_warning(image_folder, masks)
     if masks is not None or not pinhole:
         start_clean(work_folder)
+    image_folder = readable_folder(listing, image_folder, work_folder)
+    images_to_use = image_folder
     surveyed = None
     if placement.control is not None:
         start_clean(work_folder)
@@ -143,6 +151,7 @@ def scene_from_colmap(
             write_for_colmap(model, model_folder)
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
+        remove_readable(work_folder)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     placed = _placed(model, surveyed, listing.photographs, 0, placement)
     scene, repeats = without_repeats(placed.scene, images_to_use)
@@ -156,8 +165,8 @@ def scene_from_colmap(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
         unregistered=(),
-        decisions=(*placed.decisions, *masks_decision(scene, masks)),
-        warnings=(*warn_of_unused(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
+        decisions=(*stretch_decisions(listing), *placed.decisions, *masks_decision(scene, masks)),
+        warnings=(*warn_of_unused(listing, beside), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
         masks_folder=masks,
         survey=None if surveyed is None else survey_record(surveyed),
     )

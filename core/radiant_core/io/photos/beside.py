@@ -51,16 +51,19 @@ _XML_HEAD_BYTES = 4096
 _XML_KINDS = ((b"<document", b"<chunk", "poses of Metashape"), (b"<BlocksExchange", b"<", "poses of BlocksExchange"))
 
 
-def beside_warning(folder: Path, masks: Path | None = None) -> tuple[str, ...]:
+def beside_warning(folder: Path, masks: Path | None = None, *, named: bool = True) -> tuple[str, ...]:
     """One line about what lies in a folder of photographs, or beside one that is called images, and
-    is not used; `masks` are."""
+    is not used; `masks` are. Kinds alone where names are private."""
     places = (folder, folder.parent) if folder.name == "images" else (folder,)
-    there = [text for place in places for text in _projects_in(place, masks, above=place != folder)]
-    unread = unread_in(folder.parent) if len(places) > 1 else {}
-    there += [f"{count} {suffix} files" for suffix, count in sorted(unread.items())]
+    there = [each for place in places for each in _projects_in(place, masks, above=place != folder)]
+    if len(places) > 1:
+        there += [
+            (f"{count} {suffix}", "films or pictures that are not read") for suffix, count in sorted(unread_in(folder.parent).items())
+        ]
     if not there:
         return ()
-    return (f"beside the photographs there are {in_short(there)}: they are not used.",)
+    told = [f"{name} ({kind})" for name, kind in there] if named else sorted({kind for _, kind in there})
+    return (f"beside the photographs there are {in_short(told)}: they are not used.",)
 
 
 def unread_in(folder: Path) -> dict[str, int]:
@@ -70,8 +73,9 @@ def unread_in(folder: Path) -> dict[str, int]:
     return dict(Counter(suffixes))
 
 
-def _projects_in(folder: Path, masks: Path | None, *, above: bool) -> list[str]:
-    told: list[str] = []
+def _projects_in(folder: Path, masks: Path | None, *, above: bool) -> list[tuple[str, str]]:
+    """Name and kind of each thing; `above`: photographs too, which only the folder below gives."""
+    told: list[tuple[str, str]] = []
     suffixes: Counter[str] = Counter()
     try:
         entries = sorted(folder.iterdir())
@@ -81,19 +85,23 @@ def _projects_in(folder: Path, masks: Path | None, *, above: bool) -> list[str]:
     for path in entries:
         name, suffix = path.name.lower(), path.suffix.lower()
         if path.is_dir():
-            if name in _PROJECT_FOLDERS and path.resolve() != used:
-                told.append(f"{path.name}/ ({_PROJECT_FOLDERS[name]})")
-            elif above and name not in ("images", "sparse") and (content := read_folder(path)).names:
-                told.append(f"{path.name}/ ({len(content.names)} photographs)")
+            told += [] if path.resolve() == used else _folder_kind(path, above=above)
         elif name in _PROJECT_FILES:
-            told.append(f"{path.name} ({_PROJECT_FILES[name]})")
-        elif suffix in _PROJECT_SUFFIXES:
+            told.append((path.name, _PROJECT_FILES[name]))
+        elif suffix in _PROJECT_SUFFIXES or (above and suffix in SUFFIXES):
             suffixes[suffix] += 1
         elif suffix == ".xml" and (kind := _xml_kind(path)):
-            told.append(f"{path.name} ({kind})")
-        elif above and suffix in SUFFIXES:
-            suffixes[suffix] += 1
-    return [*told, *(f"{count} {suffix} ({_PROJECT_SUFFIXES.get(suffix, 'photographs')})" for suffix, count in sorted(suffixes.items()))]
+            told.append((path.name, kind))
+    return [*told, *((f"{count} {suffix}", _PROJECT_SUFFIXES.get(suffix, "photographs")) for suffix, count in sorted(suffixes.items()))]
+
+
+def _folder_kind(path: Path, *, above: bool) -> list[tuple[str, str]]:
+    name = path.name.lower()
+    if name in _PROJECT_FOLDERS:
+        return [(f"{path.name}/", _PROJECT_FOLDERS[name])]
+    if above and name not in ("images", "sparse") and (number := len(read_folder(path).names)):
+        return [(f"{path.name}/", f"{number} photographs")]
+    return []
 
 
 def _xml_kind(path: Path) -> str:

@@ -91,12 +91,15 @@ class Stretch:
     num_photographs: int
 
     @property
+    def unstretched(self) -> str:
+        """What they are and use, in one clause."""
+        kind = f"{self.kind.bits}-bit {self.kind.format}"
+        return f"{self.num_photographs} photographs have {kind}, of which they use {self.low:,.6g} to {self.high:,.6g}"
+
+    @property
     def said(self) -> str:
         """The stretch in one sentence."""
-        return (
-            f"{self.num_photographs} photographs have {self.kind.bits}-bit {self.kind.format}, of which they use {self.low:,.6g} to "
-            f"{self.high:,.6g}: these are shown as 0 to 255, by one stretch for all of them."
-        )
+        return f"{self.unstretched}: these are shown as 0 to 255, by one stretch for all of them."
 
 
 def sample_kind(data: bytes) -> SampleKind:
