@@ -1,5 +1,5 @@
-"""What a JPEG says before its pixels: size, camera, focal length, GPS, whether it is whole; and what
-EXIF and XMP of any file say together.
+"""What a JPEG says before its pixels: size, camera, focal length, GPS, whether it is whole; and
+what EXIF and XMP of any file say together.
 
 Walks the marker segments once per photograph, a few kilobytes each; no pixel is decoded. A damaged
 EXIF block only loses its own facts. Layout: ITU-T T.81 annex B (markers), CIPA DC-008 (EXIF), Adobe

@@ -157,8 +157,8 @@ def stretch_of(samples: SampleRange | None, stretches: Sequence[Stretch]) -> Str
 
 
 def stretched(pixels: NDArray[Any], stretch: Stretch) -> NDArray[np.uint8]:
-    """A picture (H,W) or (H,W,K) in 8 bits, at most three bands of it; what is no number is black."""
+    """A picture (H,W) or (H,W,K) in 8 bits, at most three bands; what is no number is black."""
     colours = pixels if pixels.ndim == 2 else pixels[..., :3]
-    span = max(stretch.high - stretch.low, np.finfo(np.float64).tiny)
-    shown = (np.nan_to_num(colours.astype(np.float64), nan=stretch.low) - stretch.low) * (255 / span)
-    return np.clip(np.round(shown), 0, 255).astype(np.uint8)
+    cut = np.clip(np.nan_to_num(colours.astype(np.float64), nan=stretch.low), stretch.low, stretch.high)
+    span = stretch.high - stretch.low
+    return np.round((cut - stretch.low) * (255 / span)).astype(np.uint8) if span > 0 else np.zeros(colours.shape, np.uint8)

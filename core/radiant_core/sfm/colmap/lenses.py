@@ -140,20 +140,15 @@ def _is_sound_mm(camera: CameraKey) -> bool:
 
 
 def _cameras_without_zoom_in_35mm(photographs: Sequence[Photograph]) -> set[tuple[str, str]]:
-    """Makers and models whose 35 mm equivalent leaves digital zoom out: it is to the focal length
-    as it is without zoom. The standard does not say, and writers differ."""
-    crops: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
-    for photo in photographs:
-        value = _sound_35mm(photo.camera)
-        if value is not None and photo.camera.focal_mm is not None:
-            crops[photo.camera.make, photo.camera.model].append((photo.camera.digital_zoom, value / photo.camera.focal_mm))
-    without = set()
-    for camera, pairs in crops.items():
-        plain = [crop for zoom, crop in pairs if zoom <= 1 + SAME_ZOOM]
-        zoomed = [crop for zoom, crop in pairs if zoom > 1 + SAME_ZOOM]
-        if plain and zoomed and abs(math.log(float(np.median(zoomed)) / float(np.median(plain)))) <= SAME_ZOOM:
-            without.add(camera)
-    return without
+    """Makers and models whose 35 mm equivalent leaves digital zoom out: at one focal length it is
+    the same with zoom and without. The standard does not say, and writers differ."""
+    plain: set[tuple[object, ...]] = set()
+    zoomed: set[tuple[object, ...]] = set()
+    for camera in (photo.camera for photo in photographs):
+        if _sound_35mm(camera) is not None and camera.focal_mm is not None:
+            seen = plain if camera.digital_zoom <= 1 + SAME_ZOOM else zoomed
+            seen.add((camera.make, camera.model, camera.focal_mm, camera.focal_35mm))
+    return {(str(make), str(model)) for make, model, *_ in plain & zoomed}
 
 
 def _full_sizes(photographs: Sequence[Photograph]) -> dict[tuple[object, ...], list[tuple[int, int]]]:
