@@ -1,7 +1,7 @@
 """What a PNG says beside its pixels: EXIF and XMP. Once per photograph.
 
     eXIf                                EXIF, as PNG's third edition has it
-    zTXt, tEXt "Raw profile type …"     EXIF, APP1 or XMP in hexadecimal digits, as ImageMagick writes
+    zTXt, tEXt "Raw profile type …"     EXIF, APP1 or XMP in hexadecimal digits, by ImageMagick
     iTXt "XML:com.adobe.xmp"            an XMP packet, which may be packed
 
 Before or behind the pixels. Nothing packed grows beyond 1 MiB; never raises.
