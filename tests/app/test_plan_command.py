@@ -153,8 +153,9 @@ def headers_of(folder: Path) -> set[str]:
 
 
 def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
-    source, one = grid_csv(tmp_path, 4, 3), tmp_path / "one"
+    source, one, empty = grid_csv(tmp_path, 4, 3), tmp_path / "one", tmp_path / "empty"
     one.mkdir()
+    empty.mkdir()
     shutil.copy(sorted(HAMLET.iterdir())[0], one)
     (tmp_path / "full.toml").write_text(SYSTEM.replace('id = "n1"', 'id = "n1"\nmax_cameras = 1').replace('"s1"', '"s1"\nmax_cameras = 1'))
     (tmp_path / "twice.csv").write_text("lat,lon\n47,8\nnan,8\n")
@@ -169,7 +170,7 @@ def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) ->
         (source, tmp_path / "nowhere" / "plan.json", None, "there is no folder"),
         (source, out, tmp_path / "full.toml", "can hold 2 of 12 cameras"),
         (one, out, None, "held out for scoring"),
-        (tmp_path, out, None, "no photographs"),
+        (empty, out, None, "no photographs"),
     ]
     for origin, target, system, told in cases:
         with pytest.raises(BadInput, match=told):

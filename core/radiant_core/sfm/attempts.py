@@ -99,7 +99,7 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
         )
         mapped = map_photographs(job)
     lenses = group_by_lens(photos.photographs)
-    decisions = (lenses.decision, matching, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
+    decisions = (matching, lenses.decision, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
     return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions, warnings=lenses.warnings)
 
 

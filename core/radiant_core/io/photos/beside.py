@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-from radiant_core.io.photos.folders import SUFFIXES, UNREAD_SUFFIXES, in_short, read_folder
+from radiant_core.io.photos.folders import MASK_FOLDERS, SUFFIXES, UNREAD_SUFFIXES, in_short, read_folder
 
-MASK_FOLDERS = ("masks", "mask")
 _PROJECT_FILES = {
     "transforms.json": "poses of nerfstudio or instant-ngp",
     "transforms_train.json": "poses of NeRF",

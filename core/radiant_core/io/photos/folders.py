@@ -23,6 +23,7 @@ PHOTOGRAPHS_UNREAD = (
 FILMS_UNREAD = (".mp4", ".mov", ".avi", ".mts", ".m2ts", ".m4v", ".mkv", ".webm", ".insv", ".360", ".lrv", ".lrf")
 UNREAD_SUFFIXES = frozenset((*PHOTOGRAPHS_UNREAD, *FILMS_UNREAD))
 """Photographs and films that nothing here can read, or that COLMAP cannot."""
+MASK_FOLDERS = ("masks", "mask")
 _MADE = re.compile(
     r"(masks?|sparse|dense|stereo|undistorted|depths?|depth_maps|normals?|thumb(nail)?s?|previews?|opensfm|openmvs|odm_\w+|entwine_pointcloud"
     r"|__macosx|.*\.files)",
@@ -92,7 +93,8 @@ def _walk(folder: Path, inner: str, seen: set[str], closed: dict[str, int]) -> I
         if not entry.is_dir() or entry.name.startswith(".") or below.count("/") >= MAX_DEPTH:
             continue
         if _is_made(entry.name, Path(entry.path)):
-            if number := _num_pictures(Path(entry.path)):
+            # Masks at the top are told of where it is known whether they are used.
+            if (inner or entry.name.lower() not in MASK_FOLDERS) and (number := _num_pictures(Path(entry.path))):
                 closed[below] = number
             continue
         place = os.path.realpath(entry.path)

@@ -240,8 +240,8 @@ def _decision(lenses: Sequence[Lens]) -> Decision:
 def _said(lens: Lens) -> str:
     camera = lens.photographs[0].camera
     name = f"{camera.make} {camera.model}".strip() or "a camera without a name"
-    focal = f" at {camera.focal_mm:.4g} mm" if camera.focal_mm else ""
-    equivalent = f" ({camera.focal_35mm:.4g} mm at 35 mm)" if camera.focal_35mm else ""
+    focal = f" at {camera.focal_mm:,.4g} mm" if camera.focal_mm else ""
+    equivalent = f" ({camera.focal_35mm:,.6g} mm at 35 mm)" if camera.focal_35mm else ""
     zoom = f" with {camera.digital_zoom:.3g} × digital zoom" if camera.digital_zoom != 1 else ""
     return f"{name}{focal}{equivalent}{zoom}, {camera.size_wh[0]} × {camera.size_wh[1]} px"
 
