@@ -61,8 +61,8 @@ def test_samples_are_stretched_alike_and_that_is_said(picture: Callable[[], np.n
     assert (stretch.low, stretch.high) == (pytest.approx(low, abs=0.02 * (high - low)), pytest.approx(high, abs=0.02 * (high - low)))
     assert any("2 photographs have" in told and "by one stretch for all of them" in told for told in warn_of_unused(listing))
     folder = readable_folder(listing, tmp_path, tmp_path / "work")
-    shown = [cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED) for name in ("0.tif", "1.tif")]
-    assert all(image is not None and image.dtype == np.uint8 for image in shown)
+    shown = [np.asarray(cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)) for name in ("0.tif", "1.tif")]
+    assert all(image.dtype == np.uint8 for image in shown)
     # A step of rounding, and the ends that are cut.
     np.testing.assert_allclose(shown[0], GREY, atol=6)
     np.testing.assert_allclose(shown[1], GREY / 2, atol=6)
