@@ -208,7 +208,10 @@ def _require_shapes(cameras: Cameras, everything: Cameras, images: Path) -> None
     from radiant_core.sfm.known_poses import is_almost, misfit_text
 
     names = cameras.names if len(cameras) > 1 else everything.names[:2]
-    found = {photo.name: photo.size_wh for photo in list_photographs(images, names=names).photographs}
+    listing = list_photographs(images, names=names)
+    if listing.stretches:
+        raise BadInput(f"in {images} {listing.stretches[0].unstretched}, which cannot be compared with renders: save them in 8 bits.")
+    found = {photo.name: photo.size_wh for photo in listing.photographs}
     for name, size_wh in zip(cameras.names, cameras.sizes_wh.tolist(), strict=True):
         if name not in found:
             raise BadInput(f"the held-out photograph {name!r} is missing or damaged in {images}: put the images of the model there.")

@@ -27,7 +27,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
 from radiant_core.io.messages import save_task, task_key
 from radiant_core.io.photos.copies import copies_warning, file_copies
-from radiant_core.io.photos.listing import SUFFIXES
+from radiant_core.io.photos.folders import SUFFIXES, is_camera_folder, photograph_names
 from radiant_core.io.run_store import content_key, read_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.system import System
@@ -78,7 +78,8 @@ def device_folders(source: Path, system: System) -> dict[str, Path] | None:
     named = {name: path for name, path in inner.items() if name in ids}
     loose = [path.name for path in source.iterdir() if path.suffix.lower() in SUFFIXES]
     if not named:
-        holding = [name for name, path in inner.items() if any(file.suffix.lower() in SUFFIXES for file in path.iterdir())]
+        # A camera's own folders are no owner's: all photographs are one's.
+        holding = [name for name, path in inner.items() if not is_camera_folder(name) and photograph_names(path)]
         if holding and not loose and "images" not in inner:
             raise BadInput(
                 f"{source} has photographs in the folder {holding[0]!r}, which is no device of the system ({', '.join(ids)}): name folders "
@@ -107,12 +108,7 @@ def locate_photographs(config: RunConfig, poses: GivenPoses | None, folders: dic
 
 def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
     """Let every device count its training photographs in a raster; no name or position leaves."""
-    owned = [
-        (device, path.name)
-        for device, folder in folders.items()
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in SUFFIXES and path.is_file()
-    ]
+    owned = [(device, name) for device, folder in folders.items() for name in photograph_names(folder)]
     held = held_out_mask([f"{device}/{name}" for device, name in owned])
     places: dict[str, FloatArray] = {}
     for device, folder in folders.items():
@@ -200,8 +196,8 @@ def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | N
     task = PositionsTask(source=str(place.resolve()), cell_m=cell_m, held_out=tuple(held_out), owned=stage != "positions")
     save_task(folder, task)
     # No other process may open them. Heads are cheap to read again; equal ones change no plan.
-    photographs = [path for path in sorted(place.iterdir()) if path.suffix.lower() in SUFFIXES and path.is_file()]
-    key = content_key(__version__, task_key(task), [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in photographs])
+    photographs = {name: (place / name).stat() for name in photograph_names(place)}
+    key = content_key(__version__, task_key(task), [(name, file.st_size, file.st_mtime_ns) for name, file in photographs.items()])
     run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
     return read_json(folder / ("positions.json" if cell_m is None else "raster.json"))
 
@@ -248,10 +244,7 @@ def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source:
         owners: list[str | None] = [None] * len(names)
     else:
         owner_of: dict[str, str] = {}
-        wanted = set(names)
-        for device, name in [
-            (device, path.name) for device, folder in folders.items() for path in sorted(folder.iterdir()) if path.name in wanted
-        ]:
+        for device, name in [(device, name) for device, folder in folders.items() for name in names if (folder / name).is_file()]:
             if owner_of.setdefault(name, device) != device:
                 raise BadInput(
                     f"devices {owner_of[name]} and {device} both have a photograph {name!r}, and the poses do not say whose they are: "

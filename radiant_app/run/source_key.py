@@ -26,7 +26,7 @@ from radiant_core.io.colmap.image_files import match_images
 from radiant_core.io.colmap.model import image_names, model_files
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.messages import message_record
-from radiant_core.io.photos.listing import SUFFIXES
+from radiant_core.io.photos.folders import SUFFIXES, photograph_names
 from radiant_core.io.photos.masks import find_masks
 from radiant_core.io.run_store import SEAL_NAME, content_key, file_sha256, read_json, write_json
 
@@ -68,7 +68,7 @@ def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
     elif model is not None:
         names, others = list(match_images(image_names(model), images).files.values()), model_files(model)
     else:
-        names, others = sorted(path.name for path in images.iterdir() if path.suffix.lower() in SUFFIXES), []
+        names, others = list(photograph_names(images)), []
     names = [name for name in names if is_image_name(name)]
     found = {name: images / name for name in names} | {str(path.relative_to(source)): path for path in others}
     if masks is not None:

@@ -34,8 +34,10 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import WGS84_SEMI_MAJOR_M, FrameUncertainty
 from radiant_core.io.messages import NOTHING, load_uncertainty, save_device_model, save_frame, task_key
+from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_count, file_copies
-from radiant_core.io.photos.listing import photograph_positions
+from radiant_core.io.photos.folders import folders_warning, read_folder, unread_warning
+from radiant_core.io.photos.listing import doubts_warning, photograph_heads, photograph_positions
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_json, seal, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
@@ -57,7 +59,18 @@ def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) ->
     and an approximate altitude.
     """
     photographs = Path(task.source)
-    found = photograph_positions(photographs)
+    heads = photograph_heads(photographs)
+    found = {name: exif.lat_lon_alt for name, exif in heads.items()}
+    content = read_folder(photographs)
+    named = not task.owned
+    doubts = doubts_warning({name: exif.position_doubt for name, exif in heads.items()}, len(heads), named=named)
+    for message in (
+        *folders_warning(content, named=named),
+        *unread_warning(content.unread),
+        *beside_warning(photographs, named=named),
+        *doubts,
+    ):
+        reporter.warn(message)
     copies = file_copies({name: photographs / name for name in found})
     if not task.owned:
         # A device reports its own copies after decoding: a broken file is no copy.

@@ -120,7 +120,7 @@ def run_sfm(folder: Path, task: SfmTask, reporter: EventReporter) -> Sequence[st
     # What is undistorted has lost its EXIF.
     captures = save_captures(folder, read_captures(detect_source(Path(task.source))[1], result.scene.cameras.names))
     # Images that were pinhole already stay outside this folder and are not sealed.
-    own = [path for name in ("undistorted", MASKS) for path in sorted((folder / name).rglob("*")) if path.is_file()]
+    own = [path for name in ("undistorted", "readable", MASKS) for path in sorted((folder / name).rglob("*")) if path.is_file()]
     return ["scene.safetensors", "result.json", *given, captures, *(str(path.relative_to(folder)) for path in own)]
 
 

@@ -23,7 +23,7 @@ from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import CountTask, FieldTask, OwnFieldTask, PlacingTask, PositionsTask, RasterTask
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.messages import DeviceSettings
-from radiant_core.io.photos.listing import SUFFIXES
+from radiant_core.io.photos.folders import photograph_names
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.counts.count_raster import middles_of_cells
 from radiant_core.sfm.given_poses import GivenPoses, read_given_poses
@@ -65,9 +65,9 @@ def find_own(folder: Path, frames: str) -> OwnPhotographs:
     photographs = Path(record["photographs"])
     if not photographs.is_dir():
         raise BadInput("the folder of photographs that --photos named is gone: start `radiant node work` with the one that they are in.")
-    names = sorted(path.name for path in photographs.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    names = photograph_names(photographs)
     if frames != "known":
-        return OwnPhotographs(folder=photographs, names=tuple(names), poses=None)
+        return OwnPhotographs(folder=photographs, names=names, poses=None)
     poses = read_given_poses(photographs, None if record["poses"] is None else Path(record["poses"]), "own")
     if poses.model is None:
         raise BadInput("the poses of this device are no COLMAP model: give one with --poses.")

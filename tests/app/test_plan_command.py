@@ -113,7 +113,7 @@ def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) 
     waypoints = load_plan_waypoints(tmp_path / "out" / "plan.json")
     assert waypoints is not None
     assert list(waypoints.names) == [name for name, held in zip(names, held_out, strict=True) if not held and name != names[1]]
-    assert f"without GPS in EXIF are not planned: {names[1]}" in result["warnings"]
+    assert f"without GPS in EXIF or XMP are not planned: {names[1]}" in result["warnings"]
     assert f"{held_out.sum()} of {len(names)} photographs" in result["warnings"]
     found = exif_waypoints(tmp_path).waypoints
     index = found.names.index(waypoints.names[0])
@@ -154,8 +154,9 @@ def headers_of(folder: Path) -> set[str]:
 
 
 def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
-    source, one = grid_csv(tmp_path, 4, 3), tmp_path / "one"
+    source, one, empty = grid_csv(tmp_path, 4, 3), tmp_path / "one", tmp_path / "empty"
     one.mkdir()
+    empty.mkdir()
     shutil.copy(sorted(HAMLET.iterdir())[0], one)
     (tmp_path / "full.toml").write_text(SYSTEM.replace('id = "n1"', 'id = "n1"\nmax_cameras = 1').replace('"s1"', '"s1"\nmax_cameras = 1'))
     (tmp_path / "twice.csv").write_text("lat,lon\n47,8\nnan,8\n")
@@ -170,7 +171,7 @@ def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) ->
         (source, source / "nowhere" / "plan.json", None, "expected a folder to write"),
         (source, out, tmp_path / "full.toml", "can hold 2 of 12 cameras"),
         (one, out, None, "held out for scoring"),
-        (tmp_path, out, None, "no photographs"),
+        (empty, out, None, "no photographs"),
     ]
     for origin, target, system, told in cases:
         with pytest.raises(BadInput, match=told):

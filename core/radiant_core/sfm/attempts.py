@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from radiant_core.decisions import Decision
-from radiant_core.errors import BadInput
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
 from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
+from radiant_core.sfm.colmap.lenses import group_by_lens
 from radiant_core.sfm.colmap.mapping import GROWTH, MAX_LEFT_SHARE, Mapped, MappingJob, map_photographs
 from radiant_core.sfm.colmap.pairs import choose_pairs
 from radiant_core.sfm.colmap.previewed_pairs import keep_promising
@@ -22,6 +22,7 @@ from radiant_core.sfm.colmap.quick_database import LEAST_TRIALS, MOST_TRIALS
 from radiant_core.sfm.colmap.workspace import THOROUGH_FOLDER
 from radiant_core.sfm.config import Report, SfmConfig
 from radiant_core.sfm.masks import take_masks
+from radiant_core.sfm.no_model import no_model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,8 @@ class PhotographSet:
     """Photographs of one folder, with a folder of masks if there is one."""
 
     folder: Path
+    given_folder: Path
+    """What the user named: `folder` may hold the same photographs in 8 bits."""
     photographs: tuple[Photograph, ...]
     masks: Path | None
 
@@ -42,6 +45,7 @@ class Attempt:
     given_masks: Path | None
     config: SfmConfig
     decisions: tuple[Decision, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def num_registered(self) -> int:
@@ -73,10 +77,7 @@ def find_poses(photos: PhotographSet, work_folder: Path, config: SfmConfig, repo
 
 def _require_mapped(attempt: Attempt, photos: PhotographSet) -> Attempt:
     if attempt.mapped is None:
-        raise BadInput(
-            f"the {len(photos.photographs)} photographs in {photos.folder} do not overlap enough for structure "
-            "from motion: take photographs of one place in which neighbours share more than half of their view."
-        )
+        raise no_model(photos.photographs, photos.given_folder, photos.folder, attempt.database)
     return attempt
 
 
@@ -97,8 +98,9 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
             report=report,
         )
         mapped = map_photographs(job)
-    decisions = (matching, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
-    return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions)
+    lenses = group_by_lens(photos.photographs)
+    decisions = (matching, lenses.decision, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
+    return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions, warnings=lenses.warnings)
 
 
 def _shortened(config: SfmConfig) -> tuple[Decision, ...]:

@@ -16,6 +16,7 @@ from radiant_core.georef.given_frame import GivenFrame
 from radiant_core.io.colmap.image_files import photographs_without_pose, read_with_files, unposed_count
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.records import ColmapModel
+from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.numerics import FloatArray
@@ -36,6 +37,7 @@ from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.known_poses import is_almost, misfit_text, triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
+from radiant_core.sfm.readable import readable_folder, remove_readable, stretch_decisions
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
@@ -57,14 +59,17 @@ def reconstruct(
     """
     phases = with_preview(PHASES, config)
     report = number_phases(report, phases)
-    listing = list_usable(photo_folder, report)
+    listing = list_usable(photo_folder, report, stretch=True)
     photographs = listing.photographs
     placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
     contradicted = check_control(placement, photographs, {photo.name: photo.size_wh for photo in photographs})
     config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
     report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
-    attempt = find_poses(PhotographSet(folder=photo_folder, photographs=photographs, masks=masks), work_folder, config, report)
+    given_masks, beside = masks, beside_warning(photo_folder, masks)
+    given_folder, photo_folder = photo_folder, readable_folder(listing, photo_folder, work_folder)
+    photos = PhotographSet(folder=photo_folder, given_folder=given_folder, photographs=photographs, masks=masks)
+    attempt = find_poses(photos, work_folder, config, report)
     mapped, given = attempt.mapped, attempt.given_masks
     assert mapped is not None
     (work_folder / "sparse").mkdir()
@@ -77,6 +82,7 @@ def reconstruct(
     report(SfmProgress(phase="triangulating", done=total, total=total))
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
+    remove_readable(work_folder)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
     placed = _placed(read_model(undistorted.model_folder), surveyed, photographs, config.seed, placement)
     scene, repeats = without_repeats(placed.scene, undistorted.image_folder)
@@ -89,9 +95,10 @@ def reconstruct(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
-        decisions=(*limited, *attempt.decisions, *placed.decisions, *masks_decision(scene, masks)),
+        decisions=(*limited, *stretch_decisions(listing), *attempt.decisions, *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
-            *warn_of_unused(listing),
+            *warn_of_unused(listing, beside),
+            *attempt.warnings,
             *repeats,
             *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
             *_named(_doubted_counts(mapped.doubted), mapped.doubted),
@@ -99,7 +106,8 @@ def reconstruct(
             *placed.warnings,
         ),
         unnamed_warnings=(
-            *warn_of_unused(listing, named=False),
+            *warn_of_unused(listing, beside_warning(given_folder, given_masks, named=False), named=False),
+            *attempt.warnings,
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
             *_doubted_counts(mapped.doubted),
@@ -142,7 +150,7 @@ def scene_from_colmap(
     placement.check_names((image.name for image in model.images), of_model=True)
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
     report = number_phases(report, _phases_of(model, placement, pinhole=pinhole))
-    listing = list_usable(image_folder, report, tuple(image.name for image in model.images))
+    listing = list_usable(image_folder, report, tuple(image.name for image in model.images), stretch=True)
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
@@ -150,9 +158,11 @@ def scene_from_colmap(
     _require_images(model, listing, image_folder)
     sizes_wh = {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
     contradicted = check_control(placement, listing.photographs, sizes_wh)
-    images_to_use = image_folder
+    beside = beside_warning(image_folder, masks)
     if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
+    image_folder = readable_folder(listing, image_folder, work_folder)
+    images_to_use = image_folder
     if files.renamed and (placement.control is not None or not pinhole):
         model_folder = work_folder / "named"
         write_for_colmap(model, model_folder)
@@ -170,6 +180,7 @@ def scene_from_colmap(
             write_for_colmap(model, model_folder)
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
+        remove_readable(work_folder)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     model, said = with_points(model, images_to_use, work_folder, report, masks)
     placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement, keeps_frame=True), contradicted)
@@ -182,11 +193,11 @@ def scene_from_colmap(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
         unregistered=unposed,
-        decisions=(*placed.decisions, *masks_decision(scene, masks)),
+        decisions=(*stretch_decisions(listing), *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
             *files.notes(),
             *_named(unposed_count(unposed, files), unposed),
-            *warn_of_unused(listing),
+            *warn_of_unused(listing, beside),
             *said,
             *repeats,
             *gps_outliers(scene, listing.photographs).warning(),

@@ -11,6 +11,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.io.photos import listing as photos
+from radiant_core.io.photos.folders import folders_warning
 from radiant_core.io.photos.jpeg import ExifFacts, read_exif, read_jpeg_facts
 from radiant_core.io.photos.listing import list_photographs, load_photograph
 
@@ -126,16 +127,19 @@ def test_damaged_files_are_skipped_and_named_and_the_rest_is_used(tmp_path: Path
     assert "pixels" in reasons["bomb.png"]
 
 
-def test_full_folders_of_a_camera_are_named_because_they_are_not_read(tmp_path: Path) -> None:
-    for name in ("a.jpg", "b.jpg", "101MEDIA/c.jpg", "101MEDIA/d.JPG"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+def test_full_folders_of_a_camera_are_read_below_and_said(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "101MEDIA/c.jpg", "101MEDIA/d.JPG", "flight2/101MEDIA/d.JPG"):
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
         write(tmp_path / name, picture(3))
     (tmp_path / "notes").mkdir()
     (tmp_path / "101MEDIA" / "album.jpg").mkdir()
     (tmp_path / "prints" / "album.jpg").mkdir(parents=True)
     listing = list_photographs(tmp_path)
-    assert [photo.name for photo in listing.photographs] == ["a.jpg", "b.jpg"]
-    assert [(skipped.name, "2 photographs" in skipped.reason) for skipped in listing.skipped] == [("101MEDIA/", True)]
+    assert [photo.name for photo in listing.photographs] == ["101MEDIA/c.jpg", "101MEDIA/d.JPG", "a.jpg", "b.jpg", "flight2/101MEDIA/d.JPG"]
+    assert listing.skipped == ()
+    assert folders_warning(listing.content) == (
+        "5 photographs are read from 3 folders: the folder itself 2, 101MEDIA 2, flight2/101MEDIA 1.",
+    )
 
 
 def test_names_that_colmap_cannot_keep_are_skipped_and_named(tmp_path: Path) -> None:
@@ -306,19 +310,15 @@ def test_a_file_larger_than_the_limit_is_skipped_unread(tmp_path: Path, monkeypa
     assert reason_of(tmp_path, bytes((1 << 20) + 1)) == "is larger than 1 MiB"
 
 
-def test_where_photographs_are_is_told_and_which_files_were_no_use(tmp_path: Path) -> None:
+def test_where_no_photograph_is_it_is_told_and_which_files_were_no_use(tmp_path: Path) -> None:
     (tmp_path / "deep" / "er").mkdir(parents=True)
-    write(tmp_path / "deep" / "er" / "a.jpg", picture(1))
     (tmp_path / "deep" / "folder.png").mkdir()
-    inner = tmp_path / "deep" / "er"
-    with pytest.raises(BadInput, match=rf"itself contains no photographs .*: there are some in {inner}: give that folder"):
+    with pytest.raises(BadInput, match=r"contains no photographs .*: give the folder that holds the image files"):
         list_photographs(tmp_path)
-    (tmp_path / "x.jpg").write_bytes(b"no image")
-    told = r"has 0 usable photograph\(s\) \(1 skipped: x.jpg is not a JPEG, PNG or TIFF image\): at least 2"
+    (tmp_path / "deep" / "er" / "x.jpg").write_bytes(b"no image")
+    told = r"has 0 usable photograph\(s\) \(1 skipped: deep/er/x.jpg is not a JPEG, PNG or TIFF image\): at least 2"
     with pytest.raises(BadInput, match=told):
         list_photographs(tmp_path)
-    with pytest.raises(BadInput, match="give the folder that holds the image files"):
-        list_photographs(tmp_path / "deep" / "folder.png")
     listing = list_photographs(
         HAMLET.parent, names=["images/000.jpg", "images/none.jpg", *(f"images/{p.name}" for p in sorted(HAMLET.iterdir())[1:3])]
     )
@@ -387,12 +387,12 @@ def as_type(tag: int, kind: int, count: int) -> bytes:
         (b"N\0", b"X\0", None),
         (b"N\0", b"\0\0", None),
         (b"N\0", b"NS", 41),
-        (as_type(2, 5, 3), as_type(2, 5, 2), None),
+        (as_type(2, 5, 3), as_type(2, 5, 2), 41),
         (as_type(6, 5, 1), as_type(7, 5, 1), 41),
         (as_type(5, 1, 1), as_type(5, 3, 1), 41),
     ],
 )
-def test_a_position_needs_its_letters_and_three_numbers_each_and_no_altitude(old: bytes, new: bytes, degrees: int | None) -> None:
+def test_a_position_needs_its_letters_and_up_to_three_numbers_each_and_no_altitude(old: bytes, new: bytes, degrees: int | None) -> None:
     block = exif_block("<", False, False)
     assert block.count(old) == 1
     position = read_exif(block.replace(old, new)).lat_lon_alt

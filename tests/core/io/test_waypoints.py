@@ -143,7 +143,7 @@ def test_up_to_five_photographs_without_gps_are_named(tmp_path: Path) -> None:
     for index in range(5):
         without_exif(photos[1], tmp_path / f"c{index}.jpg")
     found = exif_waypoints(tmp_path)
-    assert found.warnings == ("5 of 6 photographs without GPS in EXIF are not planned: c0.jpg, c1.jpg, c2.jpg, c3.jpg, c4.jpg.",)
+    assert found.warnings == ("5 of 6 photographs without GPS in EXIF or XMP are not planned: c0.jpg, c1.jpg, c2.jpg, c3.jpg, c4.jpg.",)
 
 
 def test_folders_without_a_position_are_refused(tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ import pytest
 
 from radiant_core.frames import enu_change
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.photos.jpeg import ALTITUDE, GPS_POINTER, LATITUDE, read_jpeg_facts
+from radiant_core.io.photos.gps import ALTITUDE, LATITUDE
+from radiant_core.io.photos.jpeg import GPS_POINTER, read_jpeg_facts
 from radiant_core.io.photos.listing import list_photographs
 from radiant_core.io.waypoints.reader import exif_waypoints
 from radiant_core.sfm.colmap.pairs import choose_pairs

@@ -64,8 +64,8 @@ def test_a_folder_of_heic_alone_is_told_to_be_saved_as_jpeg(read: Callable[[Path
     with pytest.raises(BadInput, match=r"but 2 \.heic files, which cannot be read: save photographs as JPEG"):
         read(tmp_path)
     (tmp_path / "more").mkdir()
-    (tmp_path / "more" / "x.jpg").write_bytes(b"one")
-    with pytest.raises(BadInput, match="give that folder"):
+    (tmp_path / "more" / "c.heic").write_bytes(b"unread")
+    with pytest.raises(BadInput, match=r"but 3 \.heic files, which cannot be read: save photographs as JPEG"):
         read(tmp_path)
 
 

@@ -1,44 +1,49 @@
-"""What a JPEG says before its pixels: size, camera, focal length, GPS, whether it is whole.
+"""What a JPEG says before its pixels: size, camera, focal length, GPS, whether it is whole; and
+what EXIF and XMP of any file say together.
 
 Walks the marker segments once per photograph, a few kilobytes each; no pixel is decoded. A damaged
-EXIF block only loses its own facts. Layout: ITU-T T.81 annex B (markers), TIFF 6.0 section 2
-(directories), CIPA DC-008 (EXIF and GPS tags).
+EXIF block only loses its own facts. Layout: ITU-T T.81 annex B (markers), CIPA DC-008 (EXIF), Adobe
+XMP part 3 (packets longer than a segment); directories are read by `tiff.py`, positions by
+`gps.py` and `xmp_position.py`.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
+from radiant_core.frames import enu_from_geodetic
+from radiant_core.io.photos.gps import GPS_ERROR, Position, read_fix
+from radiant_core.io.photos.tiff import XMP_PACKET, first_directory, inner_directory, number, text
 from radiant_core.io.photos.xmp import VERTICAL_SHARE, xmp_sigma_m
-from radiant_core.numerics import FloatArray
+from radiant_core.io.photos.xmp_position import xmp_position
 
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _START_OF_SCAN, _END_OF_IMAGE, _APP1, _APP2 = 0xDA, 0xD9, 0xE1, 0xE2
 _EXIF_SIGNATURE = b"Exif\0\0"
 _KEPT_SIGNATURES = {_APP1: (_EXIF_SIGNATURE, b"http://ns.adobe.com/xap/1.0/\0"), _APP2: (b"ICC_PROFILE\0",)}
 """EXIF, XMP and colour profiles say the same of pixels that were moved; other segments may not."""
-_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}
-
-_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
-TIFF_SIGNATURES = tuple(_ORDERS)
 IMAGE_WIDTH, IMAGE_HEIGHT = 0x0100, 0x0101
 BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLES_PER_PIXEL, EXTRA_SAMPLES = 0x0102, 0x0106, 0x0115, 0x0152
 _RGB, _UNSPECIFIED = 2, 0
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
-FOCAL_LENGTH = 0x920A
+FOCAL_LENGTH, FOCAL_35MM, DIGITAL_ZOOM = 0x920A, 0xA405, 0xA404
+PIXEL_WIDTH, PIXEL_HEIGHT = 0xA002, 0xA003
+BODY_SERIAL, CAMERA_SERIAL, LENS_MODEL, LENS_SERIAL = 0xA431, 0xC62F, 0xA434, 0xA435
 EXPOSURE_TIME, F_NUMBER, ISO_SPEED, TAKEN, TAKEN_FRACTION = 0x829A, 0x829D, 0x8827, 0x9003, 0x9291
-MAX_VALUE_BYTES = 1024
-"""Of one tag: none that is read here needs more, and a directory may name thousands of 64 KiB, all
-of the same bytes."""
-GPS_ERROR = 0x1F
-_XMP = b"http://ns.adobe.com/xap/1.0/\0"
-LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = range(1, 7)
+_XMP, _MORE_XMP = b"http://ns.adobe.com/xap/1.0/\0", b"http://ns.adobe.com/xmp/extension/\0"
+_MORE_XMP_HEAD = 40
+"""Before each part of a longer packet: its name, its length and where the part belongs."""
+LEAST_APART_M = 30.0
+"""Two positions of one photograph that lie farther apart contradict each other: formats round to
+metres, receivers are good to ten."""
+_WRITTEN_SERIAL = re.compile(rb"[\s<:](?:Drone|Camera)?SerialNumber\s{0,4}(?:=\s{0,4}[\"']|>)\s{0,8}([\w -]{1,64})")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +61,16 @@ class ExifFacts:
     """Standard deviations of the position east, north, up, where the receiver says."""
     log2_exposure: float | None = None
     """log₂(t ISO / N²): how bright the camera makes a scene, in stops."""
+    focal_35mm: float | None = None
+    """Focal length that gives the same view on 36 × 24 mm, as the camera says."""
+    digital_zoom: float = 1.0
+    lens: str = ""
+    serial: str = ""
+    """Of the body and the lens."""
+    taken_wh: tuple[int, int] | None = None
+    """Size in px that the camera says it took; a picture cut from it has another."""
+    position_doubt: str = ""
+    """What stands in place of a position, or what is doubtful in one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,26 +80,86 @@ class JpegFacts:
     size_wh: tuple[int, int] | None
     whole: bool
     exif: ExifFacts
+    has_scan: bool = False
+    """Whether the bytes reach to the pixels, so that all segments were seen."""
 
 
 def read_jpeg_facts(data: bytes) -> JpegFacts:
     """Size, wholeness and EXIF of the JPEG `data`; never raises, whatever the bytes are."""
-    size_wh, exif, scan_offset = None, None, None
-    sigma_m: tuple[float, float, float] | None = None
+    size_wh, scan_offset = None, None
+    blocks: list[bytes] = []
+    packets: list[bytes] = []
+    longer: dict[bytes, list[tuple[int, bytes]]] = {}
     for marker, start, end in _segments(data):
         if marker in _START_OF_FRAME and end - start >= 5:
             height, width = struct.unpack_from(">HH", data, start + 1)
             size_wh = (width, height) if width and height else None
-        elif marker == _APP1 and exif is None and data[start : start + 6] == _EXIF_SIGNATURE:
-            exif = read_exif(data[start + 6 : end])
+        elif marker == _APP1 and data.startswith(_EXIF_SIGNATURE, start):
+            blocks.append(data[start + len(_EXIF_SIGNATURE) : end])
         elif marker == _APP1 and data.startswith(_XMP, start):
-            sigma_m = xmp_sigma_m(data[start + len(_XMP) : end]) or sigma_m
+            packets.append(data[start + len(_XMP) : end])
+        elif marker == _APP1 and data.startswith(_MORE_XMP, start):
+            name, at, part = _part_of_xmp(data[start + len(_MORE_XMP) : end])
+            longer.setdefault(name, []).append((at, part))
         elif marker == _START_OF_SCAN:
             scan_offset = end
+    packets += [b"".join(part for _, part in sorted(parts)) for parts in longer.values()]
     # In a scan 0xFF is followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
     whole = scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
-    exif = exif or ExifFacts()
-    return JpegFacts(size_wh=size_wh, whole=whole, exif=exif if sigma_m is None else replace(exif, position_sigma_m=sigma_m))
+    return JpegFacts(size_wh=size_wh, whole=whole, exif=join_facts(blocks, packets), has_scan=scan_offset is not None)
+
+
+def _part_of_xmp(segment: bytes) -> tuple[bytes, int, bytes]:
+    """Name, place and content of a part of a packet that is longer than a segment."""
+    return segment[:32], int.from_bytes(segment[36:_MORE_XMP_HEAD], "big"), segment[_MORE_XMP_HEAD:]
+
+
+def join_facts(blocks: Sequence[bytes], packets: Sequence[bytes]) -> ExifFacts:
+    """What EXIF blocks and XMP packets of one file say together: the first that says something; a
+    position of EXIF before one of XMP, and a doubt where both are there and lie apart."""
+    exif = _first_said([read_exif(block) for block in blocks])
+    sigma_m = next((sigma for packet in packets if (sigma := xmp_sigma_m(packet)) is not None), None)
+    serial = next((match[1].decode().strip() for packet in packets if (match := _WRITTEN_SERIAL.search(packet))), "")
+    written = next((position for packet in packets if (position := xmp_position(packet)) is not None), None)
+    exif = replace(exif, position_sigma_m=sigma_m or exif.position_sigma_m, serial=exif.serial or serial)
+    if written is None:
+        return exif
+    if exif.lat_lon_alt is None:
+        return replace(exif, lat_lon_alt=written, position_doubt="")
+    return _compared(exif, exif.lat_lon_alt, written)
+
+
+def _first_said(facts: Sequence[ExifFacts]) -> ExifFacts:
+    joined = facts[0] if facts else ExifFacts()
+    for more in facts[1:]:
+        unsaid = {each.name for each in fields(ExifFacts) if getattr(joined, each.name) == each.default}
+        joined = replace(joined, **{name: getattr(more, name) for name in unsaid})
+    return joined
+
+
+def _compared(exif: ExifFacts, position: Position, written: Position) -> ExifFacts:
+    """The facts with the altitude of XMP where EXIF has none, and with what contradicts."""
+    apart_m = _apart_m(position, written)
+    if apart_m > LEAST_APART_M:
+        return replace(exif, position_doubt=exif.position_doubt or f"EXIF and XMP with positions {_said_m(apart_m)} apart")
+    if math.isnan(position[2]):
+        return replace(exif, lat_lon_alt=(*position[:2], written[2]))
+    up_m = abs(position[2] - written[2])
+    if up_m > LEAST_APART_M:
+        return replace(exif, position_doubt=exif.position_doubt or f"EXIF and XMP with altitudes {_said_m(up_m)} apart")
+    return exif
+
+
+def _said_m(metres: float) -> str:
+    """To two digits, so that photographs of one fault are counted together."""
+    step = 10 ** max(0, math.floor(math.log10(metres)) - 1)
+    return f"about {round(metres / step) * step:,.0f} m" if metres < 1e4 else f"about {round(metres / step) * step / 1e3:,.0f} km"
+
+
+def _apart_m(first: Position, second: Position) -> float:
+    """Distance of two positions on the ellipsoid, through it."""
+    here, there = ((lat, lon, 0.0) for lat, lon, _ in (first, second))
+    return float(np.linalg.norm(enu_from_geodetic([there], here)))
 
 
 def kept_segments(data: bytes) -> bytes:
@@ -112,50 +187,54 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 def read_tiff_size(tiff: bytes) -> tuple[int, int] | None:
     """Width and height in px of the first picture in a TIFF file, or None; never raises."""
-    main = _first_directory(tiff)
-    width, height = (_number(main.get(tag)) for tag in (IMAGE_WIDTH, IMAGE_HEIGHT))
+    main = first_directory(tiff)
+    width, height = (number(main.get(tag)) for tag in (IMAGE_WIDTH, IMAGE_HEIGHT))
     return (int(width), int(height)) if width and height and width >= 1 and height >= 1 else None
-
-
-def read_tiff_bits(tiff: bytes) -> int:
-    """Bits per channel of the first picture in a TIFF, 1 where it does not say; never raises."""
-    return int(_number(_first_directory(tiff).get(BITS_PER_SAMPLE)) or 1)
 
 
 def has_tiff_alpha(tiff: bytes) -> bool:
     """Whether the first picture in a TIFF is RGB with an alpha channel; a fourth channel that is
     said to be something else is none."""
-    main = _first_directory(tiff)
-    is_rgb_and_one = _number(main.get(PHOTOMETRIC)) == _RGB and _number(main.get(SAMPLES_PER_PIXEL)) == 4
+    main = first_directory(tiff)
+    is_rgb_and_one = number(main.get(PHOTOMETRIC)) == _RGB and number(main.get(SAMPLES_PER_PIXEL)) == 4
     # Many write RGBA without a word on what the fourth is.
-    return is_rgb_and_one and _number(main.get(EXTRA_SAMPLES)) != _UNSPECIFIED
+    return is_rgb_and_one and number(main.get(EXTRA_SAMPLES)) != _UNSPECIFIED
 
 
-def _first_directory(tiff: bytes) -> dict[int, Value]:
-    order = _ORDERS.get(tiff[:4])
-    if order is None or len(tiff) < 8:
-        return {}
-    return _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
+def read_tiff_facts(tiff: bytes) -> ExifFacts:
+    """What the directories of a TIFF file and the XMP packet in it say; never raises."""
+    packet = first_directory(tiff).get(XMP_PACKET)
+    return join_facts([tiff], [packet] if isinstance(packet, bytes) else [])
 
 
 def read_exif(tiff: bytes) -> ExifFacts:
     """The facts in an EXIF block (a TIFF header and its directories); never raises."""
-    order = _ORDERS.get(tiff[:4])
-    if order is None or len(tiff) < 8:
-        return ExifFacts()
-    main = _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
-    details = _directory(tiff, order, _number(main.get(EXIF_POINTER)))
-    focal_mm = _number(details.get(FOCAL_LENGTH))
-    gps = _directory(tiff, order, _number(main.get(GPS_POINTER)))
+    main = first_directory(tiff)
+    details, gps = inner_directory(tiff, main.get(EXIF_POINTER)), inner_directory(tiff, main.get(GPS_POINTER))
+    fix = read_fix(gps)
+    zoom = number(details.get(DIGITAL_ZOOM))
+    taken_wh = tuple(int(number(details.get(tag)) or 0) for tag in (PIXEL_WIDTH, PIXEL_HEIGHT))
+    serials = (text(details.get(BODY_SERIAL)) or text(main.get(CAMERA_SERIAL)), text(details.get(LENS_SERIAL)))
     return ExifFacts(
-        make=_text(main.get(MAKE)),
-        model=_text(main.get(MODEL)),
-        focal_mm=focal_mm if focal_mm is not None and focal_mm > 0 else None,
-        lat_lon_alt=_position(gps),
-        position_sigma_m=_sigma_of(_number(gps.get(GPS_ERROR))),
-        taken_s=_seconds(_text(details.get(TAKEN)), _text(details.get(TAKEN_FRACTION))),
-        log2_exposure=_log2_exposure(*(_number(details.get(tag)) for tag in (EXPOSURE_TIME, F_NUMBER, ISO_SPEED))),
+        make=text(main.get(MAKE)),
+        model=text(main.get(MODEL)),
+        focal_mm=_positive(number(details.get(FOCAL_LENGTH))),
+        focal_35mm=_positive(number(details.get(FOCAL_35MM))),
+        # 0 is how the standard says that there was none.
+        digital_zoom=zoom if zoom is not None and zoom > 0 else 1.0,
+        lens=text(details.get(LENS_MODEL)),
+        serial=" ".join(part for part in serials if part),
+        taken_wh=(taken_wh[0], taken_wh[1]) if min(taken_wh) > 0 else None,
+        lat_lon_alt=fix.lat_lon_alt,
+        position_doubt=fix.fault or (f"GPS in the datum {fix.datum}" if fix.datum and fix.lat_lon_alt else ""),
+        position_sigma_m=_sigma_of(number(gps.get(GPS_ERROR))),
+        taken_s=_seconds(text(details.get(TAKEN)), text(details.get(TAKEN_FRACTION))),
+        log2_exposure=_log2_exposure(*(number(details.get(tag)) for tag in (EXPOSURE_TIME, F_NUMBER, ISO_SPEED))),
     )
+
+
+def _positive(value: float | None) -> float | None:
+    return value if value is not None and value > 0 else None
 
 
 def _sigma_of(error_m: float | None) -> tuple[float, float, float] | None:
@@ -176,71 +255,3 @@ def _log2_exposure(time_s: float | None, f_number: float | None, iso: float | No
     if time_s is None or f_number is None or iso is None or min(time_s, f_number, iso) <= 0:
         return None
     return math.log2(time_s) + math.log2(iso) - 2 * math.log2(f_number)
-
-
-Value = bytes | FloatArray
-"""A tag's value: bytes of text or undefined types, else its numbers as float64."""
-
-
-def _directory(tiff: bytes, order: str, offset: float | None) -> dict[int, Value]:
-    """Tag → value of the directory at `offset`, entries that point outside left out; empty when
-    there is none or it does not fit."""
-    if offset is None or not 8 <= offset <= len(tiff) - 2:
-        return {}
-    offset = int(offset)
-    count = struct.unpack_from(order + "H", tiff, offset)[0]
-    if offset + 2 + 12 * count > len(tiff):
-        return {}
-    values = {}
-    for entry in range(offset + 2, offset + 2 + 12 * count, 12):
-        tag, kind, length = struct.unpack_from(order + "HHI", tiff, entry)
-        num_bytes = _TYPE_BYTES.get(kind, 0) * length
-        start = entry + 8 if num_bytes <= 4 else struct.unpack_from(order + "I", tiff, entry + 8)[0]
-        if 0 < num_bytes <= MAX_VALUE_BYTES and start + num_bytes <= len(tiff):
-            values[tag] = _value(tiff[start : start + num_bytes], order, kind)
-    return values
-
-
-def _value(raw: bytes, order: str, kind: int) -> Value:
-    if kind in (1, 2, 7):
-        return raw
-    numbers = np.frombuffer(raw, dtype=order + {3: "u2", 4: "u4", 5: "u4", 9: "i4", 10: "i4"}[kind]).astype(np.float64)
-    if kind in (3, 4, 9):
-        return numbers
-    nominators, denominators = numbers[0::2], numbers[1::2]
-    return np.divide(nominators, denominators, out=np.full(len(nominators), np.nan), where=denominators != 0)
-
-
-def _number(value: Value | None) -> float | None:
-    if value is None or isinstance(value, bytes) or not math.isfinite(value[0]):
-        return None
-    return float(value[0])
-
-
-def _text(value: Value | None) -> str:
-    return value.split(b"\0")[0].decode("ascii", "replace").strip() if isinstance(value, bytes) else ""
-
-
-def _position(gps: dict[int, Value]) -> tuple[float, float, float] | None:
-    lat = _degrees(gps.get(LATITUDE), gps.get(LATITUDE_REF), b"NS")
-    lon = _degrees(gps.get(LONGITUDE), gps.get(LONGITUDE_REF), b"EW")
-    if lat is None or lon is None or abs(lat) > 90 or abs(lon) > 180:
-        return None
-    # Receivers without a fix write exact zeros.
-    if lat == 0 and lon == 0:
-        return None
-    alt, below_sea = _number(gps.get(ALTITUDE)), gps.get(ALTITUDE_REF)
-    if alt is None:
-        return lat, lon, math.nan
-    return lat, lon, -alt if isinstance(below_sea, bytes) and below_sea[:1] == b"\x01" else alt
-
-
-def _degrees(value: Value | None, reference: Value | None, letters: bytes) -> float | None:
-    """Degrees of a (degrees, minutes, seconds) triple with its letter; None when unusable."""
-    letter = reference[:1] if isinstance(reference, bytes) else b""
-    if value is None or isinstance(value, bytes) or len(value) != 3 or not letter or letter not in letters:
-        return None
-    degrees = float(value @ (1, 1 / 60, 1 / 3600))
-    if not math.isfinite(degrees):
-        return None
-    return -degrees if letter == letters[1:] else degrees

@@ -8,7 +8,6 @@ they are stored, as structure from motion needs them.
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -22,26 +21,22 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.photos.copies import file_copies
-from radiant_core.io.photos.jpeg import (
-    TIFF_SIGNATURES,
-    ExifFacts,
-    has_tiff_alpha,
-    read_exif,
-    read_jpeg_facts,
-    read_tiff_bits,
-    read_tiff_size,
+from radiant_core.io.photos.facts import file_facts, read_exif_of
+from radiant_core.io.photos.folders import (
+    READ_KINDS,
+    SAVED,
+    SUFFIXES,
+    FolderContent,
+    folders_warning,
+    list_kinds,
+    read_folder,
 )
+from radiant_core.io.photos.jpeg import ExifFacts, has_tiff_alpha
+from radiant_core.io.photos.png import PNG_SIGNATURE
+from radiant_core.io.photos.samples import DARK_16, SampleKind, SampleRange, Stretch, choose_stretches, range_of, sample_kind, stretch_of
+from radiant_core.io.photos.tiff import TIFF_SIGNATURES
 from radiant_core.io.run_store import open_without_waiting, read_bounded
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-READ_KINDS = "JPEG, PNG or TIFF"
-PHOTOGRAPHS_UNREAD = (
-    *(".heic", ".heif", ".avif", ".webp", ".jp2", ".jxl", ".bmp", ".gif", ".insp", ".dng", ".cr2", ".cr3", ".nef", ".nrw", ".arw"),
-    *(".orf", ".rw2", ".raf", ".pef", ".srw", ".raw", ".3fr", ".iiq", ".gpr"),
-)
-FILMS_UNREAD = (".mp4", ".mov", ".avi", ".mts", ".m2ts", ".m4v", ".mkv", ".webm", ".insv", ".360")
-UNREAD_SUFFIXES = frozenset((*PHOTOGRAPHS_UNREAD, *FILMS_UNREAD))
-"""Photographs and films that nothing here can read, or that COLMAP cannot."""
 DECODED_BYTES_PER_PX = 6
 """What `load_photograph` holds at once per stored pixel: measured with JPEG of 50 megapixels."""
 MAX_SIDE_RATIO = 100
@@ -51,10 +46,7 @@ MAX_PIXELS = 1 << 28
 JPEG_PIXELS_PER_BYTE, DEFLATE_RATIO = 512, 1032
 """A file that promises more is none: a JPEG spends a bit or more on every 64 pixels, and no zlib
 stream packs better."""
-EXIF_HEAD_BYTES = 1 << 18
-"""Where EXIF is found: its segment holds at most 64 KiB and comes among the first."""
-_SAVED = f"save photographs as {READ_KINDS}, and frames of films, to use them"
-_PNG_SIGNATURE, _PNG_HEAD = b"\x89PNG\r\n\x1a\n", b"\0\0\0\rIHDR"
+MAX_NAMED = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +57,15 @@ class CameraKey:
     model: str
     focal_mm: float | None
     size_wh: tuple[int, int]
+    focal_35mm: float | None = None
+    digital_zoom: float = 1.0
+    lens: str = ""
+    serial: str = ""
+    """Of the body and the lens: two drones of one model have two lenses."""
+    taken_wh: tuple[int, int] | None = None
+    """Size that the camera says it took, where the picture has another shape: it is cut from it."""
+    folder: str = ""
+    """Of photographs that say nothing of their camera: frames of one film lie in one folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +80,10 @@ class Photograph:
     camera: CameraKey
     position_sigma_m: tuple[float, float, float] | None = None
     """Standard deviations east, north, up that the receiver gives; None where it gives none."""
+    position_doubt: str = ""
+    """What stands in place of a position, or what is doubtful in one."""
+    samples: SampleRange | None = None
+    """The values it uses, where they are not 8-bit numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +103,10 @@ class PhotoListing:
     copies: dict[str, str] = field(default_factory=dict)
     """Usable photographs that are left out as copies of another one, and of which."""
 
-    unread: dict[str, int] = field(default_factory=dict)
-    """Suffix → number of files beside them that hold photographs or films and cannot be read."""
+    content: FolderContent = field(default_factory=FolderContent)
+    """What else lies in their folder; empty where they were asked for by name."""
+    stretches: tuple[Stretch, ...] = ()
+    """How photographs of more than 8 bits are shown in 8."""
 
     @property
     def left_out(self) -> set[str]:
@@ -128,23 +135,17 @@ class PhotoListing:
 
 
 def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None) -> PhotoListing:
-    """The usable photographs (JPEG, PNG, TIFF) directly in `folder`; others are skipped and named.
+    """The usable photographs (JPEG, PNG, TIFF) in `folder` and below; others are skipped and named.
 
-    `on_photo(done, total)` is called after each file; `names` asks for these files only, subfolders
-    with '/' allowed. Raises BadInput when `folder` is missing, is no folder, or holds fewer than
-    two usable photographs.
+    `on_photo(done, total)` is called after each file; `names` asks for these files only. Raises
+    BadInput when `folder` is missing, is no folder, or holds fewer than two usable photographs.
     """
-    if not folder.is_dir():
-        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
-    skipped: list[Skipped] = []
-    unread: dict[str, int] = {}
-    if names is None:
-        names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
-        skipped, unread = _subfolders(folder), unread_files(folder)
-    names = [name for name in names if (folder / name).is_file()]
+    content = FolderContent() if names is not None and folder.is_dir() else _read_folder(folder)
+    names = [name for name in (content.names if names is None else names) if (folder / name).is_file()]
     if not names:
-        raise _no_photographs(folder, unread)
+        raise _no_photographs(folder, content)
     photographs: list[Photograph] = []
+    skipped: list[Skipped] = []
     for done, found in enumerate(_inspect_all(folder, names), start=1):
         if isinstance(found, Photograph):
             photographs.append(found)
@@ -152,75 +153,110 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
             skipped.append(found)
         if on_photo is not None:
             on_photo(done, len(names))
+    stretches = choose_stretches([photo.samples for photo in photographs if photo.samples is not None])
+    dark = [photo.name for photo in photographs if _is_black(photo, stretches)]
+    photographs = [photo for photo in photographs if photo.name not in dark]
+    skipped += [Skipped(name=name, reason=_BLACK) for name in dark]
     if len(photographs) < 2:
-        lost = f" ({len(skipped)} skipped: {skipped[0].name} {skipped[0].reason})" if skipped else ""
-        raise BadInput(f"{folder} has {len(photographs)} usable photograph(s){lost}: at least 2 that overlap are needed.")
-    return PhotoListing(photographs=tuple(photographs), skipped=tuple(skipped), unread=unread)
+        told = f" ({len(skipped)} skipped: {'; '.join(skipped_in_short(skipped))})" if skipped else ""
+        raise BadInput(f"{folder} has {len(photographs)} usable photograph(s){told}: at least 2 that overlap are needed.")
+    return PhotoListing(photographs=tuple(photographs), skipped=tuple(skipped), content=content, stretches=stretches)
 
 
-def unread_warning(unread: Mapping[str, int]) -> tuple[str, ...]:
-    """The warning about files that cannot be read, by their kinds; none where there are none."""
-    if not unread:
-        return ()
-    return (f"{_list_kinds(unread)} files are not read: {_SAVED}.",)
+_BLACK = "has 16 bits a channel and uses 12 or fewer, which is black in 8 (stretch it to the full range)"
 
 
-def _no_photographs(folder: Path, unread: Mapping[str, int]) -> BadInput:
+def _is_black(photo: Photograph, stretches: tuple[Stretch, ...]) -> bool:
+    """Whether 16 bits that are not stretched, since others use them all, are black in 8."""
+    samples = photo.samples
+    return samples is not None and samples.high <= DARK_16 and samples.kind.is_wide and stretch_of(samples, stretches) is None
+
+
+def skipped_in_short(skipped: Sequence[Skipped]) -> tuple[str, ...]:
+    """One clause for each reason: the first names, how many more, and the reason."""
+    told = []
+    for reason in dict.fromkeys(each.reason for each in skipped):
+        names = [each.name for each in skipped if each.reason == reason]
+        more = (
+            f" and {len(names) - MAX_NAMED} more, each of which" if len(names) > MAX_NAMED else ", each of which" if len(names) > 1 else ""
+        )
+        told.append(f"{', '.join(names[:MAX_NAMED])}{more} {reason}")
+    return tuple(told)
+
+
+def _read_folder(folder: Path) -> FolderContent:
+    if not folder.is_dir():
+        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
+    return read_folder(folder)
+
+
+def _no_photographs(folder: Path, content: FolderContent) -> BadInput:
     """What is said of a folder without photographs that can be read, beside files that cannot."""
-    inner = next((path.parent for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()), None)
-    where = _SAVED if unread else "give the folder that holds the image files"
-    if inner is not None:
-        where = f"there are some in {inner}: give that folder"
-    other = f" but {_list_kinds(unread)} files, which cannot be read" if unread else ""
-    return BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}){other}: {where}.")
-
-
-def _list_kinds(unread: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {suffix}" for suffix, count in sorted(unread.items()))
+    where = SAVED if content.unread else "give the folder that holds the image files"
+    other = f" but {list_kinds(content.unread)} files, which cannot be read" if content.unread else ""
+    closed = " ".join(("", *folders_warning(content)))
+    return BadInput(f"{folder} contains no photographs ({', '.join(SUFFIXES)}){other}: {where}.{closed}")
 
 
 def unread_files(folder: Path) -> dict[str, int]:
-    """How many files of each kind in `folder` hold photographs or films that are not read."""
-    return dict(Counter(path.suffix.lower() for path in folder.iterdir() if path.suffix.lower() in UNREAD_SUFFIXES and path.is_file()))
+    """How many files of each kind in `folder` and below hold photographs or films that are not
+    read."""
+    return dict(read_folder(folder).unread)
 
 
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
-    """GPS (degrees, degrees, metres or NaN) or None of the photographs in `folder`, by sorted name.
+    """GPS (degrees, degrees, metres or NaN) or None of the photographs in `folder`, by sorted name;
+    raises as `photograph_heads`."""
+    return {name: exif.lat_lon_alt for name, exif in photograph_heads(folder, on_photo).items()}
+
+
+def photograph_heads(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, ExifFacts]:
+    """What EXIF and XMP of the photographs in `folder` and below say, by sorted name.
 
     Reads the head of each file only; `on_photo(done, total)` is called after each. Raises BadInput
     where there is no such folder or no photograph.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
-    names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
-    if not names:
-        raise _no_photographs(folder, unread_files(folder))
-    positions = {}
-    for done, name in enumerate(names, start=1):
-        positions[name] = _facts(_read_head(folder / name))[2].lat_lon_alt
+    content = _read_folder(folder)
+    if not content.names:
+        raise _no_photographs(folder, content)
+    heads = {}
+    for done, name in enumerate(content.names, start=1):
+        heads[name] = read_exif_of(folder / name, MAX_FILE_BYTES)
         if on_photo is not None:
-            on_photo(done, len(names))
-    return positions
+            on_photo(done, len(content.names))
+    return heads
+
+
+def doubts_warning(doubts: Mapping[str, str], num_photographs: int, *, named: bool = True) -> tuple[str, ...]:
+    """What is said of positions (photograph → its doubt) that are not used, or not sure; one
+    sentence for each kind."""
+    told = []
+    for doubt in sorted({doubt for doubt in doubts.values() if doubt}):
+        names = [name for name, each in doubts.items() if each == doubt]
+        listed = f": {', '.join(names[:MAX_NAMED])}{' …' if len(names) > MAX_NAMED else ''}" if named else ""
+        told.append(f"{len(names)} of {num_photographs} photographs have {doubt}{_consequence(doubt)}{listed}.")
+    return tuple(told)
+
+
+def _consequence(doubt: str) -> str:
+    if doubt.startswith("EXIF and XMP"):
+        return ", of which that of EXIF is used"
+    if doubt.startswith("GPS in the datum"):
+        return ", which is taken for WGS 84 and may be off by hundreds of metres"
+    return ", which is no position and not used"
 
 
 def photograph_exposures(path: Path) -> tuple[float | None, float | None]:
     """When a photograph was taken, in seconds of its camera's clock, and its log₂ exposure, from
     its head; None where EXIF does not say."""
-    exif = _facts(_read_head(path))[2]
+    exif = read_exif_of(path, MAX_FILE_BYTES)
     return exif.taken_s, exif.log2_exposure
 
 
 def photograph_size_wh(path: Path) -> tuple[int, int] | None:
-    """Size in px of a photograph, from its head; None where that does not say."""
-    return _facts(_read_head(path))[0]
-
-
-def _read_head(path: Path) -> bytes:
-    """What holds the EXIF of a file: a TIFF has its directory wherever its writer put it, often at
-    the end."""
-    with open(path, "rb", opener=open_without_waiting) as file:
-        return file.read(MAX_FILE_BYTES if path.suffix.lower() in SUFFIXES[3:] else EXIF_HEAD_BYTES)
+    """Size in px of a photograph, decoding nothing; None where the file does not say."""
+    return read_size_wh(read_bounded(path, MAX_FILE_BYTES))
 
 
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:
@@ -255,13 +291,13 @@ def has_alpha(path: Path) -> bool:
         head = file.read(26)
         if head.startswith(TIFF_SIGNATURES):
             return has_tiff_alpha(head + file.read(MAX_FILE_BYTES))
-    return head.startswith(_PNG_SIGNATURE) and len(head) == 26 and head[25] in (4, 6)
+    return head.startswith(PNG_SIGNATURE) and len(head) == 26 and head[25] in (4, 6)
 
 
 def decode_image(data: bytes, flags: int) -> NDArray[Any] | None:
     """A JPEG, PNG or TIFF as `cv2.imdecode` gives it, or None; nothing is allocated for a file that
     cannot hold what it promises."""
-    size_wh, whole, _ = _facts(data)
+    size_wh, whole, _ = file_facts(data)
     if size_wh is None or not whole or _promises_too_much(size_wh, data):
         return None
     try:
@@ -272,29 +308,17 @@ def decode_image(data: bytes, flags: int) -> NDArray[Any] | None:
 
 def read_size_wh(data: bytes) -> tuple[int, int] | None:
     """Size in px that the head of a JPEG, PNG or TIFF says; None for anything else."""
-    return _facts(data)[0]
+    return file_facts(data)[0]
 
 
 def _promises_too_much(size_wh: tuple[int, int], data: bytes) -> bool:
     per_byte = JPEG_PIXELS_PER_BYTE
-    if data.startswith(_PNG_SIGNATURE):
+    if data.startswith(PNG_SIGNATURE):
         bits, channels = data[24], {2: 3, 4: 2, 6: 4}.get(data[25], 1)
         per_byte = DEFLATE_RATIO * 8 // max(1, bits * channels)
     elif data.startswith(TIFF_SIGNATURES):
         per_byte = DEFLATE_RATIO
     return size_wh[0] * size_wh[1] > min(MAX_PIXELS, per_byte * len(data))
-
-
-def _subfolders(folder: Path) -> list[Skipped]:
-    """The folders in `folder` that hold JPEG files; a camera starts one when the last is full."""
-    inner_folders = [inner for inner in folder.iterdir() if inner.is_dir() and os.access(inner, os.R_OK | os.X_OK)]
-    counts = {inner.name: sum(_is_jpeg(path) for path in inner.iterdir()) for inner in inner_folders}
-    reason = "is a subfolder with {} photographs (move them beside the others to use them)"
-    return [Skipped(name=f"{name}/", reason=reason.format(count)) for name, count in sorted(counts.items()) if count]
-
-
-def _is_jpeg(path: Path) -> bool:
-    return path.suffix.lower() in SUFFIXES[:2] and path.is_file()
 
 
 def _inspect_all(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]:
@@ -312,65 +336,68 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
         data = read_bounded(path, MAX_FILE_BYTES)
     except StoreDamaged:
         return Skipped(name=name, reason="cannot be read")
-    size_wh, whole, exif = _facts(data)
+    size_wh, whole, exif = file_facts(data)
     if size_wh is None:
         return Skipped(name=name, reason="is not a JPEG, PNG or TIFF image")
     if size_wh[0] * size_wh[1] > MAX_PIXELS:
         return Skipped(name=name, reason=f"has {size_wh[0]} × {size_wh[1]} pixels, more than {MAX_PIXELS}")
     if not whole or _promises_too_much(size_wh, data):
         return Skipped(name=name, reason="is truncated (its end is missing)")
-    if not _decodes(data, size_wh):
-        return Skipped(name=name, reason="cannot be decoded")
-    if _is_all_but_black(data):
-        return Skipped(name=name, reason="has 16 bits a channel and uses 12 or fewer, which is black in 8 (stretch it to the full range)")
+    kind = sample_kind(data)
+    if kind.is_plain and not _decodes(data, size_wh):
+        return Skipped(name=name, reason=_undecoded(kind))
+    samples = None
+    if not kind.is_plain:
+        samples = _samples(data, size_wh, kind)
+        if samples is None:
+            return Skipped(name=name, reason=_undecoded(kind))
     if max(size_wh) > MAX_SIDE_RATIO * min(size_wh):
         return Skipped(name=name, reason=f"is a strip of {size_wh[0]} × {size_wh[1]} pixels")
-    camera = CameraKey(make=exif.make, model=exif.model, focal_mm=exif.focal_mm, size_wh=size_wh)
     return Photograph(
         name=name,
         path=path,
         size_wh=size_wh,
         lat_lon_alt=exif.lat_lon_alt,
-        camera=camera,
+        camera=_camera_of(exif, name, size_wh),
         position_sigma_m=exif.position_sigma_m,
+        position_doubt=exif.position_doubt,
+        samples=samples,
     )
 
 
-def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
-    """Size in px (None for other formats), whether the file has its end, and its EXIF."""
-    if data.startswith(TIFF_SIGNATURES):
-        # Where the pixels of a TIFF end its decoder alone finds out, which refuses one cut off.
-        return read_tiff_size(data), True, read_exif(data)
-    if data.startswith(_PNG_SIGNATURE):
-        return _png_facts(data)
-    facts = read_jpeg_facts(data)
-    return facts.size_wh, facts.whole, facts.exif
+def _undecoded(kind: SampleKind) -> str:
+    if kind.is_usual:
+        return "cannot be decoded"
+    return f"holds {kind}, which cannot be decoded (save it with 1 or 3 bands of 8 or 16 bits)"
 
 
-def _png_facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
-    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    is_png = data[8:16] == _PNG_HEAD and width and height
-    return (width, height) if is_png else None, _png_is_whole(data), ExifFacts()
+def _camera_of(exif: ExifFacts, name: str, size_wh: tuple[int, int]) -> CameraKey:
+    says_nothing = not (exif.make or exif.model or exif.lens or exif.serial or exif.focal_mm or exif.focal_35mm)
+    return CameraKey(
+        make=exif.make,
+        model=exif.model,
+        focal_mm=exif.focal_mm,
+        size_wh=size_wh,
+        focal_35mm=exif.focal_35mm,
+        digital_zoom=exif.digital_zoom,
+        lens=exif.lens,
+        serial=exif.serial,
+        taken_wh=exif.taken_wh if exif.taken_wh is not None and _is_cut(size_wh, exif.taken_wh) else None,
+        folder=name.rpartition("/")[0] if says_nothing else "",
+    )
 
 
-def _png_is_whole(data: bytes) -> bool:
-    """Whether every chunk of a PNG lies inside the file: OpenCV makes room for any length."""
-    offset = len(_PNG_SIGNATURE)
-    while offset + 12 <= len(data):
-        end = offset + 12 + int.from_bytes(data[offset : offset + 4], "big")
-        if data[offset + 4 : offset + 8] == b"IEND":
-            return end <= len(data)
-        offset = end
-    return False
+def _is_cut(size_wh: tuple[int, int], taken_wh: tuple[int, int]) -> bool:
+    """Whether a picture is a part of what was taken: no larger, and of another shape, however it
+    was turned."""
+    (short, long), (taken_short, taken_long) = sorted(size_wh), sorted(taken_wh)
+    return long <= taken_long and short <= taken_short and abs(long * taken_short - short * taken_long) > 0.01 * long * taken_short
 
 
-def _is_all_but_black(data: bytes) -> bool:
-    """Whether an image of 16 bits holds values of 12 or fewer bits, which look black in 8 bits."""
-    bits = data[24] if data.startswith(_PNG_SIGNATURE) else read_tiff_bits(data)
-    if bits != 16:
-        return False
-    image = decode_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
-    return image is not None and int(image.max()) <= (1 << 12 - 8)
+def _samples(data: bytes, size_wh: tuple[int, int], kind: SampleKind) -> SampleRange | None:
+    """The values that a picture of unusual samples uses; None where it cannot be decoded whole."""
+    pixels = decode_image(data, cv2.IMREAD_UNCHANGED)
+    return None if pixels is None or pixels.shape[1::-1] != size_wh else range_of(kind, pixels)
 
 
 def _decodes(data: bytes, size_wh: tuple[int, int]) -> bool:

@@ -1,7 +1,7 @@
 """Waypoints from a flight planner's file (CSV, GeoJSON, KML) or from GPS of photographs taken.
 
 A file is read once, whole; 256 MiB, which a million waypoints in any of the three formats stay
-under, is its limit. Of photographs only the first 256 KiB are read, where EXIF stands.
+under, is its limit. Of photographs only what stands before or behind their pixels is read.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
+from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_warning, file_copies
-from radiant_core.io.photos.listing import photograph_positions, unread_files, unread_warning
+from radiant_core.io.photos.folders import folders_warning, read_folder, unread_warning
+from radiant_core.io.photos.listing import doubts_warning, photograph_heads
 from radiant_core.io.run_store import open_without_waiting
 from radiant_core.io.waypoints.csv_reader import csv_rows
 from radiant_core.io.waypoints.geojson_reader import geojson_rows
@@ -43,7 +45,7 @@ class FoundWaypoints:
     waypoints: Waypoints
     warnings: tuple[str, ...]
     without_gps: tuple[str, ...] = ()
-    """Photographs whose EXIF has no position, in order."""
+    """Photographs whose EXIF and XMP have no position, in order."""
     shortfall: str | None = None
     """Which grids the file's coordinate system lacks, as among the warnings."""
 
@@ -78,20 +80,24 @@ def read_waypoints(path: Path) -> FoundWaypoints:
 
 
 def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> FoundWaypoints:
-    """The GPS positions of the photographs (JPEG, PNG) directly in `folder`, by name.
+    """The GPS positions of the photographs in `folder` and below, by name.
 
     `on_photo(done, total)` is called after each. Photographs at one position all stay, copies of a
     file do not. Raises BadInput when it is no folder, when it holds no photograph, or when none has
     a position.
     """
-    found = photograph_positions(folder, on_photo)
-    copies = file_copies({name: folder / name for name in found})
-    copied = copies_warning(copies, len(found))
-    names = [name for name in found if name not in copies]
-    positions = {name: place for name, place in found.items() if place is not None and name not in copies}
+    heads = photograph_heads(folder, on_photo)
+    copies = file_copies({name: folder / name for name in heads})
+    copied = copies_warning(copies, len(heads))
+    names = [name for name in heads if name not in copies]
+    positions = {name: place for name in names if (place := heads[name].lat_lon_alt) is not None}
     without = tuple(name for name in names if name not in positions)
+    doubts = doubts_warning({name: heads[name].position_doubt for name in names}, len(names))
     if not positions:
-        raise BadInput(f"none of the {len(names)} photographs in {folder} has a GPS position in its EXIF: give a file of waypoints.")
+        why = "".join(f" {doubt}" for doubt in doubts)
+        raise BadInput(
+            f"none of the {len(names)} photographs in {folder} has a GPS position in EXIF or XMP: give a file of waypoints.{why}"
+        )
     geodetic = np.array(list(positions.values()), np.float64)
     low = np.isnan(geodetic[:, 2])
     # For the plan alone, which heights hardly move: none is flown at.
@@ -103,9 +109,20 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
         raise BadInput(f"cannot use the positions of the photographs in {folder}: {error}") from error
     return FoundWaypoints(
         waypoints=waypoints,
-        warnings=(*unread_warning(unread_files(folder)), *copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low)),
+        warnings=(
+            *_folder_warnings(folder),
+            *copied,
+            *doubts,
+            *_gps_warnings(without, len(names)),
+            *_altitude_warnings(low),
+        ),
         without_gps=without,
     )
+
+
+def _folder_warnings(folder: Path) -> tuple[str, ...]:
+    content = read_folder(folder)
+    return (*folders_warning(content), *unread_warning(content.unread), *beside_warning(folder))
 
 
 def _text(path: Path) -> str:
@@ -156,9 +173,8 @@ def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, 
     if not without:
         return ()
     more = f" and {len(without) - _MAX_NAMED} more" if len(without) > _MAX_NAMED else ""
-    return (
-        f"{len(without)} of {num_photographs} photographs without GPS in EXIF are not planned: {', '.join(without[:_MAX_NAMED])}{more}.",
-    )
+    named = f"{', '.join(without[:_MAX_NAMED])}{more}"
+    return (f"{len(without)} of {num_photographs} photographs without GPS in EXIF or XMP are not planned: {named}.",)
 
 
 def _altitude_warnings(low: NDArray[np.bool_]) -> tuple[str, ...]:

@@ -6,14 +6,14 @@ again (`kept_database.py`).
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from radiant_core.io.photos.listing import CameraKey, Photograph
+from radiant_core.io.photos.listing import Photograph
 from radiant_core.io.photos.masks import mask_name
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.lenses import group_by_lens, set_focal
 from radiant_core.sfm.colmap.pairs import Pairs
 from radiant_core.sfm.colmap.quick_database import Poses, extract_quickly, match_quickly
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
@@ -25,11 +25,8 @@ PHOTOS_PER_CALL_AND_THREAD = 6
 def extract_features(
     database: Path, photo_folder: Path, photographs: tuple[Photograph, ...], config: SfmConfig, report: Report, masks: Path | None = None
 ) -> None:
-    """Write features into `database`, one camera per make, model, focal length and size; none where
-    a mask is 0."""
-    groups: dict[CameraKey, list[str]] = defaultdict(list)
-    for photo in photographs:
-        groups[photo.camera].append(photo.name)
+    """Write features into `database`, one camera per lens (`lenses.py`); none where a mask is
+    0."""
     found = _cameras_by_name(database) if database.is_file() else {}
     done = len(found)
 
@@ -39,9 +36,9 @@ def extract_features(
         report(SfmProgress(phase="features", done=done, total=len(photographs)))
 
     count(0)
-    for group in groups.values():
-        camera_id = next((found[name] for name in group if name in found), -1)
-        names = [name for name in group if name not in found]
+    for lens in group_by_lens(photographs).lenses:
+        camera_id = next((found[name] for name in lens.names if name in found), -1)
+        names = [name for name in lens.names if name not in found]
         for chunk in _chunks(names, PHOTOS_PER_CALL_AND_THREAD * config.threads):
             for part, folder in _by_mask(chunk, masks):
                 if config.effort == "thorough":
@@ -50,6 +47,7 @@ def extract_features(
                 else:
                     extract_quickly((database, photo_folder, folder), part, camera_id, config, lambda: count(1))
                 camera_id = camera_id if camera_id >= 0 else _camera_of(database, part[0])
+        set_focal(database, camera_id, lens)
 
 
 def _cameras_by_name(database: Path) -> dict[str, int]:

@@ -6,8 +6,10 @@ import shutil
 from collections import Counter
 from pathlib import Path
 
+from radiant_core.errors import BadInput
 from radiant_core.io.photos.copies import copies_count, copies_warning
-from radiant_core.io.photos.listing import PhotoListing, list_photographs, unread_warning
+from radiant_core.io.photos.folders import folders_warning, unread_warning
+from radiant_core.io.photos.listing import PhotoListing, doubts_warning, list_photographs, skipped_in_short
 from radiant_core.sfm.config import Report, SfmProgress
 
 DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json")
@@ -20,22 +22,36 @@ WORK_FOLDERS = (
 """All that structure from motion puts into its work folder and removes there at the start."""
 
 
-def list_usable(folder: Path, report: Report, names: tuple[str, ...] | None = None) -> PhotoListing:
-    """`list_photographs` with its progress, of `names` if given, without copies; raises alike."""
+def list_usable(folder: Path, report: Report, names: tuple[str, ...] | None = None, *, stretch: bool = False) -> PhotoListing:
+    """`list_photographs` with its progress, of `names` if given, without copies; raises alike, and
+    for photographs of more than 8 bits where the caller does not `stretch` them."""
     listing = list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
+    if listing.stretches and not stretch:
+        raise BadInput(
+            f"in {folder} {listing.stretches[0].unstretched}, which are not stretched where poses are given: save them in 8 bits, "
+            "all by one stretch."
+        )
     return listing.without_copies()
 
 
-def warn_of_unused(listing: PhotoListing, *, named: bool = True) -> tuple[str, ...]:
-    """Warnings about the files that are not used; counted where their names are private."""
+def warn_of_unused(listing: PhotoListing, beside: tuple[str, ...] = (), *, named: bool = True) -> tuple[str, ...]:
+    """Warnings about the files that are not used, where photographs lie and what is doubtful in
+    them, and `beside` them; counted where their names are private."""
     num_usable = len(listing.photographs) + len(listing.copies)
+    doubts = {photo.name: photo.position_doubt for photo in listing.photographs}
+    common = (
+        *folders_warning(listing.content, named=named),
+        *unread_warning(listing.content.unread),
+        *doubts_warning(doubts, len(listing.photographs), named=named),
+        *(stretch.said for stretch in listing.stretches),
+    )
     if named:
-        skipped = tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
-        return (*skipped, *unread_warning(listing.unread), *copies_warning(listing.copies, num_usable))
+        skipped = tuple(f"{clause} and is skipped." for clause in skipped_in_short(listing.skipped))
+        return (*skipped, *common, *beside, *copies_warning(listing.copies, num_usable))
     counts = Counter(skipped.reason for skipped in listing.skipped)
     total = num_usable + len(listing.skipped)
     counted = tuple(f"{count} of {total} files skipped, each of which {reason}." for reason, count in counts.items())
-    return (*counted, *unread_warning(listing.unread), *copies_count(len(listing.copies), num_usable))
+    return (*counted, *common, *beside, *copies_count(len(listing.copies), num_usable))
 
 
 def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:
