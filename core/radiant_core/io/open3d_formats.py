@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from radiant_core.errors import BadInput, StageFailed, StoreDamaged
+from radiant_core.io.claimed_counts import require_believable
 from radiant_core.numerics import unit_quats
 from radiant_core.splats import SH_BASES, Splats
 
@@ -114,6 +115,26 @@ def splats_from_spz(data: bytes, num_splats: int, sh_degree: int) -> Splats:
         shN=point["f_rest"],
         antialiased=bool(data[_SPZ_FLAGS_AT] & _SPZ_ANTIALIASED),
     )
+
+
+def splats_from_any_spz(data: bytes) -> Splats:
+    """The model in SPZ of version 4 of any count that its bytes can hold; BadInput for other bytes
+    and for what Open3D's reader is not trusted with: extensions and degree 4."""
+    if len(data) < _SPZ_HEADER.size:
+        raise BadInput(f"it has {len(data)} bytes and SPZ of version 4 a header of {_SPZ_HEADER.size}")
+    _, version, count, degree, fraction_bits, flags, _, _ = _SPZ_HEADER.unpack_from(data)
+    if version != 4:
+        raise BadInput(f"it is SPZ of version {version}, expected 2 to 4")
+    if degree >= len(SH_BASES) or flags & ~_SPZ_ANTIALIASED or fraction_bits > 23 or not count:
+        raise BadInput(
+            f"its SPZ of version 4 has {count} Gaussians of degree {degree}, {fraction_bits} fraction bits and flags {flags}, expected 1 or"
+            f" more of degree 0 to 3 without extensions: write it as SPZ of version 3"
+        )
+    require_believable(count, len(data))
+    try:
+        return splats_from_spz(data, count, degree)
+    except StoreDamaged as error:
+        raise BadInput(f"its SPZ of version 4 is not as long as {count} Gaussians of degree {degree} are") from error
 
 
 def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:

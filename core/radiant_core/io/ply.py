@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.io.compressed_ply import PACKED, ROWS_OF, gaussians_of_chunks
-from radiant_core.io.ply_elements import CACHED_ROWS as CACHED_ROWS
 from radiant_core.io.ply_elements import PlyHeader, Table, read_elements
 from radiant_core.io.run_store import atomic_writer
 from radiant_core.io.stored_gaussians import StoredGaussians, checked

@@ -243,7 +243,8 @@ def _walk_lists(file: IO[bytes], part: _Part) -> NDArray | None:
 
 def _read_text(file: IO[bytes], part: _Part) -> NDArray | None:
     """The scalars (N,P) of an element of an ASCII file, a line a row."""
-    element, width = part.element, len(part.element.dtype("<"))
+    element = part.element
+    width = sum(isinstance(kind, str) for kind in element.properties.values())
     # A number and what parts it from the next take two bytes; the last line may lack its end.
     if element.count * max(1, 2 * len(element.properties)) > part.left + 1:
         raise BadInput(part.too_short(f"{width} numbers"))

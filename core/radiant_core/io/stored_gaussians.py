@@ -118,10 +118,10 @@ def _saturated(given: StoredGaussians, notes: list[str]) -> StoredGaussians:
 
 def _are_finite(given: StoredGaussians) -> NDArray[np.bool_]:
     """Which Gaussians (N,) have only finite values and scales that float32 can say."""
-    good = (given.log_scales <= MAX_LOG_SCALE).all(axis=1)
-    for array in _arrays(given).values():
-        good &= np.isfinite(array).reshape(len(array), -1).all(axis=1)
-    return good
+    good = [(given.log_scales <= MAX_LOG_SCALE).all(axis=1)]
+    # Counted: an array of no harmonics has no other axis that could be left to numpy.
+    good += [np.isfinite(array).reshape(len(array), int(np.prod(array.shape[1:]))).all(axis=1) for array in _arrays(given).values()]
+    return np.logical_and.reduce(good)
 
 
 def _arrays(given: StoredGaussians) -> dict[str, NDArray[Any]]:

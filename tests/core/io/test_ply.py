@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.ply import CACHED_ROWS, CHUNK_ROWS, LOG_SCALES, MEANS, QUATS, SH0, load_ply, save_ply
+from radiant_core.io.ply import CHUNK_ROWS, LOG_SCALES, MEANS, QUATS, SH0, load_ply, save_ply
+from radiant_core.io.ply_elements import CACHED_ROWS
 from radiant_core.splats import SH_BASES, Splats
 
 
