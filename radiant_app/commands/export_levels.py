@@ -9,6 +9,7 @@ from typing import Any
 
 from radiant_app.commands.export_place import ExportPlace
 from radiant_app.commands.export_request import ExportRequest, exported_model, left_out_of, run_of
+from radiant_app.commands.given_model import given_model
 from radiant_app.commands.lod_regions import lod_regions
 from radiant_app.commands.steps import stage_bar
 from radiant_app.events import Warned
@@ -18,7 +19,6 @@ from radiant_core.errors import BadInput
 from radiant_core.lod.cells import LodRegion
 from radiant_core.lod.levels import LodLimits
 from radiant_core.splats import Splats
-from radiant_viewer.runs.model_file import load_model
 
 MAX_FITTING_S = 120.0
 """Levels are fitted without being asked for where that takes less processor time: some 100,000
@@ -79,7 +79,7 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
     from radiant_app.commands.view import scene_page
     from radiant_viewer.share.folder import save_page, save_single_page
 
-    model = load_model(request.model, as_trained=request.as_trained)
+    model = given_model(request.model, display, as_trained=request.as_trained)
     splats = None if request.model.is_dir() else model.splats
     page = scene_page(request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained)
     shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs), **left_out_of(model)}
