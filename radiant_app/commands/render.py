@@ -161,10 +161,7 @@ class _ModelOnce:
     @cached_property
     def splats(self) -> Splats:
         """The Gaussians that are drawn; BadInput without any."""
-        splats = given_model(self._request.model, self._display, as_trained=self._request.as_trained).splats
-        if not len(splats):
-            raise BadInput(f"{self._request.model} holds no Gaussian: there is nothing to render.")
-        return splats
+        return given_model(self._request.model, self._display, as_trained=self._request.as_trained).splats
 
 
 def _cameras(request: RenderRequest, model: _ModelOnce) -> tuple[Cameras, FloatArray | None]:

@@ -14,6 +14,7 @@ import struct
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -35,7 +36,7 @@ SPZ_MAX_LOG_SCALE = 5.9375
 """Larger Gaussians come back smaller."""
 _SPZ_HEADER = struct.Struct("<4sIIBBBBI12x")
 _SPZ_STREAM = struct.Struct("<QQ")
-_SPZ_FLAGS_AT, _SPZ_ANTIALIASED = 14, 1
+_SPZ_BITS_AT, _SPZ_FLAGS_AT, _SPZ_ANTIALIASED = 13, 14, 1
 MAX_ZSTD_RATIO = 2**15
 """A block of Zstandard is 128 KiB at most and 4 bytes or more: a stream that promises more is none,
 and nothing is allocated for it."""
@@ -75,16 +76,21 @@ def open3d_point_cloud(splats: Splats, max_sh_degree: int = 2) -> o3d.t.geometry
     return cloud
 
 
-def spz_bytes(splats: Splats) -> bytes:
-    """At least one Gaussian as SPZ, within its limits; StageFailed when Open3D writes nothing."""
+def spz_bytes(splats: Splats, fraction_bits: int = 12) -> bytes:
+    """At least one Gaussian as SPZ, within its limits; StageFailed when Open3D writes nothing.
+
+    Open3D writes 12 bits of a fraction: with fewer its centres are made smaller by as many powers
+    of two, and the header says so.
+    """
     import open3d as o3d
 
-    cloud = open3d_point_cloud(splats, max_sh_degree=3)
+    cloud = open3d_point_cloud(replace(splats, means=splats.means * np.float32(2.0 ** (fraction_bits - 12))), max_sh_degree=3)
     with TemporaryDirectory(prefix="radiant-spz-") as folder, _log_instead_of_output():
         path = Path(folder) / "model.spz"
         if not o3d.t.io.write_point_cloud(path, cloud):
             raise StageFailed(f"Open3D wrote no SPZ of {len(splats)} Gaussians: use --upload float16.")
         data = bytearray(path.read_bytes())
+    data[_SPZ_BITS_AT] = fraction_bits
     # Open3D has no such flag; without it other programs draw the model too sharp and too bright.
     data[_SPZ_FLAGS_AT] |= _SPZ_ANTIALIASED if splats.antialiased else 0
     return bytes(data)
