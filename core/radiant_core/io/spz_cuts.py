@@ -62,7 +62,8 @@ def fraction_bits_of(splats: Splats) -> int:
 
 def within_reach(splats: Splats, fraction_bits: int) -> NDArray[np.bool_]:
     """Which Gaussians (N,) so many bits can place."""
-    return (np.abs(splats.means) < SPZ_MAX_MEAN * 2.0 ** (SPZ_FRACTION_BITS - fraction_bits)).all(axis=1)
+    reach = SPZ_MAX_MEAN * 2.0 ** (SPZ_FRACTION_BITS - fraction_bits)
+    return np.asarray(np.abs(splats.means).max(axis=1, initial=0.0) < reach)
 
 
 def spz_cuts(splats: Splats, fraction_bits: int = SPZ_FRACTION_BITS) -> SpzCuts:

@@ -91,9 +91,8 @@ def usable(given: StoredGaussians) -> ModelFile:
     if lost and not is_finite.any():
         raise BadInput(f"none of its {len(given):,} Gaussians has numbers that are all finite")
     if lost:
-        notes.append(
-            f"{lost:,} of its {len(given):,} Gaussians have a number that is not finite, or a size beyond e^{MAX_LOG_SCALE:g}, and are left out"
-        )
+        why = f"have a number that is not finite, or a size beyond e^{MAX_LOG_SCALE:g}, and are left out"
+        notes.append(f"{lost:,} of its {len(given):,} Gaussians {why}")
         given = _select(given, is_finite)
     if zeros := int((given.quats == 0).all(axis=1).sum()):
         notes.append(f"{zeros:,} Gaussians have a rotation of length 0 and are taken as not rotated")
