@@ -71,7 +71,7 @@ def load_measures(run: Path) -> dict[str, Any]:
         raise StoreDamaged(f"{path} is not valid JSON ({error}): correct it, or move it away.") from error
     for name, row in found.items():
         if len(row.places) < LEAST_PLACES[row.kind]:
-            raise BadInput(f"{path} does not hold measures ({name!r} is a {row.kind} of {len(row.places)} places): move it away.")
+            raise BadInput(f"{path} does not hold measures ({name!r} has {len(row.places)} places for its {row.kind}): move it away.")
     return {name: row.model_dump(mode="json", exclude_unset=True) for name, row in found.items()}
 
 

@@ -8,6 +8,7 @@ colours at ±3.33 and harmonics at ±1.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +55,8 @@ def fraction_bits_of(splats: Splats) -> int:
     """Bits of a fraction for a file: 12, fewer where Gaussians lie beyond 2,047 units, and as few as
     leave steps of a quarter of the median Gaussian."""
     farthest = float(np.abs(splats.means).max(initial=0.0))
-    room = SPZ_FRACTION_BITS - max(0, int(np.ceil(np.log2(max(farthest, 1e-30) * (1 + 1e-6) / SPZ_MAX_MEAN))))
+    # frexp: the least k with farthest < 2047 · 2^k.
+    room = SPZ_FRACTION_BITS - max(0, math.frexp(farthest / SPZ_MAX_MEAN)[1])
     typical = float(np.median(splats.log_scales.max(axis=1))) if len(splats) else 0.0
     needed = int(np.ceil(-np.log2(COARSEST_STEP) - typical / np.log(2)))
     return int(np.clip(max(room, needed), 0, SPZ_FRACTION_BITS))
