@@ -1,6 +1,7 @@
 """`radiant evaluate MODEL [SCENE]`: any model on the photographs that a scene holds out.
 
-MODEL: the folder of a run, or a model file of any kind that `io.model_reader` reads. SCENE, else MODEL if it is a run:
+MODEL: the folder of a run, or a model file of any kind that `io.model_reader` reads. SCENE, else
+MODEL if it is a run:
     a run          its held-out cameras and photographs at the size it was scored at
     an sfm folder  (`radiant sfm`, or a run that was not scored) every 8th photograph by name
     a COLMAP project, undistorted: every 8th by name, in the project's own frame

@@ -1,8 +1,8 @@
 """Models as PLY files in the layout of the original 3DGS code. Once per model.
 
-Written: one binary little-endian float32 record per Gaussian: x y z, nx ny nz (zero), f_dc_0..2, f_rest_*
-(all bases of red, then of green, then of blue), opacity (logit), scale_0..2 (ln m), rot_0..3
-(wxyz). An antialiased model says so in two comments: ours, and "SplatRenderMode: mip", which Brush
+Written: one binary little-endian float32 record per Gaussian: x y z, nx ny nz (zero), f_dc_0..2,
+f_rest_* (all bases of red, then of green, then of blue), opacity (logit), scale_0..2 (ln m),
+rot_0..3 (wxyz). An antialiased model says so in two comments: ours, and "SplatRenderMode: mip", which Brush
 and PlayCanvas's tools read; Postshot's "antialiased 1" is read too. Layout: Kerbl et al., 3D
 Gaussian Splatting (2023), its published models.
 

@@ -1,8 +1,8 @@
 """What SPZ cannot hold of a model, counted before it is written. Once per export.
 
-A centre has 24 bits, of which b are a fraction: steps of 2^−b within 2047 · 2^(12 − b) units. 12 are
-what every writer takes; a larger scene gets fewer, as long as a step stays below a quarter of the
-median Gaussian, and what then lies farther out is left out. Sizes end at e^−10 and 379 units,
+A centre has 24 bits, of which b are a fraction: steps of 2^−b within 2047 · 2^(12 − b) units. 12
+are what every writer takes; a larger scene gets fewer, as long as a step stays below a quarter of
+the median Gaussian, and what then lies farther out is left out. Sizes end at e^−10 and 379 units,
 colours at ±3.33 and harmonics at ±1.
 """
 
@@ -52,8 +52,8 @@ class SpzCuts:
 
 
 def fraction_bits_of(splats: Splats) -> int:
-    """Bits of a fraction for a file: 12, fewer where Gaussians lie beyond 2,047 units, and as few as
-    leave steps of a quarter of the median Gaussian."""
+    """Bits of a fraction for a file: 12, fewer where Gaussians lie beyond 2,047 units, and no fewer
+    than leave steps of a quarter of the median Gaussian."""
     farthest = float(np.abs(splats.means).max(initial=0.0))
     # frexp: the least k with farthest < 2047 · 2^k.
     room = SPZ_FRACTION_BITS - max(0, math.frexp(farthest / SPZ_MAX_MEAN)[1])
