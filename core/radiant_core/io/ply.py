@@ -2,9 +2,9 @@
 
 Written: one binary little-endian float32 record per Gaussian: x y z, nx ny nz (zero), f_dc_0..2,
 f_rest_* (all bases of red, then of green, then of blue), opacity (logit), scale_0..2 (ln m),
-rot_0..3 (wxyz). An antialiased model says so in two comments: ours, and "SplatRenderMode: mip", which Brush
-and PlayCanvas's tools read; Postshot's "antialiased 1" is read too. Layout: Kerbl et al., 3D
-Gaussian Splatting (2023), its published models.
+rot_0..3 (wxyz). An antialiased model says so in two comments: ours, and "SplatRenderMode: mip",
+which Brush and PlayCanvas's tools read; Postshot's "antialiased 1" is read too. Layout: Kerbl et
+al., 3D Gaussian Splatting (2023), its published models.
 
 Read: the element "vertex" of any PLY (`io.ply_elements`), ASCII and big endian too, or PlayCanvas's
 compressed layout (`io.compressed_ply`). PLY files come from strangers.
@@ -86,7 +86,8 @@ def read_ply(path: Path) -> StoredGaussians:
     `load_ply` for all but the values, and OSError as `open`."""
     header, tables = read_elements(path, {VERTEX: "Gaussians", **ROWS_OF})
     if VERTEX not in tables:
-        raise BadInput(f"it has no element 'vertex' among {', '.join(element.name for element in header.elements)[:80]}")
+        names = ", ".join(element.name for element in header.elements)
+        raise BadInput(f"it has no element 'vertex', only {names[:80]!r}")
     is_antialiased = _is_antialiased(header)
     if all(tables[VERTEX].has(name, "iu") for name in PACKED):
         return gaussians_of_chunks(tables, antialiased=is_antialiased)
