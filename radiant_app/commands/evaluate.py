@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.commands.given_model import given_model
-from radiant_app.commands.steps import require_file_to_be, stage_bar
+from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
 from radiant_app.workers.sources import captures_of, detect_source, load_scored_scene, masks_folder_of
@@ -78,6 +78,8 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     if request.out is not None:
         require_file_to_be(request.out)
     lpips = None if request.lpips_weights is None else load_lpips(request.lpips_weights, request.lpips_network)
+    if request.model.is_dir():
+        require_run(request.model, "scene.ply")
     splats = given_model(request.model, display, as_trained=True).splats
     held_out = _held_out_of(request)
     _require_sizes(held_out.cameras, lpips)

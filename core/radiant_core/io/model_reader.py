@@ -79,7 +79,7 @@ def read_model(path: Path) -> ModelFile:
     """
     kind = model_kind(path)
     if kind is None:
-        raise BadInput(f"{path} is {_what_it_is(path)}: give {_READ}, or the folder of a run.")
+        raise BadInput(f"{path} is neither a run nor a model that is read here, but {_what_it_is(path)}: give {_READ}, or a run.")
     try:
         made = usable(_READERS[kind](path))
     except OSError as error:
@@ -115,7 +115,7 @@ def _what_it_is(path: Path) -> str:
     known = next((what for start, what in _OTHERS.items() if head.startswith(start)), None)
     if path.suffix.lower() == ".ksplat":
         known = "a .ksplat, which is not read"
-    return known or "no model that is read here"
+    return known or f"a file that begins with {head!r}"
 
 
 def _spz(path: Path) -> StoredGaussians:

@@ -221,7 +221,7 @@ def test_a_kind_is_told_by_the_content_and_every_kind_is_read(tmp_path: Path) ->
     for name, data, said in [
         ("a.glb", b"glTF" + bytes(20), "a GLB, which is written here and not read"),
         ("a.ksplat", bytes(40), "a .ksplat, which is not read"),
-        ("a.txt", b"hello", "no model that is read here"),
+        ("a.txt", b"hello", "neither a run nor a model that is read here, but a file that begins with b'hello'"),
         ("a.splat", bytes(33), "expected a multiple of 32"),
         ("a.sog", b"hello", "is not a zip file"),
         ("a.ply", b"hello\n", "does not begin as a PLY file"),
