@@ -212,15 +212,12 @@ MEASURE = {
         ({"figures": {"x": {"value": 1, "sigma": 1, "unit": "\x1b[2J"}}}, "characters that cannot be printed"),
         ({"profile": [[0, 1]]}, r"a.profile\[0\]\[2\] is missing"),
         ({"more": 1}, "a.more is not a key of a measure"),
-        (None, "a.crs is missing"),
+        ({"crs": 5}, "a.crs is 5"),
     ],
 )
-def test_measures_of_a_stranger_are_typed_whole(tmp_path: Path, change: dict[str, object] | None, sentence: str) -> None:
+def test_measures_of_a_stranger_are_typed_whole(tmp_path: Path, change: dict[str, object], sentence: str) -> None:
     (tmp_path / "survey").mkdir()
-    row = {**MEASURE, **(change or {})}
-    if change is None:
-        del row["crs"]
-    (tmp_path / "survey/measures.json").write_text(json.dumps({"a": row}))
+    (tmp_path / "survey/measures.json").write_text(json.dumps({"a": {**MEASURE, **change}}))
     with pytest.raises(BadInput, match=f"measures.json does not hold measures .*{sentence}"):
         load_measures(tmp_path)
 
@@ -233,3 +230,8 @@ def test_no_text_of_a_table_of_measures_is_a_formula(tmp_path: Path) -> None:
     export_measures(tmp_path / "a.csv", load_measures(tmp_path), frame)
     _, cells = csv.reader((tmp_path / "a.csv").read_text().splitlines())
     assert cells == ["'=cmd|x", "area", "'=1+1", "-1.5", "0.1", "'+m", "'@x"]
+    # A file of an early version does not say its system.
+    del row["crs"]
+    (tmp_path / "survey/measures.json").write_text(json.dumps({"a": row}))
+    export_measures(tmp_path / "b.csv", load_measures(tmp_path), frame)
+    assert (tmp_path / "b.csv").read_text().splitlines()[1].endswith(",'+m,")

@@ -44,7 +44,8 @@ class _Figure(Strict):
 
 class _Measure(Strict):
     kind: MeasureKind
-    crs: _Text
+    crs: _Text = ""
+    """Empty where the file does not say it, as those of early versions do not."""
     places: Annotated[list[tuple[_Number, _Number, _Number]], Field(max_length=1_000_000)]
     figures: dict[_Text, _Figure]
     filled: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -72,7 +73,7 @@ def load_measures(run: Path) -> dict[str, Any]:
     for name, row in found.items():
         if len(row.places) < LEAST_PLACES[row.kind]:
             raise BadInput(f"{path} does not hold measures ({name!r} has {len(row.places)} places for its {row.kind}): move it away.")
-    return {name: row.model_dump(mode="json", exclude_unset=True) for name, row in found.items()}
+    return {name: {"crs": row.crs, **row.model_dump(mode="json", exclude_unset=True)} for name, row in found.items()}
 
 
 def save_measures(run: Path, kept: dict[str, Any]) -> None:
