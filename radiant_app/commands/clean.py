@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.commands.given_model import given_model
 from radiant_app.commands.steps import require_model, stage_bar
 from radiant_app.events import Warned
 from radiant_app.report.progress import ProgressDisplay
@@ -30,7 +31,6 @@ from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS, Support, 
 from radiant_core.io.cleaning_file import cleaning_path, load_cleaning, save_cleaning, step_record
 from radiant_core.io.waypoints.region import load_region
 from radiant_viewer.runs.cleaned_model import OWN_SUPPORT, CleanedModel, cleaned_model, find_support, surroundings
-from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.run_view import RunView, load_run_view, require_splats
 
 MEASURED_LONG_SIDE_PX = 640
@@ -64,7 +64,7 @@ def clean(request: CleanRequest, display: ProgressDisplay) -> dict[str, Any]:
     """
     require_model(request.model)
     run = load_run_view(request.model, as_trained=True) if request.model.is_dir() else None
-    model = load_model(request.model, as_trained=True) if run is None else require_cleaned_model(run)
+    model = given_model(request.model, display, as_trained=True) if run is None else require_cleaned_model(run)
     path, steps = cleaning_path(request.model), _steps(request, run, lambda message: display(Warned(stage="clean", message=message)))
     if request.measure or any(isinstance(step, SupportStep) for step in steps):
         _measure(run, model, display, anew=request.measure)

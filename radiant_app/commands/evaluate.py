@@ -1,6 +1,7 @@
 """`radiant evaluate MODEL [SCENE]`: any model on the photographs that a scene holds out.
 
-MODEL: the folder of a run, a 3DGS PLY, or a model.safetensors. SCENE, else MODEL if it is a run:
+MODEL: the folder of a run, or a model file of any kind that `io.model_reader` reads. SCENE, else
+MODEL if it is a run:
     a run          its held-out cameras and photographs at the size it was scored at
     an sfm folder  (`radiant sfm`, or a run that was not scored) every 8th photograph by name
     a COLMAP project, undistorted: every 8th by name, in the project's own frame
@@ -16,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.commands.steps import require_file_to_be, stage_bar
+from radiant_app.commands.given_model import given_model
+from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
-from radiant_app.workers.folder_kinds import named_folder
 from radiant_app.workers.sources import captures_of, load_scored_scene, locate_source, masks_folder_of, notes_on_source
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME
 from radiant_app.workers.training import MASKS
@@ -30,10 +31,8 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.photos.listing import list_photographs
-from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_splats
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.io.transport.upload import load_upload
 from radiant_core.light.canonical import LightOfScore, light_of_score
 from radiant_core.light.captures import Captures, load_captures, read_captures
 from radiant_core.light.solve import COMPARED_PX
@@ -82,7 +81,9 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     if request.out is not None:
         require_file_to_be(request.out)
     lpips = None if request.lpips_weights is None else load_lpips(request.lpips_weights, request.lpips_network)
-    splats = _load_model(request.model)
+    if request.model.is_dir():
+        require_run(request.model, "scene.ply")
+    splats = given_model(request.model, display, as_trained=True).splats
     held_out = _held_out_of(request)
     _require_sizes(held_out.cameras, lpips)
     cameras, used = select_scored(held_out.cameras, held_out.masks, warn=lambda message: None)
@@ -131,18 +132,6 @@ def load_scored_cameras(run: Path) -> Cameras | None:
     # Runs made before devices and owners had one scorer have them under the second name.
     names = [name for name in (HELD_OUT_NAME, "cameras.safetensors") if (run / "evaluation" / name).is_file()]
     return load_cameras(run / "evaluation" / names[0]) if names else None
-
-
-def _load_model(model: Path) -> Splats:
-    if model.is_dir():
-        if not (model / "scene.ply").is_file():
-            raise BadInput(
-                f"{named_folder(model)} holds no scene.ply: give the folder of a finished run, a 3DGS PLY or a model.safetensors."
-            )
-        return load_ply(model / "scene.ply")
-    if model.suffix.lower() not in (".ply", ".safetensors"):
-        raise BadInput(f"{model} is neither a run nor a .ply or .safetensors: convert it to a 3DGS PLY first.")
-    return load_upload(model) if model.suffix.lower() == ".safetensors" else load_ply(model)
 
 
 def _held_out_of(request: EvaluateRequest) -> _HeldOut:

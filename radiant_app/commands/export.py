@@ -104,20 +104,24 @@ def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.scene import DEFAULT_SPZ_VERSION, save_spz
-    from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 
     splats, cleaned = exported_model(request, display)
     splats, place = placed(request, splats)
     cuts = save_spz(request.out, splats, request.spz_version or DEFAULT_SPZ_VERSION)
-    figures = {"gaussians": len(splats) - cuts.num_left_out, **asdict(cuts), "position_max_error": SPZ_MEAN_STEP}
+    if lost := cuts.sentence():
+        display(Warned(stage="export", message=lost))
+    counts = {name: value for name, value in asdict(cuts).items() if name.startswith("num_")}
+    figures = {"gaussians": len(splats) - cuts.num_left_out, **counts, "position_max_error": cuts.step}
     return {**figures, **cleaned, **place.write(request.out)}
 
 
 def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.export.sog import save_sog
+    from radiant_core.io.export.sog import moved_sentence, save_sog
 
     splats, cleaned = exported_model(request, display)
     splats, place = placed(request, splats)
+    if lost := moved_sentence(splats):
+        display(Warned(stage="export", message=lost))
     figures = {name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}
     return {"gaussians": len(splats), **figures, **cleaned, **place.write(request.out)}
 

@@ -9,16 +9,17 @@ from typing import Any
 
 from radiant_app.commands.export_place import ExportPlace
 from radiant_app.commands.export_request import ExportRequest, exported_model, left_out_of, run_of
+from radiant_app.commands.given_model import given_model
 from radiant_app.commands.lod_regions import lod_regions
 from radiant_app.commands.steps import stage_bar
 from radiant_app.events import Warned
 from radiant_app.files.run_folder import create_folder
 from radiant_app.report.progress import ProgressDisplay
+from radiant_core.choices import TileContent
 from radiant_core.errors import BadInput
 from radiant_core.lod.cells import LodRegion
 from radiant_core.lod.levels import LodLimits
 from radiant_core.splats import Splats
-from radiant_viewer.runs.model_file import load_model
 
 MAX_FITTING_S = 120.0
 """Levels are fitted without being asked for where that takes less processor time: some 100,000
@@ -58,6 +59,8 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
     limits = _limits_of(request, TILE_LIMITS, splats, regions, display)
+    form = request.tile_form or "spz"
+    _warn_of_form(form, splats, display)
     place = _place_of(request)
     frame = place.frame
     if frame is None or frame.kind != "metric":
@@ -67,11 +70,27 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
             request.out,
             splats,
             regions,
-            TileOptions(frame=frame, limits=limits, form=request.tile_form or "spz"),
+            TileOptions(frame=frame, limits=limits, form=form),
             lambda done, total: report(done, total, "Gaussians"),
         )
         written = place.write_local(request.out / TILESET_NAME)
     return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **_told(limits), **cleaned, **written}
+
+
+def _warn_of_form(form: TileContent, splats: Splats, display: ProgressDisplay) -> None:
+    """Say which readers a form of tiles shuts out, and what it cannot hold."""
+    from radiant_core.io.spz_cuts import spz_cuts
+
+    if form == "plain":
+        said = (
+            "CesiumJS (1.139 to 1.145) stops at plain tiles with an error and draws nothing more: they are for readers of glTF's extension "
+            "itself, such as three.js; --tiles spz is what CesiumJS draws."
+        )
+        display(Warned(stage="export", message=said))
+        return
+    # Each tile has its own middle and as many bits as its centres need.
+    if lost := replace(spz_cuts(splats), num_left_out=0).sentence():
+        display(Warned(stage="export", message=lost))
 
 
 def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -79,11 +98,15 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
     from radiant_app.commands.view import scene_page
     from radiant_viewer.share.folder import save_page, save_single_page
 
-    model = load_model(request.model, as_trained=request.as_trained)
+    model = given_model(request.model, display, as_trained=request.as_trained)
     splats = None if request.model.is_dir() else model.splats
     page = scene_page(request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained)
     shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs), **left_out_of(model)}
     if request.out.suffix.lower() == ".html":
+        from radiant_core.io.export.sog import moved_sentence
+
+        if lost := moved_sentence(page.splats):
+            display(Warned(stage="export", message=lost))
         if request.num_levels is not None or request.fit_levels is not None or request.regions:
             raise BadInput("--levels, --fit-levels and --regions are of a folder, and one file has no levels: leave them out.")
         return {**shown, "bytes": save_single_page(request.out, page)}

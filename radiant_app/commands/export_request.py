@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from radiant_app.commands.clean import measure_support, require_cleaned_model
 from radiant_app.commands.export_place import ExportPlace, place_of
+from radiant_app.commands.given_model import given_model
 from radiant_app.events import Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent
@@ -16,7 +17,6 @@ from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import SupportStep, Surroundings, keeps
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
-from radiant_viewer.runs.model_file import load_model
 
 if TYPE_CHECKING:
     from radiant_viewer.runs.cleaned_model import CleanedModel
@@ -77,12 +77,9 @@ class ExportRequest:
 
 def exported_model(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
     """The Gaussians to write, and what a cleaning and `clean` left out of them."""
-    from radiant_app.commands.steps import require_model
-
     if request.clean:
         return _without_unconstrained(request, display)
-    require_model(request.model)
-    model = load_model(request.model, as_trained=request.as_trained)
+    model = given_model(request.model, display, as_trained=request.as_trained)
     return model.splats, left_out_of(model)
 
 

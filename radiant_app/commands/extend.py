@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from radiant_app.commands.given_model import given_model
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
 from radiant_app.events import Warned
 from radiant_app.files.out_folder import folder_made_for
@@ -55,7 +56,7 @@ class ExtendRequest:
     """What `radiant extend` was asked for."""
 
     old: Path
-    """A run, or a PLY in the frame of `new`."""
+    """A run, or a model file in the frame of `new`."""
     new: Path
     """A run."""
     out: Path
@@ -86,7 +87,9 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     require_current(request.new)
     # Runs made before a task could extend have no such key.
     given = message_of(CloudTask, {"extends": None, **read_json(request.new / "cloud" / TASK_NAME, ("train", "num_dealt"))})
-    old = load_ply(request.old if request.old.is_file() else _scene_of(request.old))
+    if request.old.is_dir():
+        require_run(request.old, "scene.ply")
+    old = given_model(request.old, display, as_trained=True).splats
     move, origin, frames = _common_frame(request)
     new, cameras = _move_scene(load_ply(request.new / "scene.ply"), _virtual_cameras(request.new), move)
     if request.region is not None and origin is None:
@@ -123,17 +126,12 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     }
 
 
-def _scene_of(run: Path) -> Path:
-    require_run(run, "scene.ply")
-    return run / "scene.ply"
-
-
 def _common_frame(request: ExtendRequest) -> tuple[Sim3 | None, FloatArray | None, str]:
     """How the new run moves into the old one's frame (None: not at all), that frame's origin where
     it is known, and a sentence."""
     new = _origin(request.new)
     if request.old.is_file():
-        return None, new, "a PLY names no frame: taken to be that of the new run"
+        return None, new, "a model file names no frame: taken to be that of the new run"
     old = _origin(request.old)
     if old is None or new is None:
         lost = request.old if old is None else request.new

@@ -12,6 +12,7 @@ from radiant_app.files.constraints_file import dump_constraints
 from radiant_app.files.system_file import dump_system, load_system
 from radiant_app.run.prediction_error import SYSTEM_NAME
 from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.model_reader import model_kind
 from radiant_core.io.records import PlanFile, load_plan, load_plan_file
 from radiant_core.plan.system import System
 from radiant_viewer.runs.run_view import SCENE_NAME
@@ -29,7 +30,7 @@ def plan_file_of(source: Path) -> Path | None:
     """The plan file that `source` is, or a folder's only plan; None for a run and anything else.
     Raises BadInput for a folder with several plans, and for a run that lost its manifest."""
     if source.is_file():
-        return source if source.suffix == ".json" else None
+        return source if source.suffix == ".json" and model_kind(source) is None else None
     if not source.is_dir() or (source / "manifest.json").is_file():
         return None
     if (source / "plan.json").is_file() and (source / SCENE_NAME).is_file():
@@ -68,7 +69,7 @@ class Picture:
 
 def save_picture(source: Path, view: str | None, path: Path, picture: Picture = Picture()) -> str:
     """Write a view (or the usual one) as PNG; BadInput for a wrong view or an existing `path`."""
-    if source.suffix.lower() == ".ply" and source.is_file():
+    if source.is_file() and model_kind(source) is not None:
         raise BadInput(
             f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "
             f"pictures by 'radiant render {source} --trajectory orbit --frames 8 --out FOLDER'."

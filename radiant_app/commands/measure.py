@@ -20,6 +20,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.io.array_file import load_arrays, stream_arrays
 from radiant_core.io.cleaning_file import cleaning_path
+from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.measures_file import FOLDER, load_measures, places_of, save_measures
 from radiant_core.io.run_store import file_sha256, write_atomic, write_json
 from radiant_core.numerics import FloatArray
@@ -221,9 +222,9 @@ def _write_measures(path: Path, kept: dict[str, Any], map_frame: MapFrame) -> No
         writer.writerow(["name", "kind", "figure", "value", "sigma", "unit", "crs"])
         for name, row in kept.items():
             for figure, about in row["figures"].items():
-                # A name that a spreadsheet would take for a formula is text.
-                shown = f"'{name}" if name[:1] in "=+-@" else name
-                writer.writerow([shown, row["kind"], figure, about["value"], about["sigma"], about["unit"], row["crs"]])
+                # Numbers are numbers; any text may be a formula to a spreadsheet.
+                texts = [cell_of_text(text) for text in (name, row["kind"], figure, about["unit"], row["crs"])]
+                writer.writerow([*texts[:3], about["value"], about["sigma"], *texts[3:]])
         return write_atomic(path, lines.getvalue().encode())
     features = []
     for name, row in kept.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from radiant_app.commands.evaluate import DEFAULT_LONG_SIDE_PX, load_scored_cameras
+from radiant_app.commands.given_model import given_model
 from radiant_app.commands.steps import require_file_to_be, require_model, stage_bar
 from radiant_app.events import Decided, Warned
 from radiant_app.files.out_folder import folder_made_for
@@ -32,7 +34,6 @@ from radiant_core.render.trajectories import Lens, along_border, cameras_looking
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
 from radiant_viewer.pictures.turntable import HAZE_TIMES, in_scene
-from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.run_view import RunView, load_run_view
 from radiant_viewer.runs.unplanned import folder_kind, scene_box
 
@@ -75,9 +76,10 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
         require_file_to_be(request.out)
         if request.cameras is None and request.trajectory is None and request.keyframes is None:
             raise BadInput("a film needs a path: add --trajectory orbit, --trajectory border, --keyframes or --cameras.")
-    cameras, scene = _cameras(request)
+    model = _ModelOnce(request, display)
+    cameras, scene = _cameras(request, model)
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
-    splats = _model(request)
+    splats = model.splats
     splats = splats if scene is None else _scene_alone(splats, scene, display)
     near_m = _near_planes(splats, cameras, display) if request.keyframes is not None and not request.as_trained else None
     if is_film:
@@ -151,12 +153,19 @@ def _scene_alone(splats: Splats, box: FloatArray, display: ProgressDisplay) -> S
     return splats.select(shown)
 
 
-def _model(request: RenderRequest) -> Splats:
-    require_model(request.model)
-    return load_model(request.model, as_trained=request.as_trained).splats
+class _ModelOnce:
+    """The model of a request, read where it is asked for, once."""
+
+    def __init__(self, request: RenderRequest, display: ProgressDisplay) -> None:
+        self._request, self._display = request, display
+
+    @cached_property
+    def splats(self) -> Splats:
+        """The Gaussians that are drawn; BadInput without any."""
+        return given_model(self._request.model, self._display, as_trained=self._request.as_trained).splats
 
 
-def _cameras(request: RenderRequest) -> tuple[Cameras, FloatArray | None]:
+def _cameras(request: RenderRequest, model: _ModelOnce) -> tuple[Cameras, FloatArray | None]:
     """The cameras, and for an orbit the box (2,3) of the scene that it looks at."""
     chosen = [name for name in ("cameras", "trajectory", "keyframes") if getattr(request, name) is not None]
     if len(chosen) > 1:
@@ -168,7 +177,7 @@ def _cameras(request: RenderRequest) -> tuple[Cameras, FloatArray | None]:
     if request.keyframes is not None:
         return keyframe_cameras(request.keyframes, request.fps, request.size_wh), None
     if request.trajectory is not None:
-        cameras, box = _flight(request, lens)
+        cameras, box = _flight(request, lens, model)
         return cameras, None if request.as_trained or request.trajectory != "orbit" else box
     if request.cameras is None and not request.model.is_dir():
         raise BadInput(f"{request.model} is a model alone: say from where to look by --trajectory orbit, --cameras or --keyframes.")
@@ -188,7 +197,7 @@ def held_out_of_training(run: RunView) -> Cameras:
     return run.scene.cameras.select(held_out).scaled(DEFAULT_LONG_SIDE_PX)
 
 
-def _flight(request: RenderRequest, lens: Lens) -> tuple[Cameras, FloatArray]:
+def _flight(request: RenderRequest, lens: Lens, model: _ModelOnce) -> tuple[Cameras, FloatArray]:
     """The cameras of a flight, and the box (2,3) of the scene."""
     from radiant_app.report.hero import framed_box
     from radiant_viewer.runs.run_layers import ground_height
@@ -196,7 +205,7 @@ def _flight(request: RenderRequest, lens: Lens) -> tuple[Cameras, FloatArray]:
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")
         # Haze and sky are thin or far: neither moves the middle of what is opaque.
-        box = middle_box(_opaque(_model(request)))
+        box = middle_box(_opaque(model.splats))
         return _orbit_around(box, request.num_frames, lens), box
     run = load_run_view(request.model)
     if run.kind != "run":

@@ -84,7 +84,7 @@ def require_model(model: Path) -> None:
     from radiant_viewer.runs.run_view import no_model_text
 
     if not model.exists():
-        raise BadInput(f"there is no {model}: name the folder of a run or a training, or a .ply file.")
+        raise BadInput(f"there is no {model}: name the folder of a run or a training, or a model file.")
     if model.is_dir() and not (model / "scene.ply").is_file():
         raise BadInput(no_model_text(model))
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from radiant_app.commands.given_model import given_model
 from radiant_app.commands.lod_regions import lod_regions
 from radiant_app.commands.steps import require_model, stage_bar
 from radiant_app.report.progress import ProgressDisplay
@@ -18,7 +19,6 @@ from radiant_core.io.cleaning_file import cleaning_path
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.lod.levels import LodLimits
 from radiant_core.splats import Splats
-from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.share.folder import ScenePage, page_of_model, page_of_run, save_page
 from radiant_viewer.share.serving import served
 from radiant_viewer.share.vendored import SHA256
@@ -58,7 +58,7 @@ def _wait() -> None:
 def _folder_of(model: Path, display: ProgressDisplay) -> Iterator[Path]:
     """The folder of the page: kept in a run, of a model alone for as long as it is looked at."""
     if not model.is_dir():
-        splats = load_model(model).splats
+        splats = given_model(model, display).splats
         with tempfile.TemporaryDirectory(prefix="radiant-view-") as made:
             _make(Path(made), model, splats, display)
             yield Path(made)

@@ -14,7 +14,8 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import parse_json, read_bounded
-from radiant_core.io.sog_reader import load_sog
+from radiant_core.io.sog_reader import read_sog
+from radiant_core.io.stored_gaussians import StoredGaussians, checked
 from radiant_core.splats import Splats, concatenate_splats
 
 MAX_META_BYTES, MAX_LEVELS, MAX_FILES, MAX_NODES = 256 << 20, 32, 1 << 20, 1 << 22
@@ -23,11 +24,12 @@ _KEYS = {"version", "asset", "count", "counts", "lodLevels", "lodErrors", "envir
 
 @dataclass(frozen=True, kw_only=True)
 class LodMeta:
-    """counts of Gaussians by level; files by level, of the whole; environment, None without one;
-    num_leaves."""
+    """counts of Gaussians by level; files by level, of the whole, and how many Gaussians each has;
+    environment, None without one; num_leaves."""
 
     counts: tuple[int, ...]
     files: tuple[tuple[str, ...], ...]
+    file_counts: tuple[tuple[int, ...], ...]
     environment: str | None
     num_leaves: int
 
@@ -44,14 +46,25 @@ def load_lod_meta(path: Path) -> LodMeta:
 
 def load_lod_level(path: Path, level: int = 0) -> Splats:
     """One level of a lod-meta.json with its far field; raises as `load_lod_meta` and `load_sog`."""
+    return concatenate_splats([_checked_part(part, path) for part in read_lod_level(path, level)])
+
+
+def read_lod_level(path: Path, level: int = 0) -> list[StoredGaussians]:
+    """The models of one level and the far field, the values unchecked; raises as
+    `load_lod_level`."""
     meta = load_lod_meta(path)
     if not 0 <= level < len(meta.counts):
         raise BadInput(f"level {level} of {path} was asked for, which has 0 to {len(meta.counts) - 1}.")
-    parts = [load_sog(path.parent / name) for name in meta.files[level]]
-    found = sum(map(len, parts))
-    if found != meta.counts[level]:
-        raise BadInput(f"cannot use {path}: level {level} has {found} Gaussians, expected {meta.counts[level]}: export it again.")
-    return concatenate_splats(parts + ([load_sog(path.parent / meta.environment)] if meta.environment else []))
+    # Each file is held against what the tree says of it before its textures are decoded.
+    parts = [read_sog(path.parent / name, count) for name, count in zip(meta.files[level], meta.file_counts[level], strict=True)]
+    return parts + ([read_sog(path.parent / meta.environment)] if meta.environment else [])
+
+
+def _checked_part(part: StoredGaussians, path: Path) -> Splats:
+    try:
+        return checked(part)
+    except BadInput as error:
+        raise BadInput(f"cannot use {path}: {error}") from error
 
 
 def _checked(given: Any) -> LodMeta:
@@ -63,6 +76,8 @@ def _checked(given: Any) -> LodMeta:
     names = given["filenames"]
     if not isinstance(names, list) or len(names) > MAX_FILES or not all(_lies_below(name) for name in names):
         raise BadInput("its filenames are no list of files below it")
+    if len(set(names)) < len(names):
+        raise BadInput("its filenames name a file twice")
     environment = given.get("environment")
     if environment is not None and not _lies_below(environment):
         raise BadInput("its environment is no file below it")
@@ -80,8 +95,14 @@ def _checked(given: Any) -> LodMeta:
             counts[level] += count
     if "counts" in given and given["counts"] != counts.tolist():
         raise BadInput(f"its counts are {str(given['counts'])[:60]}, its leaves have {counts.tolist()}")
-    files = tuple(tuple(names[file] for file in np.flatnonzero(level_of_file == level)) for level in range(levels))
-    return LodMeta(counts=tuple(counts.tolist()), files=files, environment=environment, num_leaves=num_leaves)
+    of_level = [np.flatnonzero(level_of_file == level) for level in range(levels)]
+    return LodMeta(
+        counts=tuple(counts.tolist()),
+        files=tuple(tuple(names[file] for file in files) for files in of_level),
+        file_counts=tuple(tuple(of_file[files].tolist()) for files in of_level),
+        environment=environment,
+        num_leaves=num_leaves,
+    )
 
 
 def _leaves(tree: Any) -> Iterator[dict[str, Any]]:

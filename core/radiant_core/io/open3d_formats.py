@@ -14,6 +14,7 @@ import struct
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from radiant_core.errors import BadInput, StageFailed, StoreDamaged
+from radiant_core.io.claimed_counts import require_believable
 from radiant_core.numerics import unit_quats
 from radiant_core.splats import SH_BASES, Splats
 
@@ -34,7 +36,7 @@ SPZ_MAX_LOG_SCALE = 5.9375
 """Larger Gaussians come back smaller."""
 _SPZ_HEADER = struct.Struct("<4sIIBBBBI12x")
 _SPZ_STREAM = struct.Struct("<QQ")
-_SPZ_FLAGS_AT, _SPZ_ANTIALIASED = 14, 1
+_SPZ_BITS_AT, _SPZ_FLAGS_AT, _SPZ_ANTIALIASED = 13, 14, 1
 MAX_ZSTD_RATIO = 2**15
 """A block of Zstandard is 128 KiB at most and 4 bytes or more: a stream that promises more is none,
 and nothing is allocated for it."""
@@ -74,16 +76,21 @@ def open3d_point_cloud(splats: Splats, max_sh_degree: int = 2) -> o3d.t.geometry
     return cloud
 
 
-def spz_bytes(splats: Splats) -> bytes:
-    """At least one Gaussian as SPZ, within its limits; StageFailed when Open3D writes nothing."""
+def spz_bytes(splats: Splats, fraction_bits: int = 12) -> bytes:
+    """At least one Gaussian as SPZ, within its limits; StageFailed when Open3D writes nothing.
+
+    Open3D writes 12 bits of a fraction: with fewer its centres are made smaller by as many powers
+    of two, and the header says so.
+    """
     import open3d as o3d
 
-    cloud = open3d_point_cloud(splats, max_sh_degree=3)
+    cloud = open3d_point_cloud(replace(splats, means=splats.means * np.float32(2.0 ** (fraction_bits - 12))), max_sh_degree=3)
     with TemporaryDirectory(prefix="radiant-spz-") as folder, _log_instead_of_output():
         path = Path(folder) / "model.spz"
         if not o3d.t.io.write_point_cloud(path, cloud):
             raise StageFailed(f"Open3D wrote no SPZ of {len(splats)} Gaussians: use --upload float16.")
         data = bytearray(path.read_bytes())
+    data[_SPZ_BITS_AT] = fraction_bits
     # Open3D has no such flag; without it other programs draw the model too sharp and too bright.
     data[_SPZ_FLAGS_AT] |= _SPZ_ANTIALIASED if splats.antialiased else 0
     return bytes(data)
@@ -114,6 +121,26 @@ def splats_from_spz(data: bytes, num_splats: int, sh_degree: int) -> Splats:
         shN=point["f_rest"],
         antialiased=bool(data[_SPZ_FLAGS_AT] & _SPZ_ANTIALIASED),
     )
+
+
+def splats_from_any_spz(data: bytes) -> Splats:
+    """The model in SPZ of version 4 of any count that its bytes can hold; BadInput for other bytes
+    and for what Open3D's reader is not trusted with: extensions and degree 4."""
+    if len(data) < _SPZ_HEADER.size:
+        raise BadInput(f"it has {len(data)} bytes and SPZ of version 4 a header of {_SPZ_HEADER.size}")
+    _, version, count, degree, fraction_bits, flags, _, _ = _SPZ_HEADER.unpack_from(data)
+    if version != 4:
+        raise BadInput(f"it is SPZ of version {version}, expected 2 to 4")
+    if degree >= len(SH_BASES) or flags & ~_SPZ_ANTIALIASED or fraction_bits > 23 or not count:
+        raise BadInput(
+            f"its SPZ of version 4 has {count} Gaussians of degree {degree}, {fraction_bits} fraction bits and flags {flags}, expected 1 or"
+            f" more of degree 0 to 3 without extensions: write it as SPZ of version 3"
+        )
+    require_believable(count, len(data))
+    try:
+        return splats_from_spz(data, count, degree)
+    except StoreDamaged as error:
+        raise BadInput(f"its SPZ of version 4 is not as long as {count} Gaussians of degree {degree} are") from error
 
 
 def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:

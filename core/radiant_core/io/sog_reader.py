@@ -1,7 +1,8 @@
 """SOG files of strangers as models, one strict reader for the zip and the folder. Once per file.
 
-The format is described in `io.export.sog`, which writes it. Sizes are held against the count before
-anything is decoded, so that a short file cannot ask for much memory.
+The format is described in `io.export.sog`, which writes it. The count is held against the bytes of
+the file, what a zip says of its members against the count, and a texture's size against it before
+it is decoded, so that a short file cannot ask for much memory.
 """
 
 from __future__ import annotations
@@ -21,19 +22,23 @@ from pydantic import Field, ValidationError
 from scipy.special import logit  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
+from radiant_core.io.claimed_counts import require_believable
 from radiant_core.io.run_store import parse_json, read_bounded
+from radiant_core.io.stored_gaussians import END_OPACITY, StoredGaussians, checked
 from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.splats import SH_BASES, Splats
 
 META_NAME = "meta.json"
-MAX_META_BYTES, MAX_TEXTURE_BYTES, MAX_BUNDLE_BYTES = 1 << 20, 1 << 30, 1 << 32
+MAX_META_BYTES, MAX_BUNDLE_BYTES = 1 << 20, 1 << 32
 MAX_COUNT = 16383**2
 ROWS_PER_LINE = 64
 MAX_SPARE_PX = 1 << 16
 """Pixels that a texture may have beyond four times what its Gaussians need."""
-_END_OPACITY = 0.25 / 255
 _KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-FileReader = Callable[[str], bytes]
+MAX_PX_BYTES = 6
+"""Of a texture's pixel as WebP or PNG, which hold four bytes of noise in little more."""
+FileReader = Callable[[str, int], bytes]
+"""Bytes of a file by its name, of which it may have at most so many."""
 
 
 class _Means(Strict):
@@ -77,30 +82,58 @@ def load_sog(path: Path) -> Splats:
     Raises BadInput for what is no SOG of version 2, names files elsewhere, or does not hold what it
     says; the message names it.
     """
+    given = read_sog(path)
+    try:
+        return checked(given)
+    except BadInput as error:
+        raise BadInput(f"cannot use {path}: {error}") from error
+
+
+def read_sog(path: Path, count: int | None = None) -> StoredGaussians:
+    """As `load_sog`, the values unchecked; BadInput too where it does not say just `count`."""
     try:
         if path.name == META_NAME:
-            return _decoded(lambda name: read_bounded(path.with_name(name), MAX_TEXTURE_BYTES))
-        with zipfile.ZipFile(io.BytesIO(read_bounded(path, MAX_BUNDLE_BYTES))) as archive:
-            return _decoded(lambda name: _member(archive, name))
+            return _loose(path, count)
+        data = read_bounded(path, MAX_BUNDLE_BYTES)
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return _decoded(lambda name, most: _member(archive, name, most), len(data), count)
     except (zipfile.BadZipFile, NotImplementedError, EOFError, RuntimeError, ValueError) as error:
         # zipfile raises RuntimeError for an encrypted member, and zlib.error is turned to it below.
         raise BadInput(f"cannot use {path}: {str(error).rstrip('.')}: export it as SOG of version 2.") from error
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+def _loose(meta: Path, count: int | None) -> StoredGaussians:
+    """The model of a meta.json with textures beside it."""
+
+    def read(name: str, most: int) -> bytes:
+        return read_bounded(meta.with_name(name), most)
+
+    names = _texture_names(_meta(read(META_NAME, MAX_META_BYTES)))
+    return _decoded(read, sum(meta.with_name(name).stat().st_size for name in set(names) if meta.with_name(name).is_file()), count)
+
+
+def _member(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
     import zlib
 
     try:
-        if archive.getinfo(name).file_size > MAX_TEXTURE_BYTES:
-            raise BadInput(f"its file {name} is larger than any texture")
-        return archive.read(name)
+        about = archive.getinfo(name)
+        if about.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise BadInput(f"its file {name} is packed in a way that SOG does not have")
+        if about.file_size > most:
+            raise BadInput(f"its file {name} has {about.file_size:,} bytes, expected at most {most:,}")
+        # What is unpacked ends at the size that was said, and its checksum is then compared.
+        return archive.read(about)
     except (KeyError, zlib.error) as error:
         raise BadInput(f"its file {name} is missing or damaged") from error
 
 
-def _decoded(read: FileReader) -> Splats:
-    meta = _meta(read(META_NAME))
+def _decoded(read: FileReader, num_bytes: int, expected: int | None) -> StoredGaussians:
+    """The model of files that have so many bytes in all."""
+    meta = _meta(read(META_NAME, MAX_META_BYTES))
     count = meta.count
+    if expected is not None and count != expected:
+        raise BadInput(f"it says {count:,} Gaussians, its lod-meta.json {expected:,}")
+    require_believable(count, num_bytes)
     low, high = (_pixels(read, name, count)[:, :3].astype(np.float64) for name in meta.means.files)
     ends = np.array([meta.means.mins, meta.means.maxs])
     # Beyond e⁸⁸ there is no float32; the bounds are those of signed logarithms.
@@ -108,8 +141,8 @@ def _decoded(read: FileReader) -> Splats:
         raise BadInput(f"its centres reach to e^{np.abs(ends).max():.3g}, beyond any coordinate")
     logs = ends[0] + (256 * high + low) / 65535 * (ends[1] - ends[0])
     colors = _pixels(read, meta.sh0.files[0], count)
-    opacities = np.clip(colors[:, 3] / 255, _END_OPACITY, 1 - _END_OPACITY)
-    return Splats(
+    opacities = np.clip(colors[:, 3] / 255, END_OPACITY, 1 - END_OPACITY)
+    return StoredGaussians(
         means=np.sign(logs) * np.expm1(np.abs(logs)),
         quats=_quats(_pixels(read, meta.quats.files[0], count)),
         log_scales=np.array(meta.scales.codebook)[_pixels(read, meta.scales.files[0], count)[:, :3]],
@@ -132,11 +165,14 @@ def _meta(data: bytes) -> _Meta:
         meta = _Meta.model_validate_json(data)
     except ValidationError as error:
         raise BadInput(problem_sentence(error, "SOG file", given=given)) from error
-    names = [*meta.means.files, *meta.scales.files, *meta.quats.files, *meta.sh0.files, *(meta.shN.files if meta.shN else ())]
-    for name in names:
+    for name in _texture_names(meta):
         if not name or "/" in name or "\\" in name or name.startswith(".") or not name.isprintable():
             raise BadInput(f"its texture {name[:60]!r} does not lie beside its {META_NAME}")
     return meta
+
+
+def _texture_names(meta: _Meta) -> list[str]:
+    return [*meta.means.files, *meta.scales.files, *meta.quats.files, *meta.sh0.files, *(meta.shN.files if meta.shN else ())]
 
 
 def _pixels(read: FileReader, name: str, count: int) -> NDArray[np.uint8]:
@@ -146,12 +182,14 @@ def _pixels(read: FileReader, name: str, count: int) -> NDArray[np.uint8]:
 
 def _texture(read: FileReader, name: str, count: int) -> NDArray[np.uint8]:
     """A texture (H,W,4) of at least `count` pixels."""
+    most_px = 4 * count + MAX_SPARE_PX
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(read(name)), formats=("WEBP", "PNG")) as image:
+            data = read(name, MAX_PX_BYTES * most_px + MAX_SPARE_PX)
+            with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
                 num_px = image.width * image.height
-                if not count <= num_px <= 4 * count + MAX_SPARE_PX:
+                if not count <= num_px <= most_px:
                     raise BadInput(f"its texture {name} has {image.width} x {image.height} pixels for {count} Gaussians")
                 return np.asarray(image.convert("RGBA"), np.uint8)
     except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:

@@ -11,6 +11,10 @@ gzip of a header of 16 bytes, then, each for all N Gaussians:
     shN        3 (K − 1) bytes, 128 + 4 round(32 c): ±1 in steps of 1/32
 Version 4 is Open3D's (`io.open3d_formats`). Source: Niantic's `load-spz.cc`.
 
+Coordinates are written and read as they stand, as Open3D and Spark have them; the format means
+x right, y up, z back, and programs that hold to it turn a PLY by 180° about x on the way in and
+out.
+
 In version 2 an error of x, y, z grows by 1/w in w. An ellipsoid has 24 rotations, one per labelling
 of its axes: the one nearest to the identity is stored, whose w is at least 0.85.
 """
@@ -27,8 +31,10 @@ from numpy.typing import NDArray
 
 from radiant_core.choices import GzipSpzVersion
 from radiant_core.errors import BadInput
+from radiant_core.io.claimed_counts import require_believable
+from radiant_core.io.stored_gaussians import END_OPACITY, StoredGaussians, checked
 from radiant_core.numerics import FloatArray, rotmats_from_quats, unit_quats
-from radiant_core.splats import SH_BASES, Splats
+from radiant_core.splats import Splats
 
 SPZ_FRACTION_BITS = 12
 """Steps of 0.24 mm within ±2048, which every writer takes."""
@@ -36,13 +42,12 @@ MAX_FRACTION_BITS = 23
 HARMONIC_STEP = 4
 """Of 128ths. Niantic's own writer takes 8 for degree 1 and 16 above."""
 _HEADER = struct.Struct("<4sIIBBBB")
-_MAGIC, _ANTIALIASED = b"NGSP", 1
+_MAGIC, _ANTIALIASED, _EXTENDED = b"NGSP", 1, 2
+MAX_EXTENSION_BYTES = 1 << 16
 _COLOR = 0.15 * 255
 _REACH = 1 << 23
 _ROOT_HALF = np.sqrt(0.5)
-MAX_SPZ_GAUSSIANS = 1 << 26
-_END_OPACITY = 0.25 / 255
-"""What the ends of the 8-bit opacities are read as, as in version 4."""
+MAX_SPZ_GAUSSIANS, MAX_SPZ_DEGREE = 1 << 26, 4
 
 
 def gzip_spz_bytes(splats: Splats, version: GzipSpzVersion, fraction_bits: int = SPZ_FRACTION_BITS) -> bytes:
@@ -83,30 +88,38 @@ def fraction_bits_for(splats: Splats) -> int:
 
 def splats_from_gzip_spz(data: bytes) -> Splats:
     """The model in an SPZ of version 2 or 3, or BadInput that says what is wrong with it."""
+    return checked(gaussians_of_gzip_spz(data))
+
+
+def gaussians_of_gzip_spz(data: bytes) -> StoredGaussians:
+    """As `splats_from_gzip_spz`, also of degree 4. Coordinates as they stand in the file."""
     unpacker = zlib.decompressobj(31)
     try:
         header = unpacker.decompress(data, _HEADER.size)
         magic, version, count, degree, fraction_bits, flags, _ = _HEADER.unpack(header)
         size = _size(magic, version, count, degree, fraction_bits)
-        body = unpacker.decompress(unpacker.unconsumed_tail, size + 1)
+        require_believable(count, len(data))
+        # Records of extensions, such as limits of an orbit, stand behind the Gaussians.
+        most = size + (MAX_EXTENSION_BYTES if flags & _EXTENDED else 0)
+        body = unpacker.decompress(unpacker.unconsumed_tail, most + 1)
     except (zlib.error, struct.error) as error:
         raise BadInput("it is no SPZ of version 2 or 3: its gzip stream is broken or ends early") from error
-    if len(body) != size or not unpacker.eof or unpacker.unused_data:
+    if not size <= len(body) <= most or not unpacker.eof or unpacker.unused_data:
         raise BadInput(f"its SPZ is not as long as {count} Gaussians of degree {degree} are")
-    rows = np.frombuffer(body, np.uint8)
+    rows = np.frombuffer(body, np.uint8, size)
     widths = np.cumsum([9, 1, 3, 3, 3 if version == 2 else 4])
     means, opacities, colors, scales, rotations, rest = np.split(rows, widths * count)
     fixed = np.zeros((3 * count, 4), np.uint8)
     fixed[:, 1:] = means.reshape(-1, 3)
     quats = (_from_first_three if version == 2 else _from_smallest_three)(rotations.reshape(count, -1))
-    opacity = np.clip(opacities / 255.0, _END_OPACITY, 1 - _END_OPACITY)
-    return Splats(
+    opacity = np.clip(opacities / 255.0, END_OPACITY, 1 - END_OPACITY)
+    return StoredGaussians(
         means=np.asarray((fixed.view("<i4") >> 8).reshape(count, 3) / 2.0**fraction_bits, np.float32),
         quats=quats.astype(np.float32),
         log_scales=np.asarray(scales.reshape(count, 3) / 16.0 - 10, np.float32),
         logit_opacities=np.log(opacity) - np.log1p(-opacity),
         sh0=(colors.reshape(count, 1, 3) - 127.5) / _COLOR,
-        shN=np.asarray((rest.reshape(count, SH_BASES[degree] - 1, 3) - 128.0) / 128, np.float32),
+        shN=np.asarray((rest.reshape(count, (degree + 1) ** 2 - 1, 3) - 128.0) / 128, np.float32),
         antialiased=bool(flags & _ANTIALIASED),
     )
 
@@ -115,9 +128,9 @@ def _size(magic: bytes, version: int, count: int, degree: int, fraction_bits: in
     """Bytes after the header, which is checked."""
     if magic != _MAGIC or version not in (2, 3):
         raise BadInput("it is no SPZ of version 2 or 3")
-    if not 0 < count <= MAX_SPZ_GAUSSIANS or degree >= len(SH_BASES) or fraction_bits > MAX_FRACTION_BITS:
+    if not 0 < count <= MAX_SPZ_GAUSSIANS or degree > MAX_SPZ_DEGREE or fraction_bits > MAX_FRACTION_BITS:
         raise BadInput(f"its SPZ says {count} Gaussians of degree {degree} with {fraction_bits} fraction bits")
-    return count * (16 + (3 if version == 2 else 4) + 3 * (SH_BASES[degree] - 1))
+    return count * (16 + (3 if version == 2 else 4) + 3 * ((degree + 1) ** 2 - 1))
 
 
 def _bytes_of(values: NDArray[np.floating]) -> NDArray[np.uint8]:

@@ -12,11 +12,14 @@ import pycolmap
 import pytest
 from shapely.geometry import Point, shape
 
+from radiant_core.choices import SpzVersion
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic
 from radiant_core.io.export.scene import colmap_model, save_colmap, save_scene_geojson, save_spz
+from radiant_core.io.model_reader import read_model
 from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 from radiant_core.io.ply import save_ply
+from radiant_core.io.spz_cuts import spz_cuts
 from radiant_core.scene import SfmScene
 from tests.core.io.test_sog import model
 from tests.viewer.made_up_run import made_up_town
@@ -33,13 +36,12 @@ def test_open3d_reads_ply_exactly_and_spz_within_its_steps(tmp_path: Path) -> No
     assert points["scale"].numpy() == pytest.approx(np.exp(splats.log_scales), rel=1e-6)
     far = replace(splats, means=np.where(np.arange(500)[:, None] == 7, 3000.0, splats.means), log_scales=splats.log_scales + 8)
     cuts = save_spz(tmp_path / "a.spz", far, 4)
-    assert cuts.num_left_out == 1
+    assert cuts.num_left_out == 0 and cuts.step == 2**-11, "3,000 units fit with one bit less of a fraction"
     assert cuts.num_shrunk > 100
     points = o3d.t.io.read_point_cloud(tmp_path / "a.spz").point
-    kept = np.delete(far.means, 7, axis=0)
-    assert np.abs(points["positions"].numpy() - kept).max() <= SPZ_MEAN_STEP
+    assert np.abs(points["positions"].numpy() - far.means).max() <= 2 * SPZ_MEAN_STEP
     with pytest.raises(BadInput, match="none of 500"):
-        save_spz(tmp_path / "b.spz", replace(far, means=far.means + 1e5))
+        save_spz(tmp_path / "b.spz", replace(far, means=far.means + 1e9))
     assert not (tmp_path / "b.spz").exists()
 
 
@@ -103,18 +105,51 @@ def test_geojson_puts_regions_and_cameras_on_the_globe(tmp_path: Path) -> None:
 
 
 def test_spz_cuts_are_counted_at_its_limits_to_the_last_bit(tmp_path: Path) -> None:
-    """Centres under 2,047 on every axis are kept; log scales up to 5.9375, which float32 holds
-    exactly, need not shrink."""
+    """Centres under 2,047 on every axis have steps of 1/4096, others half as fine ones for each
+    doubling; log scales up to 5.9375, which float32 holds exactly, need not shrink."""
     inside = np.nextafter(np.float32(2047), np.float32(0))
     means = np.zeros((4, 3), np.float32)
     means[0], means[1, 1], means[2, 2] = inside, 2047, -2047
     scales = np.full((4, 3), 5.9375, np.float32)
     scales[3, 1] = np.nextafter(np.float32(5.9375), np.float32(6))
     cuts = save_spz(tmp_path / "a.spz", replace(model(4, degree=0), means=means, log_scales=scales))
-    assert (cuts.num_left_out, cuts.num_shrunk) == (2, 1)
-    told = r"cannot write .*b\.spz: none of 2 Gaussians lies within 2047 units of the origin: write PLY"
+    assert (cuts.num_left_out, cuts.num_shrunk, cuts.step) == (0, 1, 2**-11)
+    assert "1 Gaussians are larger than 379 units" in cuts.sentence() and "in steps of 0.000488 units, not 0.00024" in cuts.sentence()
+    near = replace(model(1, degree=0), means=means[:1], log_scales=scales[:1])
+    assert save_spz(tmp_path / "c.spz", near).sentence() == "" and spz_cuts(near).step == 2**-12
+    # Of Gaussians of 1 mm steps stay as fine as a quarter of them, and what is then too far is left out.
+    small = replace(model(4, degree=0), means=means, log_scales=np.full((4, 3), np.log(1e-3)))
+    cuts = save_spz(tmp_path / "d.spz", small)
+    assert (cuts.num_left_out, cuts.step) == (2, 2**-12)
+    assert "2 Gaussians lie beyond 2,047 units of the origin and are left out" in cuts.sentence()
+    told = r"cannot write .*b\.spz: none of 2 Gaussians lies within 2047 units of the origin"
     with pytest.raises(BadInput, match=told):
-        save_spz(tmp_path / "b.spz", replace(model(2, degree=0), means=means[1:3]))
+        save_spz(tmp_path / "b.spz", small.select([1, 2]))
+    assert not (tmp_path / "b.spz").exists()
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
+def test_a_scene_of_ten_kilometres_is_kept_whole_at_the_steps_that_are_said(tmp_path: Path, version: SpzVersion) -> None:
+    given = model(50, degree=0)
+    far = replace(given, means=given.means * np.float32(10_000 / np.abs(given.means).max()), log_scales=np.full((50, 3), np.log(0.2)))
+    cuts = save_spz(tmp_path / "a.spz", far, version)
+    assert (cuts.num_left_out, cuts.step) == (0, 2**-9)
+    read = read_model(tmp_path / "a.spz").splats.means
+    wanted = far.means[np.abs(far.means[None] - read[:, None]).max(axis=2).argmin(axis=1)]
+    assert np.abs(read - wanted).max() <= cuts.step
+    assert o3d.t.io.read_point_cloud(tmp_path / "a.spz").point.positions.numpy() == pytest.approx(read, abs=1e-3)
+
+
+def test_colours_and_sizes_beyond_spz_are_counted() -> None:
+    given = model(4, degree=1)
+    quiet = replace(given, sh0=np.zeros((4, 1, 3)), shN=np.zeros((4, 3, 3)), means=np.zeros((4, 3)), log_scales=np.full((4, 3), -3.0))
+    assert spz_cuts(quiet).sentence() == ""
+    base, rest = np.array([0, 3.3, 3.4, 0]), np.array([0, 0, 0, -1.01])
+    loud = replace(quiet, sh0=np.tile(base[:, None, None], (1, 1, 3)), shN=np.tile(rest[:, None, None], (1, 3, 3)))
+    tiny = replace(loud, log_scales=np.array([[-10.1] * 3, [-20, -20, -9], [-3] * 3, [-3] * 3]))
+    cuts = spz_cuts(tiny)
+    assert (cuts.num_clamped, cuts.num_grown, cuts.num_shrunk, cuts.num_left_out) == (2, 1, 0, 0)
+    assert "2 Gaussians have colours beyond SPZ's range" in cuts.sentence() and "1 Gaussians are smaller than 4.5e-05" in cuts.sentence()
 
 
 def test_a_colmap_model_has_one_camera_per_size_and_matrix_and_counts_from_one(tmp_path: Path) -> None:

@@ -26,22 +26,23 @@ OWN_SUPPORT = "cleaning_support.safetensors"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CleanedModel:
-    """whole: as trained; splats: what the cleaning keeps of it, the same object where that is
-    all."""
+    """whole: as trained; splats: what the cleaning keeps of it, the same object where that is all;
+    notes: what of a file was left out or changed when it was read."""
 
     whole: Splats
     splats: Splats
     cleaning: Cleaning
     cleaned: Cleaned
+    notes: tuple[str, ...] = ()
 
 
-def cleaned_model(whole: Splats, cleaning: Cleaning, around: Surroundings) -> CleanedModel:
+def cleaned_model(whole: Splats, cleaning: Cleaning, around: Surroundings, notes: tuple[str, ...] = ()) -> CleanedModel:
     """Apply a cleaning; BadInput where a step needs what is not there, or nothing is left."""
     cleaned = clean(whole, cleaning, around)
     if cleaning.steps and not cleaned.kept.any():
         raise BadInput("the cleaning leaves nothing of the model: take its last step back, 'radiant clean --undo' without a window.")
     splats = whole if cleaned.kept.all() else whole.select(cleaned.kept)
-    return CleanedModel(whole=whole, splats=splats, cleaning=cleaning, cleaned=cleaned)
+    return CleanedModel(whole=whole, splats=splats, cleaning=cleaning, cleaned=cleaned, notes=notes)
 
 
 def surroundings(folder: Path, scene: SfmScene, cloud_plan: CloudPlan, num_gaussians: int) -> Surroundings:

@@ -8,14 +8,14 @@ from pathlib import Path
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, Surroundings
 from radiant_core.io.cleaning_file import cleaning_path, load_cleaning
+from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import load_ply
-from radiant_core.io.records import load_splats
 from radiant_viewer.runs.cleaned_model import CleanedModel, cleaned_model
 from radiant_viewer.runs.run_view import PLY_NAME, load_run_view, no_model_text
 
 
 def load_model(path: Path, *, as_trained: bool = False) -> CleanedModel:
-    """Read the model of a run, a training, a .ply, a model.safetensors, a .sog or levels of detail.
+    """Read the model of a run, a training, or a file of any kind that `io.model_reader` reads.
 
     Args:
         path: the folder or the file.
@@ -33,16 +33,5 @@ def load_model(path: Path, *, as_trained: bool = False) -> CleanedModel:
         return model
     if path.is_dir():
         return cleaned_model(load_ply(path / PLY_NAME), cleaning, Surroundings())
-    if path.suffix.lower() == ".safetensors":
-        return cleaned_model(load_splats(path), cleaning, Surroundings())
-    if path.suffix.lower() == ".ply":
-        return cleaned_model(load_ply(path), cleaning, Surroundings())
-    if path.name == "lod-meta.json":
-        from radiant_core.io.lod_reader import load_lod_level
-
-        return cleaned_model(load_lod_level(path), cleaning, Surroundings())
-    if path.suffix.lower() == ".sog" or path.name == "meta.json":
-        from radiant_core.io.sog_reader import load_sog
-
-        return cleaned_model(load_sog(path), cleaning, Surroundings())
-    raise BadInput(f"{path} is neither a run folder nor a model.safetensors, .ply, .sog or lod-meta.json: give one of these.")
+    read = read_model(path)
+    return cleaned_model(read.splats, cleaning, Surroundings(), read.notes)

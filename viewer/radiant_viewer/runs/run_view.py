@@ -119,6 +119,11 @@ def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = 
         StoreDamaged: a file is broken.
     """
     folder = Path(folder)
+    if folder.is_file():
+        raise BadInput(
+            f"{folder} is a file, and the folder of a run is needed here: a model alone is opened by 'radiant inspect' without --web, "
+            "'radiant view' and 'radiant render'."
+        )
     if not folder.is_dir():
         raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
     if (kind := folder_kind(folder)) != "run":

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Surroundings
+from radiant_core.io.model_reader import model_kind
 from radiant_core.scene import SfmScene
 from radiant_viewer.editing.plan_layers import add_planning_layers
 from radiant_viewer.layers.layer import Layer
@@ -46,20 +47,21 @@ class Subject:
 
 
 def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
-    """Read a run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or
+    """Read a run folder, a model file, or a plan, of `scene` where it has no waypoints; BadInput or
     StoreDamaged where that fails."""
     stamps = file_stamps(path)
     return replace(_load_subject(path, scene), stamps=stamps)
 
 
 def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
-    if path.suffix.lower() == ".ply" and not path.is_dir():
+    if not path.is_dir() and model_kind(path) is not None:
         model = load_model(path)
         splats = model.splats
         if not len(splats):
             raise BadInput(f"{path} holds no Gaussian: there is nothing to show.")
         summary = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
-        # A PLY has no unit.
+        summary += "".join(f".   {note.rstrip('.')}" for note in model.notes)
+        # A model alone has no unit.
         layers = (splat_layer(splats),)
         return Subject(path=path, layers=layers, model=model, run=None, unit="units", ground=0.0, summary=summary)
     if path.suffix.lower() == ".json" and not path.is_dir():

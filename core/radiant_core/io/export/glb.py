@@ -1,7 +1,8 @@
 """Gaussians as binary glTF 2.0 with KHR_gaussian_splatting (release candidate of 2026). Once per
 tile.
 
-One primitive of POINTS, of one of two forms, which no reader shares:
+One primitive of POINTS, of one of two forms, which no reader shares. CesiumJS 1.139 to 1.145 draws
+the second alone and stops with an error at the first.
     plain  POSITION, and under the extension's name ROTATION (xyzw, of length 1), SCALE (standard
            deviations, linear: drafts before February 2026 had their logarithms), OPACITY (0 to 1)
            and SH_DEGREE_l_COEF_n
@@ -100,7 +101,8 @@ def _packed(form: TileContent, look: dict[str, Any], accessors: dict[str, Any], 
     content = {
         "asset": {"version": "2.0", "generator": f"radiant {__version__}"},
         "extensionsUsed": EXTENSIONS[form],
-        # Without the compression there is nothing to draw; plain points are points for everybody.
+        # Without the compression there is nothing to draw. Plain ones are points for a reader that
+        # does not know the extension; CesiumJS, which knows it, stops at them.
         **({"extensionsRequired": EXTENSIONS[form]} if form == "spz" else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],

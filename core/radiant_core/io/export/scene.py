@@ -8,7 +8,7 @@ where the cameras project the points, so their errors are zero by construction.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,8 @@ from radiant_core.io.colmap.text import write_model
 from radiant_core.io.export.plan import land_features, point_feature, write_features
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, spz_bytes
 from radiant_core.io.run_store import write_atomic
-from radiant_core.io.spz import gzip_spz_bytes
+from radiant_core.io.spz import SPZ_FRACTION_BITS, gzip_spz_bytes
+from radiant_core.io.spz_cuts import SpzCuts, fraction_bits_of, spz_cuts, within_reach
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, morton_order
@@ -32,29 +33,21 @@ from radiant_core.splats import Splats, morton_order
 DEFAULT_SPZ_VERSION: SpzVersion = 2
 
 
-@dataclass(frozen=True, kw_only=True)
-class SpzCuts:
-    """What SPZ cannot hold: Gaussians left out because they lie beyond 2,047 units, and Gaussians
-    made smaller, to 379 units."""
-
-    num_left_out: int
-    num_shrunk: int
-
-
 def save_spz(path: Path, splats: Splats, version: SpzVersion = DEFAULT_SPZ_VERSION) -> SpzCuts:
-    """Write a model as SPZ in its own coordinates, atomically; BadInput when no Gaussian lies
-    within its reach, which all versions share."""
-    inside = (np.abs(splats.means) < SPZ_MAX_MEAN).all(axis=1)
+    """Write a model as SPZ in its own coordinates, atomically, and return what it lost; BadInput
+    when no Gaussian lies within its reach."""
+    bits = fraction_bits_of(splats)
+    inside = within_reach(splats, bits)
     kept = splats.select(inside)
     if not len(kept):
         raise BadInput(
-            f"cannot write {path}: none of {len(splats)} Gaussians lies within {SPZ_MAX_MEAN:.0f} units of the origin: write PLY."
+            f"cannot write {path}: none of {len(splats)} Gaussians lies within {SPZ_MAX_MEAN * 2.0 ** (SPZ_FRACTION_BITS - bits):.0f} units"
+            " of the origin, as far as SPZ places Gaussians of this size: write PLY, or SOG."
         )
-    shrunk = int((kept.log_scales > SPZ_MAX_LOG_SCALE).any(axis=1).sum())
     kept = replace(kept, log_scales=np.minimum(kept.log_scales, np.float32(SPZ_MAX_LOG_SCALE)))
     # Along a Z curve neighbours share their high bytes, which gzip finds.
-    write_atomic(path, spz_bytes(kept) if version == 4 else gzip_spz_bytes(kept.select(morton_order(kept.means)), version))
-    return SpzCuts(num_left_out=int((~inside).sum()), num_shrunk=shrunk)
+    write_atomic(path, spz_bytes(kept, bits) if version == 4 else gzip_spz_bytes(kept.select(morton_order(kept.means)), version, bits))
+    return spz_cuts(splats, bits)
 
 
 def save_scene_geojson(

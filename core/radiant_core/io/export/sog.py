@@ -103,10 +103,7 @@ def _encode(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any
     count = len(splats)
     shape = _texture_shape(count)
     means = splats.means.astype(np.float64)
-    logs = np.sign(means) * np.log1p(np.abs(means))
-    low, high = logs.min(axis=0), logs.max(axis=0)
-    span = np.where(high > low, high - low, 1.0)
-    steps = np.rint(65535 * (logs - low) / span).astype(np.uint16)
+    steps, low, span = _mean_steps(means)
     stored = low + span * (steps / 65535)
     log_scales = splats.log_scales.astype(np.float64)
     # Capped: beside one huge Gaussian, seen or not, all others would count for nothing.
@@ -136,12 +133,42 @@ def _encode(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any
     }
     rest_rms = _add_harmonics(splats, shape, textures, meta) if splats.sh_degree else 0.0
     errors = SogErrors(
-        position_max_m=float(np.abs(np.sign(stored) * np.expm1(np.abs(stored)) - means).max()),
+        position_max_m=float(np.abs(_means_of(stored) - means).max()),
         log_scale_rms=float(np.sqrt(np.average((scale_book[scale_codes] - log_scales) ** 2, weights=sizes))),
         sh0_rms=_rms(color_book[color_codes] - splats.sh0[:, 0]),
         shN_rms=rest_rms,
     )
     return textures, meta, errors
+
+
+def _mean_steps(means: FloatArray) -> tuple[NDArray[np.uint16], FloatArray, FloatArray]:
+    """Steps (N,3) of centres, and the least of their signed logarithms and how far those go
+    (3,)."""
+    logs = np.sign(means) * np.log1p(np.abs(means))
+    low, high = logs.min(axis=0), logs.max(axis=0)
+    span = np.where(high > low, high - low, 1.0)
+    return np.rint(65535 * (logs - low) / span).astype(np.uint16), low, span
+
+
+def _means_of(logs: FloatArray) -> FloatArray:
+    return np.sign(logs) * np.expm1(np.abs(logs))
+
+
+def moved_sentence(splats: Splats) -> str:
+    """A warning where 16 bits an axis move Gaussians visibly, by more than half of their longest
+    standard deviation; empty where they do not."""
+    if not len(splats):
+        return ""
+    means = splats.means.astype(np.float64)
+    steps, low, span = _mean_steps(means)
+    moved = np.linalg.norm(_means_of(low + span * (steps / 65535)) - means, axis=1)
+    is_far = moved > 0.5 * np.exp(splats.log_scales.max(axis=1).astype(np.float64))
+    if not is_far.any():
+        return ""
+    return (
+        f"SOG has 16 bits for a coordinate: {int(is_far.sum()):,} of {len(splats):,} Gaussians move by more than half of their size, up to "
+        f"{moved[is_far].max():.3g} units; clean the model of what lies far out, or write --lod or PLY."
+    )
 
 
 def _add_harmonics(splats: Splats, shape: tuple[int, int], textures: dict[str, NDArray[np.uint8]], meta: dict[str, Any]) -> float:
