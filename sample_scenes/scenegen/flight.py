@@ -57,7 +57,9 @@ def survey_lines(config: SceneConfig) -> tuple[int, int]:
 def plan_flight(config: SceneConfig) -> list[Shot]:
     """The photographs of one flight, in the order they were taken."""
     rng = np.random.default_rng([config.seed, 1] if config.date == 0 else [config.seed, 1, config.date])
-    poses = {"survey": _survey_poses, "orbit": _orbit_poses, "street": _street_poses, "turntable": _turntable_poses}[config.flight](config, rng)
+    poses = {"survey": _survey_poses, "orbit": _orbit_poses, "street": _street_poses, "turntable": _turntable_poses}[config.flight](
+        config, rng
+    )
     errors = _gps_errors(config, rng)
     drift = _exposures_ev(config)
     return [

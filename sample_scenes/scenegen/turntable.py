@@ -51,7 +51,9 @@ def turntable_centers(config: SceneConfig) -> NDArray[np.float64]:
     centers = []
     for which, (turn, elevation_deg) in enumerate(zip(turns, ELEVATIONS_DEG, strict=True)):
         angles, elevation = 2 * np.pi * (turn + which / 3) / max(1, len(turn)), np.deg2rad(elevation_deg)
-        ring = np.column_stack([np.cos(angles) * np.cos(elevation), np.sin(angles) * np.cos(elevation), np.full(len(turn), np.sin(elevation))])
+        ring = np.column_stack(
+            [np.cos(angles) * np.cos(elevation), np.sin(angles) * np.cos(elevation), np.full(len(turn), np.sin(elevation))]
+        )
         centers.append(TARGET_M + CAMERA_DISTANCE_M * ring)
     return np.concatenate(centers)
 

@@ -137,7 +137,11 @@ def solve_lights(observed: Observations, cameras: Cameras) -> Lights:
         vignettings[:, :, channel] = solution[count:].reshape(num_cameras, NUM_TERMS)
     log_gains[~known] = 0.0
     lights = Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, known=known)
-    return lights if observed.part is None else replace(lights, evenness=evenness(lights.spread, _left(observed, lights), observed.view, observed.part))
+    return (
+        lights
+        if observed.part is None
+        else replace(lights, evenness=evenness(lights.spread, _left(observed, lights), observed.view, observed.part))
+    )
 
 
 def _left(observed: Observations, lights: Lights) -> FloatArray:

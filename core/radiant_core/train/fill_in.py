@@ -11,7 +11,7 @@ out: before an object that cameras look at from all sides it would be haze.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,16 +37,18 @@ WITNESSES, WITNESS_CELLS = 3, 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AddedPoints:
-    """points (F,3), colors (F,3) uint8."""
+    """points (F,3), colors (F,3) uint8, and the share of those placed that a photograph sees
+    through and that were left out."""
 
     points: FloatArray
     colors: NDArray[np.uint8]
+    seen_through_share: float = 0.0
 
     def thin(self, max_num_points: int) -> AddedPoints:
         """At most so many, evenly over the order in which they were found."""
         count = len(self.points)
         kept = np.unique(np.linspace(0, count - 1, min(count, max(0, max_num_points))).astype(np.int64))
-        return AddedPoints(points=self.points[kept], colors=self.colors[kept])
+        return replace(self, points=self.points[kept], colors=self.colors[kept])
 
 
 def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
@@ -70,7 +72,8 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
             colors.append(new_colors[apart])
     points, colors_of_points = known[first_new:], np.concatenate(colors)
     stays = ~_are_seen_through(scene, views.cameras, points)
-    return AddedPoints(points=points[stays], colors=colors_of_points[stays])
+    share = 1 - float(stays.mean()) if len(stays) else 0.0
+    return AddedPoints(points=points[stays], colors=colors_of_points[stays], seen_through_share=share)
 
 
 def _are_seen_through(scene: SfmScene, cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
