@@ -17,7 +17,7 @@ MAX_EXTENT_M = 2000.0
 MAX_KNOWN_POINTS = 200_000
 
 
-FLIGHTS = ("survey", "orbit", "street")
+FLIGHTS = ("survey", "orbit", "street", "turntable")
 SCENERIES = ("town", "fields")
 
 
@@ -31,7 +31,11 @@ class SceneConfig:
     """The switches of one generated scene; lengths in metres of the scene's own east-north-up
     frame."""
 
-    flight: str = option("survey", "survey: a drone over the area; orbit: around its middle block; street: a walk along its middle street.")
+    flight: str = option(
+        "survey",
+        "survey: a drone over the area; orbit: around its middle block; street: a walk along its middle street; "
+        "turntable: a house on a plate that turns before a still camera, lamp and wall.",
+    )
     num_cameras: int = option(60, "Photographs to take, nadir and oblique together.")
     extent_m: tuple[float, float] = option((120.0, 80.0), "Width (east) and height (north) of the area flown over.")
     width_px: int = option(640, "Width of a photograph.")

@@ -3,6 +3,7 @@
     survey  a drone's lawn-mower flight of nadir photographs, then obliques from a ring
     orbit   two rings around the block in the middle, looking at it from all sides
     street  a walk along the street in the middle at the height of a head, looking ahead and aside
+    turntable  rounds of a still camera's pictures of a house that turns (`turntable.py`)
 
 Once per scene. Of a survey, n nadir photographs over width x height make round(√(n · 3/4 · height /
 width)) rows, so that spacing along : across = 3 : 4, as the image's sides; at 60 photographs over
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from scenegen.config import SceneConfig
 from scenegen.layout import BLOCK_U_M, BLOCK_V_M, Layout
+from scenegen.turntable import TARGET_M, turntable_centers
 
 SECONDS_PER_PHOTO = 2.0
 ORBIT_HEIGHTS_M = (9.0, 17.0)
@@ -55,7 +57,9 @@ def survey_lines(config: SceneConfig) -> tuple[int, int]:
 def plan_flight(config: SceneConfig) -> list[Shot]:
     """The photographs of one flight, in the order they were taken."""
     rng = np.random.default_rng([config.seed, 1] if config.date == 0 else [config.seed, 1, config.date])
-    poses = {"survey": _survey_poses, "orbit": _orbit_poses, "street": _street_poses}[config.flight](config, rng)
+    poses = {"survey": _survey_poses, "orbit": _orbit_poses, "street": _street_poses, "turntable": _turntable_poses}[config.flight](
+        config, rng
+    )
     errors = _gps_errors(config, rng)
     drift = _exposures_ev(config)
     return [
@@ -113,6 +117,11 @@ def _street_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray
         forward = np.array([np.cos(heading), np.sin(heading), rng.uniform(-0.05, 0.12)])
         poses.append(look_pose(np.array([x, y, z]), forward, np.array([0.0, 0.0, 1.0])))
     return poses
+
+
+def _turntable_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    del rng
+    return [look_pose(center, TARGET_M - center, np.array([0.0, 0.0, 1.0])) for center in turntable_centers(config)]
 
 
 def _nadir_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:

@@ -24,6 +24,7 @@ from scenegen.mesh import Mesh
 from scenegen.noise import Floats, gaussian_noise
 from scenegen.surfaces import Hits, paint, ruffle_leaves, sky_color
 from scenegen.town import build_town
+from scenegen.turntable import AMBIENT, LAMP, lamp_direction, turntable_mesh, wall_radiance
 
 STRIP_RAYS = 30_000
 SUN_DIRECTION = np.array([0.52, -0.42, 0.74], np.float32) / np.float32(np.sqrt(0.52**2 + 0.42**2 + 0.74**2))
@@ -42,6 +43,8 @@ def layout_of(config: SceneConfig) -> Layout:
 def town_of(config: SceneConfig) -> Mesh:
     """The mesh of the scene, with its altered houses."""
     layout = layout_of(config)
+    if config.flight == "turntable":
+        return turntable_mesh(config.seed)
     return build_town(layout, alterations_of(layout, config.altered_houses))
 
 
@@ -96,7 +99,21 @@ class Photographer:
         return _encode(self._radiance(shot, pixels))
 
     def _radiance(self, shot: Shot, pixels: NDArray) -> Floats:
-        return self.radiance_along(*world_rays(self.config, shot, pixels))
+        origins, directions = world_rays(self.config, shot, pixels)
+        if self.config.flight == "turntable":
+            return self._radiance_before_wall(shot, origins, directions)
+        return self.radiance_along(origins, directions)
+
+    def _radiance_before_wall(self, shot: Shot, origins: Floats, directions: Floats) -> Floats:
+        answer = {key: value.numpy() for key, value in self._scene.cast_rays(_rays(origins, directions)).items()}
+        met = np.isfinite(answer["t_hit"])
+        radiance = wall_radiance(shot.cam_from_world, directions, self.layout.salt(71))
+        if met.any():
+            picked = {key: value[met] for key, value in answer.items()}
+            hits = self._hits(origins[met] + directions[met] * picked["t_hit"][:, None], directions[met], picked)
+            facing = np.maximum(ruffle_leaves(self.layout, hits) @ lamp_direction(shot.cam_from_world), 0.0)
+            radiance[met] = paint(self.layout, hits) * (AMBIENT + LAMP * facing[:, None])
+        return radiance
 
     def developed(self, radiance: Floats) -> NDArray[np.uint8]:
         """sRGB (…,3) of linear radiance, at the middle exposure and without sensor noise."""

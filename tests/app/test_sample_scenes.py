@@ -26,6 +26,7 @@ from scenegen.noise import detail_noise, gaussian_noise, value_noise
 from scenegen.off_path import KINDS, count_views, plan_off_path
 from scenegen.photo_file import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic_from_enu, jpeg_bytes
 from scenegen.raycast import Photographer, project, undistort, world_rays
+from scenegen.turntable import CAMERA_DISTANCE_M, LAMP_ABOVE, LAMP_ASIDE, TARGET_M, lamp_direction
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_scenes"
 SMALL = SceneConfig(num_cameras=6, extent_m=(24.0, 16.0), width_px=96, height_px=72, altitude_m=35.0, num_known_points=200)
@@ -306,6 +307,24 @@ def test_an_orbit_looks_at_one_place_from_all_sides_and_a_walk_goes_along_a_stre
     assert np.ptp(u) > 110 and np.abs(v).max() < 1.01
     height_m = places[:, 2] - layout.height_m(places[:, 0], places[:, 1])
     assert (np.abs(height_m - 1.8) < 0.2).all()
+
+
+def test_before_a_turntable_the_wall_stands_still_and_the_lamp_goes_with_the_camera() -> None:
+    config = replace(SMALL, flight="turntable", num_cameras=9, noise_sigma=0.0)
+    table, shots = Photographer(config), plan_flight(replace(SMALL, flight="turntable", num_cameras=9))
+    pictures = [table.photograph(shot, 0).astype(int) for shot in shots]
+    behind = [~np.isfinite(table.depth(shot)) for shot in shots]
+    # Three photographs from each height: the same wall, another side of the house.
+    first, second = pictures[0], pictures[1]
+    wall = behind[0] & behind[1]
+    assert 0.05 < wall.mean() < 0.95
+    assert np.abs(first - second)[~behind[0] & ~behind[1]].mean() > 5
+    # A pixel at the edge of the house has rays of both.
+    assert np.median(np.abs(first - second)[wall]) == 0
+    assert {round(float(np.linalg.norm(shot.center_m - TARGET_M)), 6) for shot in shots} == {CAMERA_DISTANCE_M}
+    for shot in shots:
+        toward = (shot.center_m - TARGET_M) / CAMERA_DISTANCE_M
+        assert lamp_direction(shot.cam_from_world) @ toward == pytest.approx(1 / np.sqrt(1 + LAMP_ASIDE**2 + LAMP_ABOVE**2), abs=1e-6)
 
 
 def test_views_off_the_path_are_lower_across_and_on_the_street_and_free(photographer: Photographer) -> None:

@@ -32,6 +32,7 @@ from radiant_core.train.dense.seeding import seed_densely
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.extent import extent_decision
 from radiant_core.train.few import Trial, choose_for_few, score_apart
+from radiant_core.train.fill_in_trial import choose_fill_in
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
@@ -118,11 +119,12 @@ def prepare_training(
     views, lights, decisions = canonical_views(scene, views, config.light)
     _decide(reporter, decisions)
     trials = _Trials(task=task, scene=scene, views=views, reporter=reporter, machine=machine, statistics_bytes=statistics_bytes)
-    choice = choose_for_few(config, views, trials.score)
-    config, heard = choice.config, reporter
-    _decide(reporter, choice.decisions)
-    if choice.num_trials:
-        heard = OneOfSeveral(reporter=reporter, number=choice.num_trials, total=choice.num_trials + 1, name="the model itself")
+    fill = choose_fill_in(config, scene, views, trials.score)
+    choice = choose_for_few(fill.config, views, trials.score)
+    config, heard, num_trials = choice.config, reporter, fill.num_trials + choice.num_trials
+    _decide(reporter, (*fill.decisions, *choice.decisions))
+    if num_trials:
+        heard = OneOfSeveral(reporter=reporter, number=num_trials, total=num_trials + 1, name="the model itself")
     config, decisions = fit_to_views(config, views)
     _decide(reporter, decisions)
     if validation is not None and lights is not None:
@@ -133,7 +135,8 @@ def prepare_training(
     config, dense, decisions = seed_densely(config, scene, views)
     _decide(reporter, decisions)
     initial, num_filled = first_splats(scene, views, config, dense)
-    reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=config.fill_in))
+    if config.fill_in or not fill.decisions:
+        reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=bool(config.fill_in)))
     _decide(reporter, [extent_decision(views.cameras, initial, config.max_extent_per_distance)])
     bare = FitOptions(backend=task.backend, validation=validation)
     options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))
@@ -154,14 +157,15 @@ class _Trials:
 
     def score(self, trial: Trial) -> FloatArray:
         """PSNR in dB of the views apart (K,), by a training or as it was kept."""
-        apart, rest = self.views.select(np.flatnonzero(trial.held)), np.flatnonzero(~trial.held)
+        views = self.views if trial.long_side_px is None else _reduced(self.views, trial.long_side_px)
+        apart, rest = views.select(np.flatnonzero(trial.held)), np.flatnonzero(~trial.held)
         name = f"trial {trial.number + 1} of {trial.most} at most"
         heard = OneOfSeveral(reporter=self.reporter, number=trial.number, total=trial.most + 1, name=name)
         # Views are in one light and worth training already, and memory has limited the Gaussians.
         config = replace(trial.config, light="none", skip_images="none")
         task = replace(self.task, scene=self.scene.restricted_to(rest), train=config, memory_bytes=None)
         machine = replace(self.machine, checkpoints=lambda key: NoCheckpoints())
-        prepared = prepare_training(task, self.views.select(rest), heard, machine)
+        prepared = prepare_training(task, views.select(rest), heard, machine)
         key = content_key(prepared.key, training_key(prepared.initial, apart, config, FitOptions(backend=task.backend)))
         if (kept := self.machine.kept_scores.find(key)) is not None and len(kept) == len(apart):
             return kept
@@ -169,6 +173,11 @@ class _Trials:
         figures = score_apart(result.splats, apart, task.backend)
         self.machine.kept_scores.keep(key, figures)
         return figures
+
+
+def _reduced(views: TrainingViews, long_side_px: int) -> TrainingViews:
+    longest = int(views.cameras.sizes_wh.max())
+    return views if longest <= long_side_px else views.scaled(long_side_px / longest)
 
 
 def _within_cuda(config: TrainConfig, cameras: Cameras, backend: Backend, stage: str) -> tuple[TrainConfig, Sequence[Decision]]:

@@ -24,8 +24,7 @@ from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.refining_plan import MAX_STEPS, refining_steps, warning_of
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
-from radiant_core.light.canonical import MIN_SPREAD
-from radiant_core.light.lights import in_canonical_light
+from radiant_core.light.lights import MIN_SPREAD, in_canonical_light
 from radiant_core.light.solve import lights_from_model
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
@@ -128,7 +127,7 @@ def _in_light_of(scene: Splats, views: TrainingViews, task: RefineTask, reporter
     if not lights.known.any():
         return views
     shift = lights.log_gains[lights.known].mean(axis=0)
-    if task.train.light == "none" or (task.train.light == "auto" and lights.spread < MIN_SPREAD):
+    if task.train.light == "none" or (task.train.light == "auto" and not lights.is_worth_modelling):
         lights = replace(lights, log_gains=np.tile(shift, (len(lights), 1)), vignettings=np.zeros_like(lights.vignettings))
         if np.abs(shift).max() < MIN_GAIN:
             return views

@@ -16,17 +16,14 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import LightMode
 from radiant_core.decisions import Decision
 from radiant_core.light.captures import Captures, complete_captures, shots_of
-from radiant_core.light.lights import Lights, in_canonical_light
+from radiant_core.light.evenness import MIN_EVENNESS
+from radiant_core.light.lights import MIN_SPREAD, Lights, in_canonical_light
 from radiant_core.light.predict import Prediction, predict_lights
 from radiant_core.light.solve import NUM_PLACES, lights_from_model, lights_from_tracks
 from radiant_core.render.contract import Backend
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
-
-MIN_SPREAD = 0.02
-"""Standard deviation of log gains from which on light differs: an error of brightness of 2 % at mid
-grey is one of 40 dB. The sample town has 0.001, three real sets 0.10 to 0.15."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,17 +49,25 @@ def canonical_views(scene: SfmScene, views: TrainingViews, mode: LightMode) -> t
     if mode == "none":
         return views, None, ()
     lights = lights_from_tracks(scene, views)
-    wanted = bool(lights.known.any()) and (mode == "always" or lights.spread >= MIN_SPREAD)
+    wanted = bool(lights.known.any()) and (mode == "always" or lights.is_worth_modelling)
     decision = Decision(
         stage="train",
         topic="light",
         choice="photographs are trained on in one canonical light" if wanted else "photographs are trained on as they were taken",
         figure=100 * lights.spread,
         unit="% spread of brightness at common points",
-        reason=f"from {100 * MIN_SPREAD:.0f} % on a gain per photograph and channel and a vignetting per camera are taken out",
+        reason=_reason(lights),
         forced=mode == "always",
     )
     return (in_canonical_light(views, lights), lights, (decision,)) if wanted else (views, None, (decision,))
+
+
+def _reason(lights: Lights) -> str:
+    taken_out = f"from {100 * MIN_SPREAD:.0f} % on a gain per photograph and channel and a vignetting per camera are taken out"
+    if lights.spread < MIN_SPREAD or not np.isfinite(lights.evenness):
+        return taken_out
+    compared = f"gains are {lights.evenness:.1f} times what they leave of parts of pictures"
+    return f"{taken_out} where gains explain whole pictures: {compared}, and from {MIN_EVENNESS:g} on they are exposures"
 
 
 def canonical_validation(lights: Lights, scene: SfmScene, validation: TrainingViews) -> TrainingViews:
@@ -95,7 +100,7 @@ def light_of_score(
     if mode == "none" or not len(held_out):
         return None
     seen = lights_from_model(model, trained, backend)
-    if not seen.lights.known.any() or (mode == "auto" and seen.lights.spread < MIN_SPREAD):
+    if not seen.lights.known.any() or (mode == "auto" and not seen.lights.is_worth_modelling):
         return None
     captures = complete_captures(captures, (*trained.cameras.names, *held_out.names))
     shots, targets = (shots_of(cameras, captures) for cameras in (trained.cameras, held_out))

@@ -11,7 +11,7 @@ log g = 0. A photograph with fewer than `MIN_SHARED` shared places is not known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from radiant_core.cameras import Cameras
+from radiant_core.light.evenness import evenness, parts_of
 from radiant_core.light.lights import NUM_TERMS, Lights, cameras_alike, squared_radii
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend
@@ -50,12 +51,14 @@ that overlap little leave open stays near 0."""
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observations:
     """T observations: photograph `view` (T,), r² (T,), log brightness or ratio `logs` (T,3), NaN
-    where it says nothing; `place` (T,), or None for ratios."""
+    where it says nothing; `place` (T,), or None for ratios; `part` (T,) of the picture, by
+    `parts_of`, or None where it is not known."""
 
     view: NDArray[np.int64]
     squared_radii: FloatArray
     logs: FloatArray
     place: NDArray[np.int64] | None = None
+    part: NDArray[np.int64] | None = None
 
 
 def lights_from_tracks(scene: SfmScene, views: TrainingViews) -> Lights:
@@ -73,7 +76,8 @@ def lights_from_tracks(scene: SfmScene, views: TrainingViews) -> Lights:
     cameras = views.cameras
     sizes = cameras.sizes_wh[view].astype(np.float64)
     squared = 4 * ((pixels + 0.5 - cameras.Ks[view, :2, 2]) ** 2).sum(axis=1) / (sizes**2).sum(axis=1)
-    return solve_lights(Observations(view=view, squared_radii=squared, logs=_log(colors), place=place), cameras)
+    part = parts_of(pixels, cameras.sizes_wh[view])
+    return solve_lights(Observations(view=view, squared_radii=squared, logs=_log(colors), place=place, part=part), cameras)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +92,7 @@ def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "a
     """The light of V photographs relative to a model: gains keep their mean, since the model's own
     light is the canonical one. Cameras are in the frame of the model."""
     cameras = views.cameras.scaled(COMPARED_PX)
-    found: list[tuple[NDArray[np.int64], FloatArray, FloatArray]] = []
+    found: list[tuple[NDArray[np.int64], FloatArray, FloatArray, NDArray[np.int64]]] = []
     places: list[FloatArray] = []
     for index, render in enumerate(render_views(model, cameras, backend)):
         size = (int(cameras.sizes_wh[index, 0]), int(cameras.sizes_wh[index, 1]))
@@ -99,10 +103,11 @@ def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "a
         rows = np.flatnonzero(used)
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(SAMPLES, len(rows))).astype(np.int64))] if len(rows) else rows
         logs = _log(image.reshape(-1, 3)[rows].astype(np.float64)) - _log(255 * render.image.reshape(-1, 3)[rows].astype(np.float64))
-        found.append((np.full(len(rows), index), squared_radii(cameras, index).ravel()[rows], logs))
+        part = parts_of(np.column_stack([rows % size[0], rows // size[0]]), cameras.sizes_wh[index])
+        found.append((np.full(len(rows), index), squared_radii(cameras, index).ravel()[rows], logs, part))
         places.append(_places(cameras, index, render.depth, rows[:: max(1, len(rows) // NUM_PLACES)]))
-    view, squared, logs = (np.concatenate(part) for part in zip(*found, strict=True))
-    lights = solve_lights(Observations(view=view, squared_radii=squared, logs=logs), views.cameras)
+    view, squared, logs, parts = (np.concatenate(each) for each in zip(*found, strict=True))
+    lights = solve_lights(Observations(view=view, squared_radii=squared, logs=logs, part=parts), views.cameras)
     return SeenLights(lights=lights, places=tuple(places))
 
 
@@ -131,7 +136,29 @@ def solve_lights(observed: Observations, cameras: Cameras) -> Lights:
         log_gains[:, channel] = np.where(enough, solution[:count], 0.0)
         vignettings[:, :, channel] = solution[count:].reshape(num_cameras, NUM_TERMS)
     log_gains[~known] = 0.0
-    return Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, known=known)
+    lights = Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, known=known)
+    return (
+        lights
+        if observed.part is None
+        else replace(lights, evenness=evenness(lights.spread, _left(observed, lights), observed.view, observed.part))
+    )
+
+
+def _left(observed: Observations, lights: Lights) -> FloatArray:
+    """What lights leave of the mean log over channels (T,), of places less their mean; NaN where
+    something is not known."""
+    view = observed.view
+    powers = np.stack([observed.squared_radii ** (term + 1) for term in range(NUM_TERMS)], axis=1)
+    explained = lights.log_gains[view] + np.einsum("ok,okc->oc", powers, lights.vignettings[lights.camera_of[view]])
+    left = np.where(lights.known[view], (observed.logs - explained).mean(axis=1), np.nan)
+    left[~np.isfinite(left)] = np.nan
+    if observed.place is None:
+        return left
+    tells = np.isfinite(left)
+    size = int(observed.place.max(initial=-1)) + 1
+    counts, sums = (np.bincount(observed.place[tells], weights, size) for weights in (None, left[tells]))
+    # A place that one photograph shows says nothing.
+    return np.where(counts[observed.place] > 1, left - sums[observed.place] / np.maximum(counts[observed.place], 1), np.nan)
 
 
 def _log(colors: FloatArray) -> FloatArray:

@@ -122,8 +122,9 @@ class TrainConfig:
     background: Literal["black", "random"] = "black"
     """The colour behind the Gaussians during training; random: another one at each step, which no
     half-transparent Gaussian can imitate."""
-    fill_in: bool = True
-    """Whether places that structure from motion left empty get starting points."""
+    fill_in: bool | Literal["auto"] = True
+    """Whether places that structure from motion left empty get starting points; auto: where
+    photographs see through some of them, as around an object, two short trainings choose."""
     dense_points: Literal["none", "always"] = "none"
     """always: photographs are matched against each other, and points that three of them agree on
     begin the model, which then does not grow."""
@@ -184,6 +185,7 @@ _SHORT = TrainConfig(
     start_scale=0.5,
     skip_images="auto",
     light="auto",
+    fill_in="auto",
 )
 _PLAIN = TrainConfig(
     sh_degree=3,

@@ -59,6 +59,8 @@ class Trial:
     """From 0, in the order of the trials."""
     most: int
     """How many trials there may be."""
+    long_side_px: int | None = None
+    """Photographs are reduced to it; None: they are not."""
 
 
 Score = Callable[[Trial], FloatArray]

@@ -4,11 +4,14 @@ Each training image is cut into cells; a cell below the horizon in which no spar
 gets one on the ray through its middle, where it comes down to the height of the nearest observed
 points, in the cell's mean colour. Without these points such places start empty, and a short
 training does not fill them: on an aerial set the woods stayed black.
+
+A point that another photograph sees through, since what it shows there lies farther away, is left
+out: before an object that cameras look at from all sides it would be haze.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,25 +29,32 @@ MIN_SPACING_CELLS = 0.7
 NEIGHBOURS = 4
 FARTHEST = 10.0
 """A filled-in point is at most this many times as far as the observed ones beside it."""
+SEEN_THROUGH = 0.85
+"""A point nearer to a camera than this share of the nearest of `WITNESSES` points that the camera
+sees within `WITNESS_CELLS` cells of it would hide them: the camera sees through it."""
+WITNESSES, WITNESS_CELLS = 3, 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AddedPoints:
-    """points (F,3), colors (F,3) uint8."""
+    """points (F,3), colors (F,3) uint8, and the share of those placed that a photograph sees
+    through and that were left out."""
 
     points: FloatArray
     colors: NDArray[np.uint8]
+    seen_through_share: float = 0.0
 
     def thin(self, max_num_points: int) -> AddedPoints:
         """At most so many, evenly over the order in which they were found."""
         count = len(self.points)
         kept = np.unique(np.linspace(0, count - 1, min(count, max(0, max_num_points))).astype(np.int64))
-        return AddedPoints(points=self.points[kept], colors=self.colors[kept])
+        return replace(self, points=self.points[kept], colors=self.colors[kept])
 
 
 def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
-    """One point per empty image cell, apart from the scene's and from those of images before.
-    `views.cameras` are the scene's in the same order, at any resolution."""
+    """One point per empty image cell, apart from the scene's and from those of images before,
+    that no image sees through. `views.cameras` are the scene's in the same order, at any
+    resolution."""
     known, first_new = scene.points, len(scene.points)
     colors = [np.zeros((0, 3), np.uint8)]
     for index in range(len(views)):
@@ -60,7 +70,36 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
             apart = KDTree(known).query(points)[0] > MIN_SPACING_CELLS * spacing
             known = np.concatenate([known, points[apart]])
             colors.append(new_colors[apart])
-    return AddedPoints(points=known[first_new:], colors=np.concatenate(colors))
+    points, colors_of_points = known[first_new:], np.concatenate(colors)
+    stays = ~_are_seen_through(scene, views.cameras, points)
+    share = 1 - float(stays.mean()) if len(stays) else 0.0
+    return AddedPoints(points=points[stays], colors=colors_of_points[stays], seen_through_share=share)
+
+
+def _are_seen_through(scene: SfmScene, cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
+    """Which points (F,) would hide what a camera sees behind them. Once per model: V queries of F
+    points among those that a camera sees."""
+    seen_through = np.zeros(len(points), bool)
+    for index in range(len(cameras)):
+        seen, seen_depths = _project(cameras, index, scene.points[scene.observations[scene.observations[:, 1] == index, 0]])
+        pixels, depths = _project(cameras, index, points)
+        asked = np.flatnonzero((depths > 0) & ((pixels >= 0) & (pixels < cameras.sizes_wh[index])).all(axis=1))
+        if (seen_depths > 0).sum() < WITNESSES or not len(asked):
+            continue
+        seen, seen_depths = seen[seen_depths > 0], seen_depths[seen_depths > 0]
+        distances, nearest = KDTree(seen).query(pixels[asked], k=WITNESSES)
+        beside = distances[:, -1] < WITNESS_CELLS * cameras.sizes_wh[index].max() / CELLS_ACROSS
+        seen_through[asked] |= beside & (depths[asked] < SEEN_THROUGH * seen_depths[nearest].min(axis=1))
+    return seen_through
+
+
+def _project(cameras: Cameras, index: int, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pixels (P,2) and depths (P,) of points in a camera; pixels behind it mean nothing."""
+    pose = cameras.cam_from_world[index]
+    in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+    depths = in_camera[:, 2]
+    pixels = (in_camera @ cameras.Ks[index].T)[:, :2] / np.where(depths > 0, depths, 1.0)[:, None]
+    return pixels, depths
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

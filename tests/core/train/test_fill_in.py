@@ -96,3 +96,51 @@ def test_the_far_ground_of_an_oblique_view_comes_down_to_the_ground() -> None:
     # that distance, above it.
     np.testing.assert_allclose(far[far[:, 1] < 90, 2], 0, atol=1e-9)
     assert np.linalg.norm(added, axis=1).max() < 10 * np.linalg.norm(near, axis=1).max() * 2
+
+
+def ring_of_cameras(num_views: int) -> Cameras:
+    """Level cameras 5 m around the origin, 1 m above the ground, that look at it."""
+    poses = []
+    for angle in 2 * np.pi * np.arange(num_views) / num_views:
+        center, forward = np.array([5 * np.cos(angle), 5 * np.sin(angle), 1.0]), np.array([-np.cos(angle), -np.sin(angle), -0.15])
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0, 0, 1]) / np.linalg.norm(np.cross(forward, [0, 0, 1]))
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+        pose[:3, 3] = -pose[:3, :3] @ center
+        poses.append(pose)
+    K = np.array([[70.0, 0, 40], [0, 70, 30], [0, 0, 1]])
+    sizes = np.tile([80, 60], (num_views, 1))
+    names = tuple(f"{view:02}.jpg" for view in range(num_views))
+    return Cameras(names=names, Ks=np.tile(K, (num_views, 1, 1)), cam_from_world=np.stack(poses), sizes_wh=sizes)
+
+
+def ball_before_a_wall() -> tuple[SfmScene, TrainingViews]:
+    """A ball of 0.8 m that eight cameras see from all sides, and nothing of what is behind it."""
+    rng, cameras = np.random.default_rng(0), ring_of_cameras(8)
+    normals = rng.normal(size=(1_500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = 0.8 * normals + np.array([0, 0, 0.8])
+    toward = cameras.centers[None] - points[:, None]
+    facing = np.einsum("pc,pvc->pv", normals, toward) > 0
+    frame = Frame(kind="metric", origin_lat_lon_alt=np.zeros(3))
+    colors = np.full((len(points), 3), 99, np.uint8)
+    scene = SfmScene(cameras=cameras, points=points, colors=colors, observations=np.argwhere(facing), frame=frame)
+    return scene, TrainingViews(cameras=cameras, images=tuple(np.full((60, 80, 3), 7, np.uint8) for _ in range(8)))
+
+
+def test_no_point_hangs_before_what_another_photograph_shows() -> None:
+    """Rays beside the ball come down before it, where the camera opposite looks."""
+    scene, views = ball_before_a_wall()
+    added = fill_in_points(scene, views)
+    assert added.seen_through_share > 0.02 and len(added.points)
+    for pose, center in zip(views.cameras.cam_from_world, views.cameras.centers, strict=True):
+        in_camera = added.points @ pose[:3, :3].T + pose[:3, 3]
+        pixels = 70 * in_camera[:, :2] / in_camera[:, 2:]
+        ball = (pose[:3, :3] @ np.array([0, 0, 0.8]) + pose[:3, 3]) / np.linalg.norm(center - [0, 0, 0.8])
+        before = (in_camera[:, 2] > 0) & (in_camera[:, 2] < 3.5) & (np.linalg.norm(pixels - 70 * ball[:2] / ball[2], axis=1) < 7)
+        assert not before.any()
+
+
+def test_over_flat_ground_nothing_is_seen_through() -> None:
+    assert fill_in_points(*flat_scene(half_side_m=0.7)).seen_through_share == 0.0
