@@ -82,6 +82,8 @@ class CloudRun:
     keys: dict[str, str] = field(default_factory=dict)
     """Node of a task to an edge → the key of its seal."""
     expected_s: dict[str, float] = field(default_factory=dict)
+    devices: dict[str, frozenset[str]] = field(default_factory=dict)
+    """Edge → names of its devices, of which it speaks."""
 
     @property
     def folder(self) -> Path:
@@ -92,6 +94,7 @@ class CloudRun:
         """Everything between the machines: plan, fold, refine, score. Raises StageFailed where no
         model can be used."""
         require_names(system)
+        self.devices = {f"edges/{edge.id}": frozenset(device.id for device in edge.devices) for edge in system.edges}
         self.hub.store.withdraw_all(run_number(self.folder))
         devices = self._count(system, progress)
         plan = self._plan(system, devices, progress)
@@ -132,6 +135,7 @@ class CloudRun:
             retry_policy=policy,
             num_threads=os.cpu_count() or 1,
             is_far=lambda node: node.tier == "edge",
+            devices_of=lambda machine: self.devices.get(machine, ()),
         )
 
     def _lease_s(self, node_id: str) -> float:
