@@ -29,13 +29,14 @@ from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.run.source import Plan
 from radiant_app.run.stages import costs_of_run, load_plan_before_capture, load_plan_in_frame, plan_stage, warn_about_predictions
 from radiant_app.run.uncaptured import deal_uncaptured
+from radiant_app.workers.scores import Claimable
 from radiant_app.workers.tasks import HELD_OUT_NAME, FieldTask, PlacingTask, SfmSettings
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import MODEL_NAME
-from radiant_core.io.records import save_plan
+from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import write_json
 from radiant_core.light.captures import CAPTURES_NAME
 from radiant_core.numerics import FloatArray
@@ -220,7 +221,7 @@ class DevicePhotographs:
             )
             for device, moves in sorted(dealer.load_moves().items())
         ]
-        scoring = Scoring(config=self.config, recipe=recipe, machines=machines)
+        scoring = Scoring(config=self.config, recipe=recipe, machines=machines, claimable=self._claimable)
         result = scoring.run(dealer, executor, progress)
         num_held_out = sum(len(share.held_out) for share in self.shares.values())
         facts = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": self.folders is None}
@@ -230,6 +231,11 @@ class DevicePhotographs:
         write_json(run / "evaluation" / "result.json", {**result, **facts})
         save_delivered(run, dealer, self.captured.origin)
         progress.manifest.access_log = [*self._planning_access_log(), *dealer.access_log, *scoring.access_log]
+
+    def _claimable(self, device: str) -> Claimable:
+        share = self.shares[device]
+        edges = load_plan(self.config.out / "plan.json")[0].edge_ids
+        return Claimable(num_held_out=len(share.held_out), num_dealt=len(share.names), edges=edges)
 
     def _planning_access_log(self) -> list[dict[str, Any]]:
         """The access log of planning, by the owner and at the cloud."""

@@ -52,13 +52,14 @@ from radiant_app.run.far_devices import FarDevices, require_names
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.progress import Progress
 from radiant_app.run.refining import Refining, expected_refines, fold_rounds, plan_rounds
-from radiant_app.run.scoring import combine_scores, lpips_network_of, regions_alone
+from radiant_app.run.scoring import combine_figures, lpips_network_of, regions_alone
 from radiant_app.run.source import Plan
 from radiant_app.run.stages import ATTEMPTS, make_recipe, make_time_left_listener
 from radiant_app.workers.delivering import identify_owned, register_sender, run_number
 from radiant_app.workers.evaluation import LPIPS_NAME as SCORED_LPIPS
 from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import load_corrections
+from radiant_app.workers.scores import Claimable, Scores, admit_scores
 from radiant_app.workers.tasks import Move, SfmSettings
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refines_for, tree_of_plan
@@ -353,20 +354,33 @@ class CloudRun:
         save_plan(place / PLAN_NAME, regions_alone(dealer.recipe.cloud_plan), ())
         missing: dict[str, str] = {}
 
+        counts = dealer.photographs
+        assert isinstance(counts, FarDevices)
+        admitted: dict[str, Scores] = {}
+
+        def claimable(device: str) -> Claimable:
+            held_out, dealt = counts.num_held_out(device), counts.num_dealt(device)
+            return Claimable(num_held_out=held_out, num_dealt=dealt, edges=dealer.recipe.cloud_plan.edge_ids)
+
+        def warn(device: str, message: str) -> None:
+            progress.listen(Warned(stage=f"devices/{device}/score", message=message))
+
         def score(scenes: Mapping[Version, Path]) -> dict[str, Path]:
             report = self._ask_scores(dealer, scenes, progress)
+            admitted.clear()
+            admitted.update(admit_scores(dict(sorted(report.found.items())), claimable, warn))
             missing.clear()
             missing.update(report.missing)
+            missing.update({device: "its figures are left out." for device in report.found if device not in admitted})
             scores = {}
-            for device, record in sorted(report.found.items()):
-                self._seal_reported(f"devices/{device}/score", {SCORES_NAME: record}, content_key(record))
+            for device, own in admitted.items():
+                self._seal_reported(f"devices/{device}/score", {SCORES_NAME: own.record}, content_key(own.record))
                 scores[device] = self.folder / f"devices/{device}/score" / SCORES_NAME
             return scores
 
         scores, choice = keep_best(dealer, score, progress.listen)
-        result = {**combine_scores(self.folder, scores, lpips_network_of(self.config)), **choice}
-        counts = dealer.photographs
-        assert isinstance(counts, FarDevices)
+        figures = combine_figures(self.folder, {device: admitted[device] for device in scores}, lpips_network_of(self.config))
+        result = {**figures, **choice}
         num_held_out = sum(counts.num_held_out(device) for device in counts.devices())
         facts: dict[str, Any] = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": False}
         if missing:

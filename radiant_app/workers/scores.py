@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError, model_validator
 
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
@@ -36,6 +36,7 @@ Db = Annotated[float, Field(ge=0, le=MOST_DB)]
 # Sums of many pixels may end a rounding beyond 1.
 Likeness = Annotated[float, Field(ge=-1.001, le=1.001)]
 Share = Annotated[float, Field(ge=0, le=1.001)]
+_VERSIONS = TypeAdapter(dict[Version, tuple[FiniteFloat, ...]])
 BorderDb = Annotated[float, Field(ge=-WORST_BORDER_DB, le=0.001)]
 
 
@@ -89,6 +90,11 @@ class Scores(Strict):
         return self
 
     @property
+    def record(self) -> dict[str, Any]:
+        """What scores.json says, as JSON has it."""
+        return self.model_dump(mode="json", exclude_unset=True)
+
+    @property
     def rows(self) -> list[dict[str, Any]]:
         """The rows as metrics.json has them."""
         return [row.model_dump(exclude_unset=True) for row in self.images]
@@ -137,6 +143,14 @@ def scores_of(record: Any) -> Scores:
         raise BadInput(f"scores are no JSON ({type(error).__name__}): {WRONG}.") from None
 
 
+def versions_of(record: Any) -> dict[Version, tuple[float, ...]] | None:
+    """The figures of versions of the scene in a record of scores; None where they are none."""
+    try:
+        return _VERSIONS.validate_json(json.dumps(record["versions"]), strict=True)
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+
+
 def claim_problem(scores: Scores, device: str, claimable: Claimable) -> str | None:
     """Why a device cannot have these figures by the plan, one sentence; None where it can."""
     num_rows = len(scores.images)
@@ -160,18 +174,18 @@ def scored_name(device: str, index: int) -> str:
     return f"{device}/held-out-{index:04d}"
 
 
-def admit_scores(paths: Mapping[str, Path], claimable: Callable[[str], Claimable], warn: Callable[[str, str], None]) -> dict[str, Scores]:
+def admit_scores(said: Mapping[str, Any], claimable: Callable[[str], Claimable], warn: Callable[[str, str], None]) -> dict[str, Scores]:
     """The scores of devices that can have what they say, each photograph with at most `BEST_DB`.
 
     Args:
-        paths: device → its file.
+        said: device → its file, or the record that it sent.
         claimable: what a device can score by the plan.
         warn: hears a device and why its figures are left out, or bounded.
     """
     admitted: dict[str, Scores] = {}
-    for device, path in paths.items():
+    for device, own in said.items():
         try:
-            scores = read_scores(path)
+            scores = read_scores(own) if isinstance(own, Path) else scores_of(own)
         except BadInput as error:
             warn(device, f"the figures of this device are left out: {error}")
             continue
@@ -179,7 +193,7 @@ def admit_scores(paths: Mapping[str, Path], claimable: Callable[[str], Claimable
             warn(device, f"the figures of this device are left out: {problem}")
             continue
         if number := scores.num_beyond:
-            said = f"{number} of its photographs {'has' if number == 1 else 'have'} more than {BEST_DB:.0f} dB"
-            warn(device, f"{said}, which no photograph of 8 bits shows: {BEST_DB:.0f} dB count.")
+            many = f"{number} of its photographs {'has' if number == 1 else 'have'} more than {BEST_DB:.0f} dB"
+            warn(device, f"{many}, which no photograph of 8 bits shows: {BEST_DB:.0f} dB count.")
         admitted[device] = scores.bounded()
     return admitted
