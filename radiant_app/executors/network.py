@@ -37,7 +37,7 @@ from radiant_app.events import (
 from radiant_app.executors.fold import Fold, NodeEnded, NodeStarted, RetryPolicy
 from radiant_app.executors.local import Processes, worker_command
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
-from radiant_app.network.contents import check_result
+from radiant_app.network.contents import check_result, settle_notes
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME
 from radiant_app.network.reception import Ended, Said, plain_text
@@ -205,7 +205,9 @@ class _Machines:
         try:
             names = hub.install(far.digest)
             check_result(far.task.kind, far.task.folder, names)
-            if NOTES_NAME not in names:
+            if NOTES_NAME in names:
+                settle_notes(far.task.folder, far.task.stage)
+            else:
                 # A report alone: whoever skips its stage later reads notes there.
                 write_json(far.task.folder / NOTES_NAME, {"decisions": [], "warnings": []})
                 names = [*names, NOTES_NAME]

@@ -16,22 +16,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, TypeAdapter, model_validator
 
+from radiant_app.workers.strangers import Told, parse_record
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_excess import BorderError
 from radiant_core.hierarchy.choosing import BEST_DB
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.run_store import read_json
-from radiant_core.io.strict import Strict, problem_sentence
 
 MAX_SCORES_BYTES = 64 << 20
 MOST_DB = 100.0
 """Equal images (`image_error.MIN_SQUARED_ERROR`)."""
 WORST_BORDER_DB = 60.001
 """Errors at borders are means of squares within 0 to 1, and 1e-6 (`seam_excess.LEAST_MSE`)."""
-WRONG = "use the same version of the software on both sides, or look at the disk of that machine"
 Db = Annotated[float, Field(ge=0, le=MOST_DB)]
 # Sums of many pixels may end a rounding beyond 1.
 Likeness = Annotated[float, Field(ge=-1.001, le=1.001)]
@@ -40,7 +39,7 @@ _VERSIONS = TypeAdapter(dict[Version, tuple[FiniteFloat, ...]])
 BorderDb = Annotated[float, Field(ge=-WORST_BORDER_DB, le=0.001)]
 
 
-class ImageScore(Strict):
+class ImageScore(Told):
     """One photograph: its name, or its number on a device, and the figures of `image_error`."""
 
     name: str = Field(min_length=1, max_length=1024)
@@ -55,14 +54,14 @@ class ImageScore(Strict):
     used_share: Share | None = None
 
 
-class _Border(Strict):
+class _Border(Told):
     side: str = Field(max_length=64)
     beyond: str = Field(max_length=64)
     before_db: BorderDb
     beyond_db: BorderDb
 
 
-class Leakage(Strict):
+class Leakage(Told):
     """How much a device's model shows of the photographs that it was trained on."""
 
     psnr_db: Db
@@ -70,7 +69,7 @@ class Leakage(Strict):
     num_images: int = Field(ge=1, le=10**8)
 
 
-class Scores(Strict):
+class Scores(Told):
     """What stands in scores.json."""
 
     images: tuple[ImageScore, ...]
@@ -135,12 +134,7 @@ def read_scores(path: Path) -> Scores:
 def scores_of(record: Any) -> Scores:
     """The scores in a record of JSON; BadInput where a field is missing, unknown, of another type
     or out of its range, or where the parts do not fit together."""
-    try:
-        return Scores.model_validate_json(json.dumps(record))
-    except ValidationError as error:
-        raise BadInput(f"scores: {problem_sentence(error, 'score', given=record).rstrip('.')}; {WRONG}.") from None
-    except (ValueError, TypeError, RecursionError) as error:
-        raise BadInput(f"scores are no JSON ({type(error).__name__}): {WRONG}.") from None
+    return parse_record(Scores, record, "scores")
 
 
 def versions_of(record: Any) -> dict[Version, tuple[float, ...]] | None:
