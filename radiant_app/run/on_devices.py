@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Warned
 from radiant_app.executors.protocol import Executor
-from radiant_app.run.captured import Captured, device_folders, locate_photographs, photo_folder
+from radiant_app.run.captured import Captured, device_folders, locate_photographs, photo_folder, weigh_claims
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.dealing import Dealer, count_received
 from radiant_app.run.delivered import save_delivered
@@ -103,6 +103,8 @@ class DevicePhotographs:
             return Plan(system=system, cloud=cloud, edges=edges)
         if captured.cell_middles is None and config.cell_m is not None:
             positions = middles_of_cells(positions, config.cell_m)
+        weighed = weigh_claims(owners, progress)
+        positions, owners = positions[weighed], [owners[index] for index in weighed]
         system = costs_of_run(config, system, len(positions))
         cloud, edges = self._plan_of_owners(system, positions, owners, progress)
         save_plan(config.out / "plan.json", cloud, edges, warnings=warn_about_predictions(config, system, edges, progress))

@@ -177,8 +177,9 @@ def regions_alone(plan: CloudPlan) -> CloudPlan:
 
 
 def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
-    """Combine the files of scores, by machine, into the figures of metrics.json. A machine whose file
-    holds no scores is left out, and named under `scores_left_out`; raises as `combine_figures`."""
+    """Combine the files of scores, by machine, into the figures of metrics.json. A machine whose
+    file holds no scores is left out, and named under `scores_left_out`; raises as
+    `combine_figures`."""
     usable, left_out = dict[str, Scores](), dict[str, str]()
     for machine, path in scores.items():
         try:
@@ -189,8 +190,8 @@ def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNe
 
 
 def combine_figures(run: Path, scores: Mapping[str, Scores], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
-    """Combine scores, by machine, into the figures of metrics.json; StageFailed where no machine has
-    a held-out photograph."""
+    """Combine scores, by machine, into the figures of metrics.json; StageFailed where no machine
+    has a held-out photograph."""
     images = [row for each in scores.values() for row in each.rows]
     if not images:
         none_placed = "the machines that scored have none whose pose is known; give more photographs."

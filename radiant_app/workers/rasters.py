@@ -22,7 +22,7 @@ MAX_PHOTOGRAPHS = 100_000
 LOWEST_M, HIGHEST_M = -11_000.0, 40_000.0
 """Altitudes from the deepest trench to where balloons float."""
 MOST_UNITS = 1e9
-"""Farthest place in the frame of given poses, whatever its unit: even geocentric metres are less."""
+"""Farthest place in the frame of given poses, whatever its unit: geocentric metres are less."""
 Photographs = Annotated[int, Field(ge=0, le=MAX_PHOTOGRAPHS)]
 Place = Annotated[float, Field(ge=-MOST_UNITS, le=MOST_UNITS)]
 Cell = tuple[Place, Place, Annotated[int, Field(ge=1, le=MAX_PHOTOGRAPHS)]]

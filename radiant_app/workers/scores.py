@@ -1,7 +1,7 @@
 """`Scores`: the figures that a machine reports of its held-out photographs. Once per machine and
 scoring.
 
-    scores.json ── scores_of ──→ Scores ── claim_problem ──→ counted, or its machine is left out by name
+    scores.json ── scores_of ──→ Scores ── claim_problem ──→ counted, or left out by name
 
 Parsed once, to the last field and within the range of each figure; what is parsed is what is used.
 A device's photographs are numbered: what it says can be held against how many it holds out.
@@ -23,8 +23,7 @@ from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_excess import BorderError
 from radiant_core.hierarchy.choosing import BEST_DB
-from radiant_core.io.colmap.records import is_image_name
-from radiant_core.io.run_store import read_json
+from radiant_core.io.run_store import read_json, stays_inside
 
 MAX_SCORES_BYTES = 64 << 20
 MOST_DB = 100.0
@@ -42,7 +41,7 @@ BorderDb = Annotated[float, Field(ge=-WORST_BORDER_DB, le=0.001)]
 class ImageScore(Told):
     """One photograph: its name, or its number on a device, and the figures of `image_error`."""
 
-    name: str = Field(min_length=1, max_length=1024)
+    name: str = Field(min_length=1, max_length=4096)
     psnr_db: Db
     ssim: Likeness
     psnr_cc_db: Db
@@ -80,7 +79,7 @@ class Scores(Told):
     @model_validator(mode="after")
     def _fits_together(self) -> Scores:
         names = [row.name for row in self.images]
-        if strange := next((name for name in names if not is_image_name(name)), None):
+        if strange := next((name for name in names if not stays_inside(name)), None):
             raise ValueError(f"a score is of {strange[:80]!r}, expected the name of a photograph inside its folder")
         if len({*names}) != len(names):
             raise ValueError("a photograph is scored twice")

@@ -20,8 +20,8 @@ _SHOWN = 60
 
 
 class Told(BaseModel):
-    """Base of what another machine tells: no unknown keys, no numbers as text, nothing infinite, and
-    nothing that changes later."""
+    """Base of what another machine tells: no unknown keys, no numbers as text, nothing infinite,
+    and nothing that changes later."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
