@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import MISSING, asdict, dataclass, fields
-from functools import cache
-from typing import Annotated, Any, Literal, Union, get_args, get_type_hints
+from functools import cache, reduce
+from operator import or_
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 from pydantic import Field, TypeAdapter, ValidationError, create_model
 
@@ -172,8 +173,9 @@ def _parser() -> Any:
         named: Any = Literal[kind.__name__]  # pyright: ignore[reportInvalidTypeForm]
         models.append(create_model(kind.__name__, __base__=Strict, event=(named, ...), **given))
     # Made from the list of all events, which no checker of types sees.
-    one_of: Any = Union.__getitem__(tuple(models))
-    return TypeAdapter(Annotated[one_of, Field(discriminator="event")])
+    one_of: Any = reduce(or_, models)
+    said: Any = Annotated[one_of, Field(discriminator="event")]  # pyright: ignore
+    return TypeAdapter(said)
 
 
 def _problem_of(error: ValidationError) -> str:
