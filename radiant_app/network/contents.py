@@ -46,7 +46,6 @@ MAX_NOTES = 1000
 MOST = 1e15
 Reason = Annotated[str, Field(max_length=MAX_REASON_CHARS), AfterValidator(plain_text)]
 Figure = Annotated[int, Field(ge=-MOST, le=MOST)] | Annotated[float, Field(ge=-MOST, le=MOST)]
-Amount = Annotated[int, Field(ge=0, le=MOST)] | Annotated[float, Field(ge=0, le=MOST)]
 Deviation = Annotated[float, Field(gt=0, le=MAX_UNCERTAINTY)]
 
 
@@ -73,11 +72,11 @@ class Summary(Told):
     __pydantic_extra__: dict[str, Figure] = Field(init=False)  # pyright: ignore
 
     num_splats: int = Field(ge=0, le=MAX_SPLATS)
-    model_bytes: Amount
+    model_bytes: int = Field(ge=0, le=MOST)
     num_steps: int = Field(ge=0, le=MOST)
-    train_s: Amount
-    first_loss: Figure
-    last_loss: Figure
+    train_s: float = Field(ge=0, le=MOST)
+    first_loss: float = Field(ge=-MOST, le=MOST)
+    last_loss: float = Field(ge=-MOST, le=MOST)
 
     @model_validator(mode="after")
     def _is_small(self) -> Summary:

@@ -17,6 +17,8 @@ from radiant_core.errors import BadInput
 Kind = TypeVar("Kind", bound=BaseModel)
 WRONG = "use the same version of the software on both sides, or look at the disk of that machine"
 _SHOWN = 60
+_TAGS = ("constrained-int", "constrained-float")
+"""Which part of a union was tried is nobody's business."""
 
 
 class Told(BaseModel):
@@ -42,7 +44,7 @@ def _problem_of(error: ValidationError) -> str:
     cause = problem.get("ctx", {}).get("error")
     if not problem["loc"] and cause is not None:
         return str(cause)
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")[:_SHOWN]
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"] if part not in _TAGS).lstrip(".")[:_SHOWN]
     if problem["type"] in ("missing", "extra_forbidden"):
         return f"{key} is {'missing' if problem['type'] == 'missing' else 'no field of it'}"
     shown = repr(problem["input"])

@@ -116,7 +116,7 @@ def mutated_value(data: bytes, rng: random.Random) -> bytes:
         parent, key = rng.choice(places)
         value: Any = parent[key] if not isinstance(parent, dict) or key in parent else None
         change = rng.randrange(10)
-        if change > 6 and type(value) in (int, float):
+        if change > 6 and type(value) in (int, float) and abs(value) < 1e300:
             # What is still a number, and might be believed.
             scaled = value * rng.choice((-1, 0, 0.5, 1.001, 2, 4, 100))
             parent[key] = int(scaled) if isinstance(value, int) else scaled
