@@ -229,4 +229,10 @@ def _invitation(record: Any, path: Path) -> Invitation:
         raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.")
     if not all(isinstance(record[name], str) for name in names):
         raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.")
-    return Invitation(**{name: record[name] for name in names})
+    try:
+        return Invitation(**{name: record[name] for name in names})
+    except BadInput:
+        raise
+    except ValueError:
+        # Half a character, or an address that is none.
+        raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.") from None
