@@ -167,18 +167,20 @@ def scored_name(device: str, index: int) -> str:
     return f"{device}/held-out-{index:04d}"
 
 
-def admit_scores(said: Mapping[str, Any], claimable: Callable[[str], Claimable], warn: Callable[[str, str], None]) -> dict[str, Scores]:
+def admit_scores(
+    said: Mapping[str, Path | Scores], claimable: Callable[[str], Claimable], warn: Callable[[str, str], None]
+) -> dict[str, Scores]:
     """The scores of devices that can have what they say, each photograph with at most `BEST_DB`.
 
     Args:
-        said: device → its file, or the record that it sent.
+        said: device → its file, or its scores.
         claimable: what a device can score by the plan.
         warn: hears a device and why its figures are left out, or bounded.
     """
     admitted: dict[str, Scores] = {}
     for device, own in said.items():
         try:
-            scores = read_scores(own) if isinstance(own, Path) else scores_of(own)
+            scores = read_scores(own) if isinstance(own, Path) else own
         except BadInput as error:
             warn(device, f"the figures of this device are left out: {error}")
             continue

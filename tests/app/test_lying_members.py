@@ -227,7 +227,9 @@ def test_a_claim_against_the_plan_is_refused_by_name_and_the_others_count(claim:
     record, reason = CLAIMS[claim]
     said: list[tuple[str, str]] = []
     honest = {**rows(2, "honest", 20.0), "leakage": None}
-    admitted = admit_scores({"d": record, "honest": honest}, lambda device: CLAIMABLE, lambda *each: said.append(each))
+    admitted = admit_scores(
+        {"d": scores_of(record), "honest": scores_of(honest)}, lambda device: CLAIMABLE, lambda *each: said.append(each)
+    )
     assert [*admitted] == ["honest"] and claim_problem(scores_of(SCORES), "d", CLAIMABLE) is None
     ((device, message),) = said
     assert device == "d" and message.startswith("the figures of this device are left out: ")
@@ -237,7 +239,7 @@ def test_a_claim_against_the_plan_is_refused_by_name_and_the_others_count(claim:
 
 def test_no_photograph_of_a_device_weighs_more_than_any_of_8_bits() -> None:
     said: list[tuple[str, str]] = []
-    admitted = admit_scores({"d": rows(2)}, lambda device: CLAIMABLE, lambda *each: said.append(each))
+    admitted = admit_scores({"d": scores_of(rows(2))}, lambda device: CLAIMABLE, lambda *each: said.append(each))
     assert [row["psnr_db"] for row in admitted["d"].rows] == [BEST_DB] * 2
     assert said == [("d", "2 of its photographs have more than 60 dB, which no photograph of 8 bits shows: 60 dB count.")]
 

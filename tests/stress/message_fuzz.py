@@ -464,9 +464,7 @@ KINDS: dict[str, Callable[[Path], Kind]] = {
         lambda found, _: json.dumps([told.model_dump() for told in found.values()], allow_nan=False),
     ),
     "report of refining": _report("edge_refine", {}, lambda found, _: None),
-    "report of scores": _report(
-        "edge_score", SCORES, lambda found, folder: _combine({name: own.record for name, own in found.items()}, folder)
-    ),
+    "report of scores": _report("edge_score", SCORES, _combine),
     **{f"task {kind}": _task(kind) for kind in TASK_KINDS},
     "polls": _poll,
     "requests to join": _join,
