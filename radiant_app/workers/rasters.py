@@ -21,8 +21,8 @@ MAX_PHOTOGRAPHS = 100_000
 """Of one device: some 500 GB of them. A plan has a row for each."""
 LOWEST_M, HIGHEST_M = -11_000.0, 40_000.0
 """Altitudes from the deepest trench to where balloons float."""
-MOST_UNITS = 1e9
-"""Farthest place in the frame of given poses, whatever its unit: geocentric metres are less."""
+MOST_UNITS = 9e7
+"""Farthest place in the frame of given poses, in whatever unit; planners take less than 1e8."""
 Photographs = Annotated[int, Field(ge=0, le=MAX_PHOTOGRAPHS)]
 Place = Annotated[float, Field(ge=-MOST_UNITS, le=MOST_UNITS)]
 Cell = tuple[Place, Place, Annotated[int, Field(ge=1, le=MAX_PHOTOGRAPHS)]]

@@ -18,6 +18,7 @@ from radiant_app.events import Decided, Event, StageDone, StageStarted, Warned, 
 from radiant_app.executors import network
 from radiant_app.executors.network import MAX_SAYINGS, admit_event
 from radiant_app.files.run_folder import Manifest
+from radiant_app.files.system_file import load_system
 from radiant_app.network.contents import check_result, check_scores, open_report, settle_notes
 from radiant_app.network.device import HIDDEN_PLACE, hide_in_event, hide_places
 from radiant_app.network.errands import Errands
@@ -27,7 +28,7 @@ from radiant_app.run.choosing import keep_best
 from radiant_app.run.far_devices import FarDevices
 from radiant_app.run.over_network import CloudRun
 from radiant_app.run.scoring import combine_scores
-from radiant_app.workers.rasters import MAX_PHOTOGRAPHS, raster_of, raster_problem
+from radiant_app.workers.rasters import MAX_PHOTOGRAPHS, MOST_UNITS, raster_of, raster_problem
 from radiant_app.workers.reporting import read_notes
 from radiant_app.workers.scores import Claimable, admit_scores, claim_problem, scores_of
 from radiant_core.decisions import Decision
@@ -36,6 +37,7 @@ from radiant_core.frames import enu_from_geodetic
 from radiant_core.hierarchy.choosing import BEST_DB
 from radiant_core.io.run_store import write_json
 from radiant_core.plan.profiles.step_law import StepLaw
+from radiant_core.plan.revision.assigned import assigned_plan
 from radiant_viewer.runs.run_view import canonical_path, comparison_paths
 from tests.stress.message_fuzz import FRAME, MOVE, NOTES, RASTER, REGION, ROW, SCORES, SUMMARY
 
@@ -477,3 +479,17 @@ def test_the_stage_of_an_event_stays_whatever_its_owner_calls_folders(folder: st
 )
 def test_a_folder_below_the_root_is_hidden_where_it_is_a_folder(text: str, hidden: str) -> None:
     assert hide_places(text, [Path("/north")]) == hidden
+
+
+@pytest.mark.parametrize("far", [MOST_UNITS, -MOST_UNITS, 1e6])
+def test_a_device_that_is_far_away_in_the_frame_of_poses_ends_no_plan(far: float, tmp_path: Path) -> None:
+    """With given poses there is no globe: what a raster may say a plan can be made of."""
+    system = tmp_path / "system.toml"
+    system.write_text('[[edge]]\nid = "north"\n[[edge.device]]\nid = "a"\n[[edge.device]]\nid = "liar"\n')
+    rasters = {"a": [[0.5, 0.5, 3], [1.5, 0.5, 3]], "liar": [[far, far, 3]]}
+    places = {name: raster_of({**RASTER, "cells": cells, "altitude_m": None}, "known").middles for name, cells in rasters.items()}
+    owners = [name for name, own in places.items() for _ in own]
+    _, (edge,) = assigned_plan(np.concatenate([*places.values()])[:, :2], owners, load_system(system))
+    assert [len(edge.cameras_of(name)) for name in ("a", "liar")] == [6, 3]
+    with pytest.raises(BadInput, match="a raster cannot be used: cells"):
+        raster_of({**RASTER, "cells": [[1e8, 0.0, 1]], "altitude_m": None}, "known")
