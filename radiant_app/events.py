@@ -1,18 +1,28 @@
 """The stream of typed events of long work, read by command line, window and report.
 
-A worker process writes one event per line of standard output as JSON; `decode` parses it.
+A worker process writes one event per line of standard output as JSON; `decode` parses it: every
+field has the type and the range that stand here, and what is parsed is what is used.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any, get_args
+from dataclasses import MISSING, asdict, dataclass, fields
+from functools import cache, reduce
+from operator import or_
+from typing import Annotated, Any, Literal, get_args, get_type_hints
+
+from pydantic import Field, TypeAdapter, ValidationError, create_model
 
 from radiant_core.decisions import Decision
 from radiant_core.errors import StageFailed
+from radiant_core.io.strict import Strict
 
+MOST = 1e15
+"""Most of what an event counts: bytes of memory, seconds, units of work. More is a fault."""
+Amount = Annotated[float, Field(ge=0, le=MOST)]
+Number = Annotated[int, Field(ge=0, le=MOST)]
 UPLINK = "/uplink"
 """Suffix of the stage in which a node sends its model to its parent over an emulated link."""
 
@@ -40,15 +50,15 @@ class StageProgress:
     """Progress of a stage: `done` of `total` in any unit, of the current step if it has several."""
 
     stage: str
-    done: float
-    total: float
+    done: Amount
+    total: Amount
     note: str = ""
     phase: str = ""
     """What the current step does, such as "matching"; `done` restarts with a new one."""
-    step: int = 0
+    step: Number = 0
     """Number of the step, from 1; 0 without steps."""
-    num_steps: int = 0
-    left_s: float | None = None
+    num_steps: Number = 0
+    left_s: Amount | None = None
     """Seconds left of the whole stage, where the stage itself can tell."""
 
     @property
@@ -62,7 +72,7 @@ class StageDone:
     """A stage finished; `seconds` is its own time."""
 
     stage: str
-    seconds: float
+    seconds: Amount
     emulated: bool = False
 
 
@@ -71,15 +81,15 @@ class MemoryPeaked:
     """Peak memory of the process of a stage, its libraries included."""
 
     stage: str
-    peak_bytes: int
+    peak_bytes: Number
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeLeft:
     """Time left of devices and edges after the node `after`; `correction`: over the plan's time."""
 
-    seconds: float
-    correction: float
+    seconds: Amount
+    correction: Amount
     after: str
 
 
@@ -132,18 +142,44 @@ _TYPES: dict[str, Any] = {kind.__name__: kind for kind in get_args(Event)}
 
 def encode(event: Event) -> str:
     """Return the event as one line of JSON."""
-    return json.dumps({"event": type(event).__name__, **asdict(event)})
+    record = {"event": type(event).__name__, **asdict(event)}
+    text = json.dumps(record)
+    if "\\ud" not in text:
+        return text
+    # Half a character, as of a file name that is no text, stands in no JSON.
+    return json.dumps(json.loads(json.dumps(record, ensure_ascii=False).encode(errors="replace")))
 
 
-def decode(line: str) -> Event:
+def decode(line: str | bytes) -> Event:
     """Parse a line written by `encode`; StageFailed for any other line."""
     try:
-        fields = json.loads(line)
-        kind = _TYPES[fields.pop("event")]
-        if kind is Decided:
-            return Decided(decision=Decision(**fields["decision"]))
-        if kind is Outlined:
-            return Outlined(stages=tuple(fields["stages"]))
-        return kind(**fields)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise StageFailed(f"a worker wrote a line that is no event: {line[:200]!r} ({error}).") from error
+        said = _parser().validate_json(line, strict=True)
+    except ValidationError as error:
+        raise StageFailed(f"a worker wrote a line that is no event: {line[:200]!r} ({_problem_of(error)}).") from error
+    given = {name: getattr(said, name) for name in said.model_fields_set if name != "event"}
+    event: Event = _TYPES[said.event](**given)
+    return event
+
+
+@cache
+def _parser() -> Any:
+    """Made with the first line, by the types of the events themselves."""
+    models: list[Any] = []
+    for kind in _TYPES.values():
+        hints = get_type_hints(kind, include_extras=True)
+        # What an earlier version did not write has its default.
+        defaults = {each.name: ... if each.default is MISSING else each.default for each in fields(kind)}
+        given: dict[str, Any] = {name: (hints[name], default) for name, default in defaults.items()}
+        named: Any = Literal[kind.__name__]  # pyright: ignore[reportInvalidTypeForm]
+        models.append(create_model(kind.__name__, __base__=Strict, event=(named, ...), **given))
+    # Made from the list of all events, which no checker of types sees.
+    one_of: Any = reduce(or_, models)
+    said: Any = Annotated[one_of, Field(discriminator="event")]  # pyright: ignore
+    return TypeAdapter(said)
+
+
+def _problem_of(error: ValidationError) -> str:
+    """The first thing that is wrong with a line, in few words."""
+    problem = error.errors(include_url=False, include_input=False)[0]
+    where = ".".join(map(str, problem["loc"][1:]))
+    return f"{where}: {problem['msg']}" if where else str(problem["msg"])

@@ -12,10 +12,11 @@ sends goes no farther than its edge, but for the edge's report.
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, get_args
 
@@ -30,18 +31,18 @@ from radiant_app.events import (
     StageSkipped,
     StageStarted,
     TimeLeft,
+    Warned,
     decode,
 )
 from radiant_app.executors.fold import Fold, NodeEnded, NodeStarted, RetryPolicy
 from radiant_app.executors.local import Processes, worker_command
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
-from radiant_app.network.contents import check_result
+from radiant_app.network.contents import check_result, settle_notes
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME
 from radiant_app.network.reception import Ended, Said, plain_text
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
-from radiant_core.io.messages import message_of
 from radiant_core.io.run_store import seal, write_json
 
 LEASE_S = 900.0
@@ -55,6 +56,10 @@ MAX_STEP_S = 5.0
 """Most seconds that count against a node between two checks."""
 FOLDING = ("region", "edge_refine")
 """Work that begins for its node when those below it are done: so long only the lease counts."""
+MAX_SAYINGS = 1000
+"""Warnings and decisions that are heard of one task: a run keeps them all in its manifest."""
+_PART = re.compile(r"(?:/[a-z_]{1,32}[0-9]{0,2})?")
+"""What follows the id of a device in the stages of its work."""
 _FORWARDED = tuple(kind for kind in get_args(Event) if kind not in (Failed, Heartbeat, Outlined, TimeLeft, StageSkipped))
 
 
@@ -79,6 +84,8 @@ class NetworkExecutor:
     """Set to end the fold."""
     num_threads: int = 1
     is_far: Callable[[Tree], bool] = lambda node: not node.children
+    devices_of: Callable[[str], Collection[str]] = lambda machine: ()
+    """Id of a machine → the devices below it, of which it may speak; a device has none."""
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
@@ -108,6 +115,8 @@ class _Far:
     started: bool = False
     begun: set[str] = field(default_factory=set)
     """Stages that its events have begun."""
+    num_said: int = 0
+    """Warnings and decisions that were heard of this task."""
 
 
 @dataclass(kw_only=True)
@@ -167,7 +176,7 @@ class _Machines:
             node_id, far = found
             if said.taken and far.task.kind not in FOLDING:
                 self._mark_started(node_id)
-            for event in (event for line in said.events for event in admit_event(line, far.node, far.begun)):
+            for event in self._heard(far, said.events):
                 if isinstance(event, StageStarted) and event.stage == far.task.stage:
                     self._mark_started(node_id)
                 else:
@@ -177,13 +186,28 @@ class _Machines:
             elif said.ended is not None:
                 self._end(node_id, ended_of(far.task.stage, said.ended))
 
+    def _heard(self, far: _Far, lines: Collection[str]) -> list[Event]:
+        """What a node says of its task, as far as it may be heard."""
+        devices, events = self.executor.devices_of(far.node), list[Event]()
+        for event in (event for line in lines for event in admit_event(line, far.node, far.begun, devices)):
+            if isinstance(event, Warned | Decided):
+                far.num_said += 1
+            if not isinstance(event, Warned | Decided) or far.num_said <= MAX_SAYINGS:
+                events.append(event)
+            elif far.num_said == MAX_SAYINGS + 1:
+                said = f"{far.node} warns of and decides more than {MAX_SAYINGS:,} things: the rest is left out."
+                events.append(Warned(stage=far.task.stage, message=said))
+        return events
+
     def _take(self, far: _Far) -> NodeEnded:
         """Move a result to its place and seal it, or refuse it."""
         hub = self.executor.hub
         try:
             names = hub.install(far.digest)
             check_result(far.task.kind, far.task.folder, names)
-            if NOTES_NAME not in names:
+            if NOTES_NAME in names:
+                settle_notes(far.task.folder, far.task.stage)
+            else:
                 # A report alone: whoever skips its stage later reads notes there.
                 write_json(far.task.folder / NOTES_NAME, {"decisions": [], "warnings": []})
                 names = [*names, NOTES_NAME]
@@ -267,36 +291,55 @@ def ended_of(stage: str, ended: Ended) -> NodeEnded:
     return NodeEnded(error=found, crashed=ended.crashed)
 
 
-def admit_event(line: str, node: str, begun: set[str]) -> list[Event]:
-    """The event in a line that a node sent, as far as it may be heard: of its own stages, typed to
-    the last field, and none that ends what has not begun."""
+def admit_event(line: str, node: str, begun: set[str], devices: Collection[str] | None = None) -> list[Event]:
+    """The event in a line that a node sent, as far as it may be heard.
+
+    Args:
+        line: as it came.
+        node: the machine that sent it.
+        begun: stages that it began before; this line's is added.
+        devices: names of the devices below an edge, of which it speaks too; None: any.
+
+    Returns:
+        None, one, or the beginning that its end lacks before it: of its own stages, typed to the
+        last field, in texts without control characters, and in no emulated time.
+    """
     try:
         event = decode(line)
-        checked = event if isinstance(event, Decided) else message_of(type(event), _record_of(event), "event")
-    except (BadInput, StageFailed, TypeError):
+    except StageFailed:
         return []
-    stage = getattr(event, "stage", "") if not isinstance(event, Decided) else event.decision.stage
-    own = stage == node or stage.startswith(f"{node}/") or (node.startswith("edges/") and stage.startswith("devices/"))
-    if not isinstance(checked, _FORWARDED) or not own or len(stage) > 200:
+    stage = event.decision.stage if isinstance(event, Decided) else getattr(event, "stage", "")
+    if not isinstance(event, _FORWARDED) or not _is_own(stage, node, devices):
         return []
-    if isinstance(checked, StageStarted):
+    event = _plain_event(event)
+    if isinstance(event, StageStarted):
         begun.add(stage)
-    elif isinstance(checked, StageDone) and stage.startswith("edges/"):
+    elif isinstance(event, StageDone) and stage.startswith("edges/"):
         return []  # said here, when its result is there
-    elif isinstance(checked, StageDone) and stage not in begun:
+    elif isinstance(event, StageDone) and stage not in begun:
         begun.add(stage)
-        return [StageStarted(stage=plain_text(stage)), _plain_event(checked)]
-    return [_plain_event(checked)]
+        return [StageStarted(stage=stage), event]
+    return [event]
+
+
+def _is_own(stage: str, node: str, devices: Collection[str] | None) -> bool:
+    """Whether a node may speak of a stage: of its own work, or an edge of that of its devices."""
+    if stage.startswith(node) and _PART.fullmatch(stage.removeprefix(node)):
+        return True
+    found = re.match(r"devices/([A-Za-z0-9][A-Za-z0-9_-]{0,63})", stage)
+    if found is None or not node.startswith("edges/") or not _PART.fullmatch(stage[found.end() :]):
+        return False
+    return devices is None or found[1] in devices
 
 
 def _plain_event(event: Event) -> Event:
-    """Its texts are printed in a terminal."""
+    """Its texts are printed in a terminal, and its times are those of a machine that is there."""
     if isinstance(event, Decided):
-        texts = {key: plain_text(value) for key, value in _record_of(event.decision).items() if isinstance(value, str)}
-        return Decided(decision=replace(event.decision, **texts))
-    texts = {key: plain_text(value) for key, value in _record_of(event).items() if isinstance(value, str)}
-    return replace(event, **texts)
+        return Decided(decision=replace(event.decision, **_plain_texts(event.decision)))
+    real = {"emulated": False} if isinstance(event, StageStarted | StageDone | StageSkipped) else {}
+    return replace(event, **_plain_texts(event), **real)
 
 
-def _record_of(event: Any) -> dict[str, Any]:
-    return {each.name: getattr(event, each.name) for each in fields(event)}
+def _plain_texts(record: Any) -> dict[str, Any]:
+    values = {each.name: getattr(record, each.name) for each in fields(record)}
+    return {name: plain_text(value) for name, value in values.items() if isinstance(value, str)}

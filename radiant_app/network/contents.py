@@ -1,175 +1,250 @@
-"""What stands in the small files of a result, checked before it counts as one. Once per result.
+"""What stands in the small files of a result, parsed before it counts as one. Once per result.
+
+    check_result   the files of a result say what its kind says, or it is refused by its node's name
+    open_report    what an edge says of each of its devices: one that is wrong is left out alone
 
 Models, cameras, scenes and refinements have readers of their own, which the process that joins
-them calls; here is what the conductor itself reads.
+them calls; here is what the conductor itself reads. Texts are kept without control characters.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from pydantic import FiniteFloat, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, ValidationError, model_validator
 
+from radiant_app.events import Decided, Warned
 from radiant_app.network.kinds import MAX_SMALL_BYTES, NOTES_NAME, REPORT_NAME
 from radiant_app.network.messages import DevicesReport
+from radiant_app.network.reception import plain_text
 from radiant_app.workers.inbox import CORRECTIONS_NAME, REFUSED_NAME, load_corrections
+from radiant_app.workers.rasters import Raster, count_of, raster_of
 from radiant_app.workers.reporting import read_notes
-from radiant_core.choices import Version
+from radiant_app.workers.scores import Scores, scores_of
+from radiant_app.workers.strangers import WRONG, Told, parse_record
+from radiant_core.aggregate.arrival import MAX_SPLATS
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.image_error import FIGURES
-from radiant_core.evaluate.seam_excess import BorderError
-from radiant_core.io.messages import CAMERAS_NAME, FRAME_NAME, MODEL_NAME, SUMMARY_NAME, load_uncertainty, message_of
-from radiant_core.io.run_store import read_json
+from radiant_core.io.messages import (
+    CAMERAS_NAME,
+    FRAME_NAME,
+    MAX_UNCERTAINTY,
+    MODEL_NAME,
+    SUMMARY_NAME,
+    load_uncertainty,
+    message_of,
+    task_setting,
+)
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 
 MAX_REASON_CHARS = 4000
-MAX_COUNT = 10**8
-MODEL_FIGURES = ("num_splats", "num_steps", "train_s")
-_WRONG = "use the same version of the software on both sides, or look at the disk of that machine"
+MAX_NOTES = 1000
+"""Decisions and warnings of one result: a run keeps them all in its manifest."""
+MOST = 1e15
+Reason = Annotated[str, Field(max_length=MAX_REASON_CHARS), AfterValidator(plain_text)]
+Figure = Annotated[int, Field(ge=-MOST, le=MOST)] | Annotated[float, Field(ge=-MOST, le=MOST)]
+Deviation = Annotated[float, Field(gt=0, le=MAX_UNCERTAINTY)]
+
+
+class Uncertainty(Told):
+    """See `FrameUncertainty`."""
+
+    position_m: Deviation
+    scale: Deviation
+    rotation_rad: Deviation
+
+
+class ToldFrame(Told):
+    """How a node's frame is known, or why it has no model."""
+
+    status: Literal["placed", "missing"]
+    reason: Reason
+    uncertainty: Uncertainty | None
+
+
+class Summary(Told):
+    """A training's figures; those that everybody reads are always there."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Figure] = Field(init=False)  # pyright: ignore
+
+    num_splats: int = Field(ge=0, le=MAX_SPLATS)
+    model_bytes: int = Field(ge=0, le=MOST)
+    num_steps: int = Field(ge=0, le=MOST)
+    train_s: float = Field(ge=0, le=MOST)
+    first_loss: float = Field(ge=-MOST, le=MOST)
+    last_loss: float = Field(ge=-MOST, le=MOST)
+
+    @model_validator(mode="after")
+    def _is_small(self) -> Summary:
+        if len(extra := self.model_extra or {}) > 64 or max(map(len, extra), default=0) > 64:
+            raise ValueError("it has more figures than a training")
+        return self
+
+
+class ToldDevice(Told):
+    """What an edge says of a device in its region."""
+
+    frame: ToldFrame
+    summary: Summary
+
+
+class _Nothing(Told):
+    pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenedReport:
+    """See `DevicesReport`."""
+
+    found: dict[str, Any]
+    """Device → what it sent, as its type: a number, a `Raster`, a `ToldDevice` or `Scores`."""
+    missing: dict[str, str]
 
 
 def check_result(kind: str, folder: Path, names: Collection[str]) -> None:
     """Raise BadInput unless the small files of a result say what its kind says."""
-    if NOTES_NAME in names:
-        _checked(f"{NOTES_NAME} is none", lambda: read_notes(folder, ""))
-    checks: dict[str, Callable[[Path, Collection[str]], None]] = {
-        "count": _check_count,
-        "raster": lambda place, _: check_raster(read_json(place / "raster.json", max_bytes=MAX_SMALL_BYTES)),
+    checks: dict[str, Callable[[Path, Collection[str]], object]] = {
+        "count": lambda place, _: check_count(_read(place / "count.json")),
+        "raster": lambda place, _: raster_of(_read(place / "raster.json"), task_setting(place, "frames")),
         "own_field": _check_model,
         "region": _check_region,
-        "score": lambda place, _: check_scores(read_json(place / "scores.json", max_bytes=MAX_SMALL_BYTES)),
+        "score": lambda place, _: check_scores(_read(place / "scores.json")),
     }
     if kind in checks:
         _checked(f"a file of {kind} is none", lambda: checks[kind](folder, names))
     if REPORT_NAME in names:
-        _checked(f"{REPORT_NAME} is none", lambda: _check_report(kind, folder))
+        _checked(f"{REPORT_NAME} is none", lambda: load_report(folder))
     if REFUSED_NAME in names:
-        _texts(read_json(folder / REFUSED_NAME), REFUSED_NAME)
+        _checked(f"{REFUSED_NAME} is none", lambda: _settle_refused(folder))
+
+
+def settle_notes(folder: Path, stage: str) -> None:
+    """Keep of a stranger's notes what may be heard: bounded, as those of its own stage, in texts
+    without control characters. BadInput where they are none."""
+    found = read_notes(folder, stage)
+    if len(found) > MAX_NOTES:
+        raise BadInput(f"it notes {len(found):,} decisions and warnings, expected at most {MAX_NOTES:,}: {WRONG}.")
+    decisions, warnings = list[dict[str, Any]](), list[str]()
+    for event in found:
+        if isinstance(event, Decided):
+            said = asdict(replace(event.decision, stage=stage))
+            decisions.append({name: plain_text(value) if isinstance(value, str) else value for name, value in said.items()})
+        elif isinstance(event, Warned):
+            warnings.append(plain_text(event.message))
+    write_json(folder / NOTES_NAME, {"decisions": decisions, "warnings": warnings})
 
 
 def load_report(folder: Path) -> DevicesReport:
-    """The report of an edge; BadInput where it is none."""
-    record = read_json(folder / REPORT_NAME, max_bytes=MAX_SMALL_BYTES)
+    """The report of an edge, in which nothing of a device was parsed; BadInput where it is none."""
+    record = _read(folder / REPORT_NAME)
     if not isinstance(record, dict):
-        raise BadInput(f"{REPORT_NAME} is no object: {_WRONG}.")
-    return message_of(DevicesReport, record, REPORT_NAME)
+        raise BadInput(f"{REPORT_NAME} is no object: {WRONG}.")
+    report = message_of(DevicesReport, record, REPORT_NAME)
+    return replace(report, missing=_reasons(report.missing, REPORT_NAME))
+
+
+def open_report(kind: str, folder: Path, frames: str | None = None) -> OpenedReport:
+    """The report of an edge. A device of which it says something else than its kind is missing,
+    with the reason; BadInput where it is no report."""
+    parse: dict[str, Callable[[Any], Any]] = {
+        "edge_count": count_of,
+        "edge_raster": lambda record: raster_of(record, frames),
+        "region": lambda record: parse_record(ToldDevice, record, "a device's model"),
+        "edge_refine": lambda record: parse_record(_Nothing, record, "a refinement"),
+        "edge_score": scores_of,
+    }
+    report = load_report(folder)
+    found, missing = dict[str, Any](), dict(report.missing)
+    for device, record in report.found.items():
+        try:
+            found[device] = parse[kind](record)
+        except BadInput as error:
+            missing[device] = str(error)
+    return OpenedReport(found=found, missing=missing)
 
 
 def check_count(record: Any) -> int:
     """The number of photographs that a device says it has."""
-    number = record.get("num_photographs") if isinstance(record, dict) and record.keys() == {"num_photographs"} else None
-    if type(number) is not int or not 0 <= number <= MAX_COUNT:
-        raise BadInput(f"a device counts {str(record)[:80]} photographs: {_WRONG}.")
-    return number
+    return count_of(record)
 
 
-def check_raster(record: Any) -> None:
-    """Raise BadInput unless this is a device's raster: finite cells with counts."""
-    if not isinstance(record, dict) or record.keys() != {"cells", "altitude_m", "num_photographs", "num_unplaced"}:
-        raise BadInput(f"a raster has other fields than ours: {_WRONG}.")
-    rows, altitude_m = record["cells"], record["altitude_m"]
-    if not isinstance(rows, list) or not all(isinstance(row, list) and len(row) == 3 for row in rows):
-        raise BadInput(f"a raster has cells that are none: {_WRONG}.")
-    for first, second, count in rows:
-        if not (_is_finite(first) and _is_finite(second) and type(count) is int and 1 <= count <= MAX_COUNT):
-            raise BadInput(f"a raster has the cell {str([first, second, count])[:80]}: {_WRONG}.")
-    counts = [record["num_photographs"], record["num_unplaced"]]
-    if not all(type(count) is int and 0 <= count <= MAX_COUNT for count in counts) or not (altitude_m is None or _is_finite(altitude_m)):
-        raise BadInput(f"a raster counts {str(counts)[:80]} photographs: {_WRONG}.")
-    if sum(count for _, _, count in rows) > counts[0]:
-        raise BadInput(f"a raster's cells hold more than its {counts[0]} photographs: {_WRONG}.")
+def check_raster(record: Any) -> Raster:
+    """A device's raster; BadInput where it is none."""
+    return raster_of(record)
 
 
-def check_scores(record: Any) -> None:
-    """Raise BadInput unless these are a device's figures."""
-    if (
-        not isinstance(record, dict)
-        or record.keys() != {"images", "borders", "leakage", "versions"}
-        or not isinstance(record["images"], list)
-    ):
-        raise BadInput(f"scores have other fields than ours: {_WRONG}.")
-    for row in record["images"]:
-        figures = dict(row) if isinstance(row, dict) else {}
-        if not isinstance(figures.pop("name", None), str) or not {*FIGURES} <= figures.keys():
-            raise BadInput(f"a score has the row {str(row)[:80]}: {_WRONG}.")
-        if not all(value is None or _is_finite(value) for value in figures.values()):
-            raise BadInput(f"a score has the row {str(row)[:80]}: {_WRONG}.")
-    TypeAdapter(dict[Version, list[FiniteFloat]]).validate_python(record["versions"], strict=True)
-    if any(len(figures) != len(record["images"]) for figures in record["versions"].values()):
-        raise BadInput(f"scores compare versions in other photographs than they score: {_WRONG}.")
-    TypeAdapter(list[BorderError]).validate_python(record["borders"])
-    leakage = record["leakage"]
-    if leakage is not None and not (isinstance(leakage, dict) and all(_is_finite(value) for value in leakage.values())):
-        raise BadInput(f"scores have a leakage that is none: {_WRONG}.")
+def check_scores(record: Any) -> Scores:
+    """A device's figures; BadInput where these are none."""
+    return scores_of(record)
 
 
-def _check_count(folder: Path, names: Collection[str]) -> None:
-    del names
-    check_count(read_json(folder / "count.json"))
+def check_frame(frame: Any) -> ToldFrame:
+    """How a device's frame is known, or why there is no model; BadInput where this says neither."""
+    return parse_record(ToldFrame, frame, FRAME_NAME)
+
+
+def check_summary(record: Any) -> Summary:
+    """A training's figures; BadInput where these are none."""
+    return parse_record(Summary, record, SUMMARY_NAME)
+
+
+def _read(path: Path) -> Any:
+    return read_json(path, max_bytes=MAX_SMALL_BYTES)
 
 
 def _check_model(folder: Path, names: Collection[str]) -> None:
     """A device's frame and figures; with a place in the common frame the model that is said."""
-    check_frame(read_json(folder / FRAME_NAME))
+    frame = check_frame(_read(folder / FRAME_NAME))
     load_uncertainty(folder)
-    check_summary(read_json(folder / SUMMARY_NAME))
-    placed = read_json(folder / FRAME_NAME)["status"] == "placed"
-    if placed and not {MODEL_NAME, CAMERAS_NAME, RECORD_NAME, SIGNATURE_NAME} <= {*names}:
-        raise BadInput(f"a device says that it has a model and sends none: {_WRONG}.")
-
-
-def check_frame(frame: Any) -> None:
-    """Raise BadInput unless this says how a device's frame is known, or why there is no model."""
-    if not isinstance(frame, dict) or frame.keys() != {"status", "reason", "uncertainty"} or frame["status"] not in ("placed", "missing"):
-        raise BadInput(f"{FRAME_NAME} has other fields than ours: {_WRONG}.")
-    if not isinstance(frame["reason"], str) or len(frame["reason"]) > MAX_REASON_CHARS:
-        raise BadInput(f"{FRAME_NAME} gives no reason: {_WRONG}.")
-
-
-def check_summary(record: Any) -> None:
-    """Raise BadInput unless these are a training's figures."""
-    if not isinstance(record, dict) or not all(_is_finite(value) for value in record.values()):
-        raise BadInput(f"{SUMMARY_NAME} holds something else than numbers: {_WRONG}.")
-    if record.get("num_splats", 0) and not {*MODEL_FIGURES} <= record.keys():
-        raise BadInput(f"{SUMMARY_NAME} lacks one of {', '.join(MODEL_FIGURES)}: {_WRONG}.")
+    check_summary(_read(folder / SUMMARY_NAME))
+    if frame.status == "placed" and not {MODEL_NAME, CAMERAS_NAME, RECORD_NAME, SIGNATURE_NAME} <= {*names}:
+        raise BadInput(f"a device says that it has a model and sends none: {WRONG}.")
 
 
 def _check_region(folder: Path, names: Collection[str]) -> None:
     """What an edge says of its join."""
     if FRAME_NAME not in names:
+        if MODEL_NAME in names:
+            raise BadInput(f"an edge sends a model and no {FRAME_NAME}: {WRONG}.")
         return
-    _check = {FRAME_NAME, SUMMARY_NAME, CORRECTIONS_NAME, REFUSED_NAME, NOTES_NAME}
-    if not _check <= {*names}:
-        raise BadInput(f"an edge joined and sends no {sorted(_check - {*names})[0]}: {_WRONG}.")
-    check_frame(read_json(folder / FRAME_NAME))
+    needed = {FRAME_NAME, SUMMARY_NAME, CORRECTIONS_NAME, REFUSED_NAME, NOTES_NAME}
+    if not needed <= {*names}:
+        raise BadInput(f"an edge joined and sends no {sorted(needed - {*names})[0]}: {WRONG}.")
+    frame = check_frame(_read(folder / FRAME_NAME))
     load_uncertainty(folder)
-    check_summary(read_json(folder / SUMMARY_NAME))
-    load_corrections(folder)
-    if read_json(folder / FRAME_NAME)["status"] == "placed" and not {MODEL_NAME, RECORD_NAME, SIGNATURE_NAME} <= {*names}:
-        raise BadInput(f"an edge says that it has a model and sends none: {_WRONG}.")
+    check_summary(_read(folder / SUMMARY_NAME))
+    moves = load_corrections(folder)
+    _require_devices(folder, moves, CORRECTIONS_NAME)
+    if frame.status == "placed" and not {MODEL_NAME, RECORD_NAME, SIGNATURE_NAME} <= {*names}:
+        raise BadInput(f"an edge says that it has a model and sends none: {WRONG}.")
+    if frame.status == "placed" and not any(move is not None for move in moves.values()):
+        raise BadInput(f"an edge says that it has a model, and moved that of no device: {WRONG}.")
 
 
-def _check_report(kind: str, folder: Path) -> None:
-    report = load_report(folder)
-    checks: dict[str, Callable[[Any], object]] = {"edge_count": check_count, "edge_raster": check_raster, "edge_score": check_scores}
-    for record in report.found.values():
-        checks.get(kind, lambda found: None)(record)
-        if kind == "region":
-            check_frame(record["frame"])
-            check_summary(record["summary"])
-    _texts(report.missing, REPORT_NAME)
+def _settle_refused(folder: Path) -> None:
+    """Keep the reasons without control characters."""
+    reasons = _reasons(_read(folder / REFUSED_NAME), REFUSED_NAME)
+    _require_devices(folder, reasons, REFUSED_NAME)
+    write_json(folder / REFUSED_NAME, reasons)
 
 
-def _texts(record: Any, name: str) -> None:
-    if not isinstance(record, dict) or not all(isinstance(text, str) and len(text) <= MAX_REASON_CHARS for text in record.values()):
-        raise BadInput(f"{name} gives reasons that are no texts: {_WRONG}.")
+def _require_devices(folder: Path, named: Collection[str], name: str) -> None:
+    """Raise BadInput where an edge speaks of a device that the task beside it does not name."""
+    asked = task_setting(folder, "devices")
+    if isinstance(asked, list) and (strange := sorted({*named} - {*asked})):
+        raise BadInput(f"{name} speaks of the device {strange[0][:80]!r}, which is none of this edge: {WRONG}.")
 
 
-def _is_finite(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
+class _Reasons(Told):
+    reasons: dict[str, Reason]
+
+
+def _reasons(record: Mapping[str, Any] | Any, name: str) -> dict[str, str]:
+    return dict(parse_record(_Reasons, {"reasons": record}, name).reasons)
 
 
 def _checked(what: str, check: Callable[[], object]) -> None:
@@ -178,5 +253,5 @@ def _checked(what: str, check: Callable[[], object]) -> None:
         check()
     except BadInput:
         raise
-    except (ValidationError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise BadInput(f"{what} ({type(error).__name__}): {_WRONG}.") from error
+    except (ValidationError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise BadInput(f"{what} ({type(error).__name__}): {WRONG}.") from error

@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from radiant_app.events import Event, decode, encode
+from radiant_app.events import Decided, Event
 from radiant_app.executors.fold import NodeEnded
 from radiant_app.executors.local import Processes, worker_command
 from radiant_app.executors.protocol import NodeTask
@@ -39,6 +41,8 @@ LEAVES = (
     "figures of the finished scene on the photographs that it holds out; messages, with names left out",
 )
 HIDDEN_PLACE = "[a folder of the device]"
+_NO_WORD = r"(?:(?<![\w-])|(?<=\\[abfnrtv])|(?<=\\x[0-9a-f]{2})|(?<=\\u[0-9a-f]{4}))"
+"""No letter stands before, but that of an escape."""
 STAYS = "photographs, their names, their EXIF, pictures made of them"
 
 
@@ -62,7 +66,7 @@ class DeviceWork:
                 error = said.error and type(said.error)(hide_places(str(said.error), self.places))
                 self.ended = Outcome(error=error, crashed=said.crashed)
             elif said is not None:
-                self.events.append(decode(hide_places(encode(said), self.places)))
+                self.events.append(hide_in_event(said, self.places))
         events, self.events = self.events, []
         return events
 
@@ -87,11 +91,26 @@ class DeviceWork:
 
 
 def hide_places(text: str, places: Iterable[Path]) -> str:
-    """A text, or a line of JSON, without the names of these folders."""
+    """A text, or a line of JSON, without the names of these folders. A folder right below the root,
+    such as /north, is no part of a longer word: devices/north is an id."""
     for place in sorted({str(path) for own in places for path in (own, own.resolve())}, key=len, reverse=True):
-        for written in (place, json.dumps(place)[1:-1]):
-            text = text.replace(written, HIDDEN_PLACE)
+        for written in dict.fromkeys((place, json.dumps(place)[1:-1])):
+            before = _NO_WORD if len(Path(place).parts) <= 2 else ""
+            text = re.sub(before + re.escape(written), lambda found: HIDDEN_PLACE, text)
     return text
+
+
+def hide_in_event(event: Event, places: Iterable[Path]) -> Event:
+    """An event without the names of these folders in its texts; its stage stays, which says of what
+    it is."""
+    if isinstance(event, Decided):
+        return Decided(decision=replace(event.decision, **_hidden_texts(event.decision, places)))
+    return replace(event, **_hidden_texts(event, places))
+
+
+def _hidden_texts(record: Any, places: Iterable[Path]) -> dict[str, str]:
+    texts = {each.name: getattr(record, each.name) for each in fields(record) if each.name != "stage"}
+    return {name: hide_places(text, places) for name, text in texts.items() if isinstance(text, str)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,9 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
+
+from pydantic import AfterValidator, Field
 
 from radiant_app.events import Event, StageProgress, Warned, encode
 from radiant_app.network.arrivals import SPARE_BYTES
@@ -21,12 +23,13 @@ from radiant_app.network.carrying import keep_result
 from radiant_app.network.home import Home, Invitation
 from radiant_app.network.kinds import remove_earlier, task_problem
 from radiant_app.network.line import Withdrawn
-from radiant_app.network.reception import MAX_EVENT_CHARS, MAX_EVENTS, Ended
+from radiant_app.network.reception import MAX_EVENT_CHARS, MAX_EVENTS, Ended, plain_text
+from radiant_app.workers.strangers import Told, parse_record
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, disk_is_full, read_json, write_json
 from radiant_core.io.transport.delivery import describe_files
-from radiant_core.io.transport.envelope import Envelope, open_envelope
+from radiant_core.io.transport.envelope import MAX_COUNTER, Envelope, open_envelope
 
 ASKED_NAME = "asked.json"
 FINISHED_SCENE = "inbox/scene.ply"
@@ -34,6 +37,32 @@ FINISHED_SCENE = "inbox/scene.ply"
 MIN_POLL_S, MAX_POLL_S = 0.05, 10.0
 MAX_EVENT_BYTES = 1 << 20
 """Of all events of one poll, as JSON has them."""
+
+
+class Verdict(Told):
+    """What became of the task that a node works on."""
+
+    state: str = Field(max_length=32)
+    reason: Annotated[str, AfterValidator(plain_text)] = Field(default="", max_length=8000)
+    tries: int = Field(default=1, ge=0, le=MAX_COUNTER)
+
+
+class Offer(Told):
+    """A task to do: its envelope and signature, in base 64."""
+
+    text: str
+    signature: str = Field(max_length=128)
+    tries: int = Field(default=1, ge=0, le=MAX_COUNTER)
+    refused: bool = False
+    """Whether what was made before is not wanted."""
+
+
+class PollAnswer(Told):
+    """What the node above answers to a poll."""
+
+    verdict: Verdict | None = None
+    task: Offer | None = None
+    wait_s: float = Field(default=1.0, ge=0, le=3600)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,24 +186,22 @@ class Errands:
     def _round(self) -> float:
         """One poll and what follows; how long to wait for the next."""
         self._work_on()
-        answer = self.line.poll(self._poll_body())
+        answer = parse_record(PollAnswer, self.line.poll(self._poll_body()), f"what {self.line.upper.upper} answers")
         self.sending = []
-        verdict, current = answer.get("verdict"), self.current
-        if current is not None and isinstance(verdict, dict):
+        verdict, current = answer.verdict, self.current
+        if current is not None and verdict is not None:
             current.told = current.told or (current.outcome is not None and current.outcome.error is not None)
             # A hub that lost what it had, by a power cut or an old copy, asks once more.
-            current.sent = current.sent and verdict.get("state") not in ("offered", "taken")
-            if verdict.get("state") in ("accepted", "refused", "withdrawn"):
-                self._say_scene(current, str(verdict["state"]))
-                self._say_verdict(current, str(verdict["state"]), str(verdict.get("reason", "")))
+            current.sent = current.sent and verdict.state not in ("offered", "taken")
+            if verdict.state in ("accepted", "refused", "withdrawn"):
+                self._say_scene(current, verdict.state)
+                self._say_verdict(current, verdict.state, verdict.reason)
                 self._drop()
-        offered = answer.get("task")
-        if isinstance(offered, dict):
-            self._take(offered)
+        if answer.task is not None:
+            self._take(answer.task)
         elif self.current is not None:
             self._drop()
-        wait_s = answer.get("wait_s", 1.0)
-        return float(wait_s) if isinstance(wait_s, int | float) else 1.0
+        return answer.wait_s
 
     def _poll_body(self) -> dict[str, Any]:
         current = self.current
@@ -208,13 +235,13 @@ class Errands:
         kind = self.current.envelope.kind
         return f"{kind}: sent" if self.current.sent else f"{kind}: {'working' if self.current.outcome is None else 'ended'}"
 
-    def _take(self, offered: Mapping[str, Any]) -> None:
+    def _take(self, offered: Offer) -> None:
         """Begin an offered task, unless it is the current one."""
         try:
-            text, signature = (base64.b64decode(str(offered.get(name, ""))) for name in ("text", "signature"))
-            tries = int(offered.get("tries", 1))
-        except (ValueError, TypeError) as error:
+            text, signature = base64.b64decode(offered.text), base64.b64decode(offered.signature)
+        except ValueError as error:
             raise BadInput(f"{self.line.upper.upper} offers a task that is none: use the same version on both sides.") from error
+        tries = offered.tries
         envelope = open_envelope(text, signature, self.line.upper.key)
         if self.current is not None and (self.current.digest, self.current.tries) == (envelope.digest, tries):
             return
@@ -226,7 +253,7 @@ class Errands:
             folder = self.performer.place(envelope)
             if shutil.disk_usage(self.home.folder).free < envelope.num_bytes + SPARE_BYTES:
                 raise CannotWrite(f"the disk of this node is full: {envelope.num_bytes + SPARE_BYTES:,} bytes are needed there.")
-            if offered.get("refused") is True:
+            if offered.refused:
                 # What was made before is not wanted.
                 (folder / SEAL_NAME).unlink(missing_ok=True)
             remove_earlier(envelope.kind, folder, envelope.files)

@@ -233,4 +233,10 @@ def _invitation(record: Any, path: Path) -> Invitation:
         raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.")
     if not all(record[name].isprintable() for name in SHOWN):
         raise BadInput(f"{path} has characters that cannot be printed in what it names: ask for another by `radiant node invite`.")
-    return Invitation(**{name: record[name] for name in names})
+    try:
+        return Invitation(**{name: record[name] for name in names})
+    except BadInput:
+        raise
+    except ValueError:
+        # Half a character, or an address that is none.
+        raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.") from None

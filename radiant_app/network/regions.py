@@ -29,6 +29,7 @@ from radiant_app.executors.network import NetworkExecutor
 from radiant_app.executors.protocol import NodeTask, NodeTime
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import load_system
+from radiant_app.network.contents import check_count, check_frame, check_raster, check_summary
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME
 from radiant_app.network.messages import (
@@ -52,6 +53,8 @@ from radiant_app.run.time_left import TimeLeftListener
 from radiant_app.workers.delivering import identify_owned, register_sender, use_run_number
 from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import CORRECTIONS_NAME, REFUSED_NAME, load_corrections
+from radiant_app.workers.rasters import Raster
+from radiant_app.workers.scores import read_scores
 from radiant_app.workers.tasks import CountTask, Move, OwnFieldTask, RasterTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refines_for
@@ -212,7 +215,9 @@ class EdgeRun:
         nodes = tuple(Tree(id=f"devices/{device}/{own}", tier="device") for device in task.devices)
         self._executor().fold(Tree(id=own, tier="edge", children=nodes), prepare, self.emit)
         done = [node.id.split("/")[1] for node in nodes if is_sealed(self.folder / node.id, keys[node.id])]
-        found = {device: read_json(self.folder / "devices" / device / own / name) for device in done}
+        read: Mapping[str, Callable[[Any], Any]] = {"count": check_count, "raster": check_raster}
+        told = {device: read[own](read_json(self.folder / "devices" / device / own / name)) for device in done}
+        found = {device: one.record if isinstance(one, Raster) else {"num_photographs": one} for device, one in told.items()}
         return DevicesReport(found=found, missing={device: NOTHING_SENT for device in task.devices if device not in found})
 
     def _dealer(self, task: RegionTask) -> Dealer:
@@ -274,7 +279,8 @@ class EdgeRun:
             elif node.name in refused:
                 missing[node.name] = f"{self.edge} refused {node.name}: {refused[node.name]}"
             if dealer.is_done(node.id):
-                found[node.name] = {"frame": read_json(place / FRAME_NAME), "summary": read_json(place / SUMMARY_NAME)}
+                frame, summary = check_frame(read_json(place / FRAME_NAME)), check_summary(read_json(place / SUMMARY_NAME))
+                found[node.name] = {"frame": frame.model_dump(), "summary": summary.model_dump()}
         for device, reason in refused.items():
             # The next time that this region is asked for, the device makes its model anew.
             self.hub.reject_stage(self.number, f"devices/{device}", reason)
@@ -352,5 +358,5 @@ class EdgeRun:
         config = RunConfig(source=self.folder, out=self.folder, frames=self.region.frames, evaluate=evaluate)
         scoring = Scoring(config=config, recipe=dealer.recipe, machines=machines, scenes=scenes)
         folders = scoring.fold(self._executor(), self.emit)
-        found = {folder.parent.name: read_json(folder / SCORES_NAME) for folder in folders}
+        found = {folder.parent.name: read_scores(folder / SCORES_NAME).record for folder in folders}
         return DevicesReport(found=found, missing={device: NOTHING_SENT for device in devices if device not in found})

@@ -28,7 +28,7 @@ from radiant_app.workers.sources import POSITIONS
 from radiant_core.aggregate.tree import refines_for
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_scene
-from radiant_core.io.run_store import read_json, write_atomic
+from radiant_core.io.run_store import read_json, stays_inside, write_atomic
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
 if TYPE_CHECKING:
@@ -211,7 +211,9 @@ def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
 
 
 def _has_pictures(run: Path, row: dict[str, Any]) -> bool:
-    return (run / "pictures" / "photographs" / f"{row['name']}.png").is_file()
+    """Whether the run has the pictures of a scored photograph; a name that leads out of its folder
+    has none."""
+    return stays_inside(row["name"]) and (run / "pictures" / "photographs" / f"{row['name']}.png").is_file()
 
 
 def _comparison(run: Path, row: dict[str, Any]) -> dict[str, Any]:
@@ -235,7 +237,7 @@ def _node_rows(run: Path, manifest: Manifest, cloud_plan: CloudPlan, edge_plans:
 def _node_row(run: Path, manifest: Manifest, node: str, num_cameras: int, planned_s: float) -> dict[str, Any]:
     idle = {"num_splats": 0, "num_steps": 0, "train_s": 0.0, "model_bytes": 0}
     path = run / node / "summary.json"
-    summary = read_json(path, tuple(idle)) if num_cameras and path.is_file() else idle
+    summary = {**idle, **read_json(path)} if num_cameras and path.is_file() else idle
     return {
         "node": node,
         "num_cameras": num_cameras,

@@ -20,6 +20,7 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.progress import Progress
 from radiant_app.workers.folder_kinds import require_photographs
+from radiant_app.workers.rasters import Raster, raster_of
 from radiant_app.workers.tasks import PositionsTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
@@ -33,6 +34,8 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.system import System
 from radiant_core.sfm.given_poses import GivenPoses
 
+MOST_TIMES = 4
+"""With D devices the others of one that claims more keep at least D / (D + 3) of their steps."""
 MAX_NAMED = 5
 """Photographs named in one warning."""
 
@@ -114,14 +117,14 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
     for device, folder in folders.items():
         held_out = [name for (owner, name), out in zip(owned, held, strict=True) if owner == device and out]
         try:
-            raster = _positions_in(folder, f"positions/{device}", progress, cell_m, held_out)
+            raster = raster_of(_positions_in(folder, f"positions/{device}", progress, cell_m, held_out), "gps")
         except (BadInput, StageFailed, OSError) as error:
             progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {_reason(error)}"))
             continue
-        if raster["num_unplaced"]:
-            message = f"{raster['num_unplaced']} of {raster['num_photographs']} photographs of device {device} have no usable position."
+        if raster.num_unplaced:
+            message = f"{raster.num_unplaced} of {raster.num_photographs} photographs of device {device} have no usable position."
             progress.listen(Warned(stage="plan", message=message))
-        places[device] = middles_of_raster(raster)
+        places[device] = raster.middles
     origin, by_device = place_rasters(places, progress)
     return Captured(
         names=tuple(name for _, name in owned),
@@ -132,23 +135,63 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
     )
 
 
-def middles_of_raster(raster: Mapping[str, Any]) -> FloatArray:
+def middles_of_raster(raster: Raster | Mapping[str, Any]) -> FloatArray:
     """The middle (K,3) of its cell, deg, deg, m, for every photograph that a device's raster
-    counts."""
-    cells = np.array(raster["cells"], np.float64).reshape(-1, 3)
-    middles = np.column_stack([cells[:, :2], np.full(len(cells), raster["altitude_m"] or 0.0)])
-    return np.repeat(middles, cells[:, 2].astype(np.int64), axis=0)
+    counts; BadInput where it is none."""
+    return (raster if isinstance(raster, Raster) else raster_of(raster)).middles
 
 
 def place_rasters(places: Mapping[str, FloatArray], progress: Progress) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """The origin (3,) of the cells (K,3) of all devices, and those of each in metres (K,2)."""
-    known = np.concatenate([*places.values(), np.zeros((0, 3))])
-    origin = _origin_of(known)
-    positions = enu_from_geodetic(known, origin)
-    owners = [device for device, middles in places.items() for _ in middles]
+    """The origin (3,) of the cells (K,3) of all devices, and those of each in metres (K,2).
+
+    The site is where most devices are, each counted once whatever it says that it has: their
+    middles lie within `MAX_REACH_M` of one of them. Of as many devices here as there, the first by
+    name decides, and a warning says so.
+    """
+    middles = {device: _middle(cells) for device, cells in places.items() if len(cells)}
+    near = _largest_site(middles, progress)
+    origin = _origin_of(np.array([middles[device] for device in near]).reshape(-1, 3))
+    own_m = {device: enu_from_geodetic(cells, origin) for device, cells in places.items()}
+    owners = [device for device, positions in own_m.items() for _ in positions]
+    positions = np.concatenate([*own_m.values(), np.zeros((0, 3))])
     _leave_out_other_sites([f"those of {owner}" for owner in owners], positions, progress)
-    near = np.isfinite(positions).all(axis=1)
-    return origin, {device: positions[near & (np.array(owners) == device), :2] for device in places}
+    here = np.isfinite(positions).all(axis=1)
+    return origin, {device: positions[here & (np.array(owners) == device), :2] for device in places}
+
+
+def weigh_claims(owners: Sequence[str], progress: Progress) -> Any:
+    """The rows (P,) of planned photographs that count, by the device of each: of one device at most
+    `MOST_TIMES` as many as the lower median of all, evenly drawn.
+
+    Steps are shared by photographs, and how many a device has is what it says: without a limit one
+    number takes the training of all others (`StepLaw`).
+    """
+    rows = {device: np.flatnonzero([owner == device for owner in owners]) for device in dict.fromkeys(owners)}
+    counts = sorted(len(own) for own in rows.values())
+    most = MOST_TIMES * counts[(len(counts) - 1) // 2] if counts else 0
+    for device, own in rows.items():
+        if len(own) > most:
+            said = f"device {device} has {len(own):,} photographs, more than {MOST_TIMES} times as many as most devices"
+            progress.listen(Warned(stage="plan", message=f"{said}: steps are shared as if they were {most:,}."))
+            rows[device] = own[np.linspace(0, len(own) - 1, most).round().astype(np.int64)]
+    return np.sort(np.concatenate([*rows.values(), np.zeros(0, np.int64)]))
+
+
+def _largest_site(middles: Mapping[str, FloatArray], progress: Progress) -> list[str]:
+    """The devices about that one which has most others within reach."""
+    sites: dict[str, list[str]] = {}
+    for device, middle in middles.items():
+        away_m = {other: np.linalg.norm(enu_from_geodetic(own[None], middle)[0]) for other, own in middles.items()}
+        sites[device] = [other for other, distance_m in away_m.items() if distance_m <= MAX_REACH_M]
+    if not sites:
+        return []
+    chosen = max(sites.values(), key=len)
+    rivals = [site for site in sites.values() if len(site) == len(chosen) and not {*site} & {*chosen}]
+    if rivals:
+        both = f"{len(chosen)} of {len(middles)} devices are at the site of {chosen[0]} and as many at that of {rivals[0][0]}"
+        message = f"{both}, too far apart for one run: that of {chosen[0]} is taken; run the other by itself, or leave out who is wrong."
+        progress.listen(Warned(stage="plan", message=message))
+    return chosen
 
 
 def _origin_of(known: FloatArray) -> FloatArray:

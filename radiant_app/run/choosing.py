@@ -18,7 +18,9 @@ from typing import Any
 from radiant_app.events import Decided, Listener, Warned
 from radiant_app.run.dealing import Dealer
 from radiant_app.workers.evaluation import SCENE_NAME
+from radiant_app.workers.scores import versions_of
 from radiant_core.choices import Version
+from radiant_core.errors import BadInput
 from radiant_core.hierarchy.choosing import CUT, choose_version, is_comparison
 from radiant_core.hierarchy.join_limits import JOIN_AGAIN, UNREFINED_CUT_COSTS
 from radiant_core.io.ply import load_ply
@@ -44,7 +46,7 @@ def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[s
     if next(iter(scenes)) == CUT:
         listen(Warned(stage=STAGE, message=f"{NOBODY_REFINED} {UNREFINED_CUT_COSTS} {JOIN_AGAIN}."))
     scores = dict(score(scenes))
-    compared = {machine: read_json(path, ("versions",))["versions"] for machine, path in scores.items()}
+    compared = {machine: versions_of(_record_in(path)) or {} for machine, path in scores.items()}
     for machine, figures in list(compared.items()):
         if len(scenes) > 1 and not is_comparison([*scenes], figures):
             said = f"{machine} does not compare the versions of the scene that it was asked to: its figures are left out."
@@ -61,6 +63,14 @@ def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[s
     listen(Warned(stage=STAGE, message=f"{decision.choice}, not the {next(iter(scenes))} one: {decision.reason}."))
     dealer.chosen = choice.version
     return score({choice.version: scenes[choice.version]}), facts
+
+
+def _record_in(path: Path) -> Any:
+    """What stands in a file of scores; None where that cannot be read."""
+    try:
+        return read_json(path, ("versions",))
+    except BadInput:
+        return None
 
 
 def _facts(version: Version, scenes: Mapping[Version, Path]) -> dict[str, Any]:

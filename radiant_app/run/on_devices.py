@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Warned
 from radiant_app.executors.protocol import Executor
-from radiant_app.run.captured import Captured, device_folders, locate_photographs, photo_folder
+from radiant_app.run.captured import Captured, device_folders, locate_photographs, photo_folder, weigh_claims
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.dealing import Dealer, count_received
 from radiant_app.run.delivered import save_delivered
@@ -29,6 +29,7 @@ from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.run.source import Plan
 from radiant_app.run.stages import costs_of_run, load_plan_before_capture, load_plan_in_frame, plan_stage, warn_about_predictions
 from radiant_app.run.uncaptured import deal_uncaptured
+from radiant_app.workers.scores import Claimable
 from radiant_app.workers.tasks import HELD_OUT_NAME, FieldTask, PlacingTask, SfmSettings
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
@@ -36,7 +37,7 @@ from radiant_core.georef.given_frame import save_given_frame
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import MODEL_NAME
-from radiant_core.io.records import save_plan
+from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import write_json
 from radiant_core.light.captures import CAPTURES_NAME
 from radiant_core.numerics import FloatArray
@@ -112,6 +113,8 @@ class DevicePhotographs:
             return Plan(system=system, cloud=cloud, edges=edges)
         if captured.cell_middles is None and config.cell_m is not None:
             positions = middles_of_cells(positions, config.cell_m)
+        weighed = weigh_claims(owners, progress)
+        positions, owners = positions[weighed], [owners[index] for index in weighed]
         system, note = costs_of_run(config, system, len(positions))
         cloud, edges = self._plan_of_owners(system, positions, owners, progress)
         save_plan(config.out / "plan.json", cloud, edges, warnings=warn_about_predictions(config, system, edges, progress, note))
@@ -230,7 +233,7 @@ class DevicePhotographs:
             )
             for device, moves in sorted(dealer.load_moves().items())
         ]
-        scoring = Scoring(config=self.config, recipe=recipe, machines=machines)
+        scoring = Scoring(config=self.config, recipe=recipe, machines=machines, claimable=self._claimable)
         result = scoring.run(dealer, executor, progress)
         num_held_out = sum(len(share.held_out) for share in self.shares.values())
         facts = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": self.folders is None}
@@ -240,6 +243,11 @@ class DevicePhotographs:
         write_json(run / "evaluation" / "result.json", {**result, **facts})
         save_delivered(run, dealer, self.captured.origin)
         progress.manifest.access_log = [*self._planning_access_log(), *dealer.access_log, *scoring.access_log]
+
+    def _claimable(self, device: str) -> Claimable:
+        share = self.shares[device]
+        edges = load_plan(self.config.out / "plan.json")[0].edge_ids
+        return Claimable(num_held_out=len(share.held_out), num_dealt=len(share.names), edges=edges)
 
     def _planning_access_log(self) -> list[dict[str, Any]]:
         """The access log of planning, by the owner and at the cloud."""

@@ -29,7 +29,7 @@ from radiant_app.executors.local import worker_command
 from radiant_app.executors.network import NetworkExecutor
 from radiant_app.executors.protocol import NodeTask, Prepare
 from radiant_app.files.system_file import dump_system
-from radiant_app.network.contents import load_report
+from radiant_app.network.contents import OpenedReport, ToldDevice, open_report
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME, remove_earlier
 from radiant_app.network.messages import (
@@ -37,14 +37,13 @@ from radiant_app.network.messages import (
     PLAN_NAME,
     SCENE_NAME,
     SYSTEM_NAME,
-    DevicesReport,
     EdgeCountTask,
     EdgeRasterTask,
     EdgeRefineTask,
     EdgeScoreTask,
     RegionTask,
 )
-from radiant_app.run.captured import Captured, middles_of_raster, place_rasters
+from radiant_app.run.captured import Captured, place_rasters
 from radiant_app.run.choosing import keep_best
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.delivered import save_delivered_by_edges
@@ -52,13 +51,15 @@ from radiant_app.run.far_devices import FarDevices, require_names
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.progress import Progress
 from radiant_app.run.refining import Refining, expected_refines, fold_rounds, plan_rounds
-from radiant_app.run.scoring import combine_scores, lpips_network_of, regions_alone
+from radiant_app.run.scoring import combine_figures, lpips_network_of, regions_alone
 from radiant_app.run.source import Plan
 from radiant_app.run.stages import ATTEMPTS, make_recipe, make_time_left_listener
 from radiant_app.workers.delivering import identify_owned, register_sender, run_number
 from radiant_app.workers.evaluation import LPIPS_NAME as SCORED_LPIPS
 from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import load_corrections
+from radiant_app.workers.rasters import Raster, raster_problem
+from radiant_app.workers.scores import Claimable, Scores, admit_scores
 from radiant_app.workers.tasks import Move, SfmSettings
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refines_for, tree_of_plan
@@ -82,6 +83,8 @@ class CloudRun:
     keys: dict[str, str] = field(default_factory=dict)
     """Node of a task to an edge → the key of its seal."""
     expected_s: dict[str, float] = field(default_factory=dict)
+    devices: dict[str, frozenset[str]] = field(default_factory=dict)
+    """Edge → names of its devices, of which it speaks."""
 
     @property
     def folder(self) -> Path:
@@ -92,6 +95,7 @@ class CloudRun:
         """Everything between the machines: plan, fold, refine, score. Raises StageFailed where no
         model can be used."""
         require_names(system)
+        self.devices = {f"edges/{edge.id}": frozenset(device.id for device in edge.devices) for edge in system.edges}
         self.hub.store.withdraw_all(run_number(self.folder))
         devices = self._count(system, progress)
         plan = self._plan(system, devices, progress)
@@ -132,6 +136,7 @@ class CloudRun:
             retry_policy=policy,
             num_threads=os.cpu_count() or 1,
             is_far=lambda node: node.tier == "edge",
+            devices_of=lambda machine: self.devices.get(machine, ()),
         )
 
     def _lease_s(self, node_id: str) -> float:
@@ -148,7 +153,7 @@ class CloudRun:
 
     # Counting
 
-    def _ask_edges(self, kind: str, tasks: Mapping[str, Any], progress: Progress, files: Mapping[str, Path] | None = None) -> DevicesReport:
+    def _ask_edges(self, kind: str, tasks: Mapping[str, Any], progress: Progress, files: Mapping[str, Path] | None = None) -> OpenedReport:
         """Ask every edge of the same kind of work; what all their devices answer."""
         name = kind.removeprefix("edge_")
 
@@ -164,7 +169,7 @@ class CloudRun:
                 shutil.copyfile(path, folder / given)
             key = content_key(__version__, task_key(task), *((folder / given) for given in files or ()))
             self.keys[node.id] = key
-            ask_again(folder, key)
+            ask_again(kind, folder, key)
             return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
         nodes = tuple(Tree(id=f"edges/{edge}/{name}", tier="edge") for edge in tasks)
@@ -174,11 +179,11 @@ class CloudRun:
         for edge, task in tasks.items():
             place = self.folder / f"edges/{edge}/{name}"
             done = is_sealed(place, self.keys[f"edges/{edge}/{name}"])
-            report = load_report(place) if done else DevicesReport(found={}, missing={})
+            report = open_report(kind, place, self.config.frames) if done else OpenedReport(found={}, missing={})
             own = {device: report.found[device] for device in task.devices if device in report.found}
             found |= own
             missing |= {device: report.missing.get(device, f"edges/{edge} did not answer.") for device in task.devices if device not in own}
-        return DevicesReport(found=found, missing=missing)
+        return OpenedReport(found=found, missing=missing)
 
     def _count(self, system: System, progress: Progress) -> FarDevices:
         """How many photographs each device has."""
@@ -188,7 +193,7 @@ class CloudRun:
         report = self._ask_edges("edge_count", {edge: task for edge, task in tasks.items() if task.devices}, progress)
         for device, reason in report.missing.items():
             progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {reason}"))
-        return FarDevices(counts={device: record["num_photographs"] for device, record in sorted(report.found.items())})
+        return FarDevices(counts=dict(sorted(report.found.items())))
 
     def _plan(self, system: System, devices: FarDevices, progress: Progress) -> Plan:
         """The plan in which every device keeps what it took."""
@@ -206,12 +211,10 @@ class CloudRun:
         report = self._ask_edges("edge_raster", tasks, progress)
         for device, reason in report.missing.items():
             progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {reason}"))
-        rasters = {device: report.found[device] for device in devices.devices() if device in report.found}
-        for device, raster in rasters.items():
-            if raster["num_unplaced"]:
-                message = f"{raster['num_unplaced']} of {raster['num_photographs']} photographs of device {device} have no usable position."
-                progress.listen(Warned(stage="plan", message=message))
-        places = {device: middles_of_raster(raster) for device, raster in rasters.items()}
+        rasters = self._usable_rasters(
+            {device: report.found[device] for device in devices.devices() if device in report.found}, devices, progress
+        )
+        places = {device: raster.middles for device, raster in rasters.items()}
         origin: FloatArray | None = None
         if self.config.frames == "gps":
             origin, middles = place_rasters(places, progress)
@@ -221,6 +224,20 @@ class CloudRun:
         devices.origin = origin
         folders = dict.fromkeys(rasters, self.folder)
         return DevicePhotographs(config=self.config, captured=captured, folders=folders, poses=None).make_plan(system, progress)
+
+    def _usable_rasters(self, rasters: Mapping[str, Raster], devices: FarDevices, progress: Progress) -> dict[str, Raster]:
+        """Those that are of devices with as many photographs as these counted; the others are left
+        out by name."""
+        usable = {}
+        for device, raster in rasters.items():
+            if problem := raster_problem(raster, devices.counts[device], devices.num_dealt(device)):
+                progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {problem}"))
+                continue
+            if raster.num_unplaced:
+                message = f"{raster.num_unplaced} of {raster.num_photographs} photographs of device {device} have no usable position."
+                progress.listen(Warned(stage="plan", message=message))
+            usable[device] = raster
+        return usable
 
     # Folding
 
@@ -265,7 +282,7 @@ class CloudRun:
         self.keys[edge.id] = key
         for name in names:
             dealer.keys[f"devices/{name}"] = self._key_of_device(key, name)
-        ask_again(folder, key)
+        ask_again("region", folder, key)
         return NodeTask(kind="region", stage=edge.id, folder=folder, key=key)
 
     def _key_of_device(self, key: str, device: str) -> str:
@@ -276,11 +293,11 @@ class CloudRun:
         folder, key = self.folder / edge.id, self.keys[edge.id]
         if not is_sealed(folder, key):
             return
-        report = load_report(folder)
+        report = open_report("region", folder)
         for device in edge.children:
-            record = report.found.get(device.name)
-            if record is not None:
-                files = {FRAME_NAME: record["frame"], SUMMARY_NAME: record["summary"]}
+            told: ToldDevice | None = report.found.get(device.name)
+            if told is not None:
+                files = {FRAME_NAME: told.frame.model_dump(), SUMMARY_NAME: told.summary.model_dump()}
                 self._seal_reported(device.id, files, self._key_of_device(key, device.name))
         if (folder / MODEL_NAME).is_file():
             dealer.keys[edge.id] = key
@@ -325,7 +342,7 @@ class CloudRun:
             key = self.keys[node.id] = content_key(__version__, task_key(task), folder / SCENE_NAME, own)
             for device in devices:
                 refining.keys[refining.node(f"devices/{device}")] = self._key_of_device(key, device)
-            ask_again(folder, key)
+            ask_again("edge_refine", folder, key)
             return NodeTask(kind="edge_refine", stage=node.id, folder=folder, key=key)
 
         return prepare
@@ -334,7 +351,7 @@ class CloudRun:
         folder, key = self.folder / edge.id, self.keys[edge.id]
         if not is_sealed(folder, key):
             return
-        report = load_report(folder)
+        report = open_report("edge_refine", folder)
         for device in edge.children:
             name = device.id.split("/")[1]
             if name in report.found:
@@ -349,20 +366,33 @@ class CloudRun:
         save_plan(place / PLAN_NAME, regions_alone(dealer.recipe.cloud_plan), ())
         missing: dict[str, str] = {}
 
+        counts = dealer.photographs
+        assert isinstance(counts, FarDevices)
+        admitted: dict[str, Scores] = {}
+
+        def claimable(device: str) -> Claimable:
+            held_out, dealt = counts.num_held_out(device), counts.num_dealt(device)
+            return Claimable(num_held_out=held_out, num_dealt=dealt, edges=dealer.recipe.cloud_plan.edge_ids)
+
+        def warn(device: str, message: str) -> None:
+            progress.listen(Warned(stage=f"devices/{device}/score", message=message))
+
         def score(scenes: Mapping[Version, Path]) -> dict[str, Path]:
             report = self._ask_scores(dealer, scenes, progress)
+            admitted.clear()
+            admitted.update(admit_scores(dict(sorted(report.found.items())), claimable, warn))
             missing.clear()
             missing.update(report.missing)
+            missing.update({device: "its figures are left out." for device in report.found if device not in admitted})
             scores = {}
-            for device, record in sorted(report.found.items()):
-                self._seal_reported(f"devices/{device}/score", {SCORES_NAME: record}, content_key(record))
+            for device, own in admitted.items():
+                self._seal_reported(f"devices/{device}/score", {SCORES_NAME: own.record}, content_key(own.record))
                 scores[device] = self.folder / f"devices/{device}/score" / SCORES_NAME
             return scores
 
         scores, choice = keep_best(dealer, score, progress.listen)
-        result = {**combine_scores(self.folder, scores, lpips_network_of(self.config)), **choice}
-        counts = dealer.photographs
-        assert isinstance(counts, FarDevices)
+        figures = combine_figures(self.folder, {device: admitted[device] for device in scores}, lpips_network_of(self.config))
+        result = {**figures, **choice}
         num_held_out = sum(counts.num_held_out(device) for device in counts.devices())
         facts: dict[str, Any] = {"num_unscored": num_held_out - len(result["images"]), "frames": self.config.frames, "pooled": False}
         if missing:
@@ -370,7 +400,7 @@ class CloudRun:
         write_json(place / "result.json", {**result, **facts})
         save_delivered_by_edges(self.folder, dealer, counts.origin)
 
-    def _ask_scores(self, dealer: Dealer, scenes: Mapping[Version, Path], progress: Progress) -> DevicesReport:
+    def _ask_scores(self, dealer: Dealer, scenes: Mapping[Version, Path], progress: Progress) -> OpenedReport:
         """Let the devices score the first of these versions of the scene, and compare all."""
         moves, to_cloud = dealer.load_moves(), load_corrections(self.folder / "cloud")
         versions, tasks = (tuple(scenes) if len(scenes) > 1 else ()), {}
@@ -385,7 +415,7 @@ class CloudRun:
         return self._ask_edges("edge_score", tasks, progress, files)
 
 
-def ask_again(folder: Path, key: str) -> None:
+def ask_again(kind: str, folder: Path, key: str) -> None:
     """Unseal an edge's report that lacks devices: a run that goes on waits for them once more."""
-    if is_sealed(folder, key) and load_report(folder).missing:
+    if is_sealed(folder, key) and open_report(kind, folder).missing:
         (folder / SEAL_NAME).unlink()

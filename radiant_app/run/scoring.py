@@ -8,7 +8,7 @@ evaluation/. Figures travel, photographs do not.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,13 @@ from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.run.progress import Progress
 from radiant_app.workers.delivering import DELIVERIES, find_refusals, identify_part, sign_task
 from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, SCENE_NAME, SCORES_NAME, summarize_scores, version_file
+from radiant_app.workers.scores import Claimable, Scores, admit_scores, read_scores
 from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, scored_at
 from radiant_core.choices import LpipsNetwork, Version
-from radiant_core.errors import StageFailed
-from radiant_core.evaluate.seam_excess import BorderError, SeamExcess, excess_by_border, pooled_excess
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.evaluate.seam_excess import SeamExcess, excess_by_border, pooled_excess
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import SUMMARY_NAME, TASK_NAME, save_task, task_key
@@ -70,8 +71,10 @@ class Scoring:
     access_log: list[dict[str, Any]] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     """Stage → the key of its seal, so that figures of another scene are not used."""
+    claimable: Callable[[str], Claimable] | None = None
+    """What a device can score by the plan; None: all photographs are one owner's."""
     failed: tuple[str, ...] = ()
-    """Stages of the machines that ended without figures."""
+    """Stages of the machines that ended without figures that can be used."""
 
     def run(self, dealer: Dealer, executor: Executor, progress: Progress) -> dict[str, Any]:
         """Keep the version of the dealer's scene that is best on all machines, and combine its
@@ -79,15 +82,32 @@ class Scoring:
 
         def score(scenes: Mapping[Version, Path]) -> dict[str, Path]:
             self.scenes = scenes
-            return {folder.parent.name: folder / SCORES_NAME for folder in self.fold(executor, progress.listen)}
+            paths = {folder.parent.name: folder / SCORES_NAME for folder in self.fold(executor, progress.listen)}
+            admitted.clear()
+            admitted.update(self._admit(paths, progress.listen))
+            return {machine: paths[machine] for machine in admitted}
 
+        admitted: dict[str, Scores] = {}
         run, (scores, facts) = self.config.out, keep_best(dealer, score, progress.listen)
         # Pictures of photographs leave a machine only where all are one owner's.
         for kind in PICTURE_KINDS if self.config.frames == "shared" or self.config.single_owner else ():
             for made in (path.parent / kind for path in scores.values()):
                 if made.is_dir():
                     shutil.copytree(made, run / "pictures" / kind, dirs_exist_ok=True)
-        return {**combine_scores(run, scores, lpips_network_of(self.config)), **facts}
+        figures = combine_figures(run, {machine: admitted[machine] for machine in scores}, lpips_network_of(self.config))
+        return {**figures, **facts}
+
+    def _admit(self, paths: Mapping[str, Path], listen: Listener) -> dict[str, Scores]:
+        """The scores of the machines that can have what they say."""
+        if self.claimable is None:
+            return {machine: read_scores(path) for machine, path in paths.items()}
+
+        def warn(device: str, message: str) -> None:
+            listen(Warned(stage=scored_at(f"devices/{device}"), message=message))
+
+        admitted = admit_scores(paths, self.claimable, warn)
+        self.failed = (*self.failed, *(scored_at(f"devices/{device}") for device in paths if device not in admitted))
+        return admitted
 
     def fold(self, executor: Executor, listen: Listener) -> list[Path]:
         """Score on every machine; the folders of those that have figures."""
@@ -157,16 +177,28 @@ def regions_alone(plan: CloudPlan) -> CloudPlan:
 
 
 def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
-    """Combine the files of scores, by machine, into the figures of metrics.json; StageFailed where
-    no machine has a held-out photograph."""
-    found = {name: read_json(path, ("images", "leakage", "borders", "versions")) for name, path in scores.items()}
-    images = [row for each in found.values() for row in each["images"]]
+    """Combine the files of scores, by machine, into the figures of metrics.json. A machine whose
+    file holds no scores is left out, and named under `scores_left_out`; raises as
+    `combine_figures`."""
+    usable, left_out = dict[str, Scores](), dict[str, str]()
+    for machine, path in scores.items():
+        try:
+            usable[machine] = read_scores(path)
+        except BadInput as error:
+            left_out[machine] = str(error)
+    return {**combine_figures(run, usable, lpips_network), **({"scores_left_out": left_out} if left_out else {})}
+
+
+def combine_figures(run: Path, scores: Mapping[str, Scores], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
+    """Combine scores, by machine, into the figures of metrics.json; StageFailed where no machine
+    has a held-out photograph."""
+    images = [row for each in scores.values() for row in each.rows]
     if not images:
         none_placed = "the machines that scored have none whose pose is known; give more photographs."
-        reason = none_placed if found else "scoring ended without figures on every machine that has any; --resume tries again."
+        reason = none_placed if scores else "scoring ended without figures on every machine that has any; --resume tries again."
         raise StageFailed(f"no held-out photograph could be scored: {reason}")
-    errors = [BorderError(**row) for each in found.values() for row in each["borders"]]
-    leakage = {name: each["leakage"] for name, each in found.items() if each["leakage"] is not None}
+    errors = [error for each in scores.values() for error in each.border_errors]
+    leakage = {name: each.leakage.model_dump() for name, each in scores.items() if each.leakage is not None}
     return {
         **summarize_scores(images, lpips_network=lpips_network),
         "num_gaussians": read_json(run / "cloud" / SUMMARY_NAME, ("num_splats",))["num_splats"],

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from radiant_app.workers.delivering import belongs_to_run, deliver
 from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.scores import scored_name
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, ScoreTask
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
@@ -141,7 +142,7 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
         reporter.decide(light.decision(reporter.stage))
     named = cameras
     if task.owned:
-        cameras = replace(cameras, names=tuple(f"{own.name}/held-out-{index:04d}" for index in range(len(cameras))))
+        cameras = replace(cameras, names=tuple(scored_name(own.name, index) for index in range(len(cameras))))
     views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME), light=light)
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
     rows, pictures = score_views(scene, views, task, lpips, folder, reporter)

@@ -10,9 +10,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from radiant_app.workers.delivering import belongs_to_run, find_refusals
+from radiant_app.workers.strangers import Told, parse_record
+from radiant_app.workers.tasks import Move
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.hierarchy.messages import DeviceModel, EdgeModel
-from radiant_core.io.messages import load_device_model, load_edge_model, save_frame, sim3_of, sim3_record
+from radiant_core.io.messages import load_device_model, load_edge_model, save_frame, sim3_record
 from radiant_core.io.run_store import read_json, write_json
 
 REFUSED_NAME, CORRECTIONS_NAME = "refused.json", "corrections.json"
@@ -47,5 +49,11 @@ def save_joining(
 
 
 def load_corrections(folder: Path) -> dict[str, Sim3 | None]:
-    """Sender → how its model was moved; None if it was refused."""
-    return {name: None if move is None else sim3_of(move) for name, move in read_json(folder / CORRECTIONS_NAME).items()}
+    """Sender → how its model was moved; None if it was refused. BadInput where a file says else."""
+    record = read_json(folder / CORRECTIONS_NAME)
+    moves = parse_record(_Corrections, {"moves": record}, CORRECTIONS_NAME).moves
+    return {name: None if move is None else move.sim3 for name, move in moves.items()}
+
+
+class _Corrections(Told):
+    moves: dict[str, Move | None]

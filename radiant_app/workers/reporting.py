@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
+from radiant_app.workers.strangers import Told, parse_record
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import read_json
 
@@ -41,8 +42,15 @@ class EventReporter:
         self.emit(StageProgress(stage=self.stage, **asdict(progress)))
 
 
+class Notes(Told):
+    """What stands in notes.json."""
+
+    decisions: tuple[Decision, ...]
+    warnings: tuple[str, ...]
+
+
 def read_notes(folder: Path, stage: str) -> list[Event]:
-    """Read the decisions and warnings of a finished node."""
-    notes = read_json(folder / "notes.json", ("decisions", "warnings"))
-    decided = [Decided(decision=Decision(**fields)) for fields in notes["decisions"]]
-    return [*decided, *(Warned(stage=stage, message=message) for message in notes["warnings"])]
+    """Read the decisions and warnings of a finished node; BadInput where they are none."""
+    notes = parse_record(Notes, read_json(folder / "notes.json", ("decisions", "warnings")), "notes.json")
+    decided = [Decided(decision=decision) for decision in notes.decisions]
+    return [*decided, *(Warned(stage=stage, message=message) for message in notes.warnings)]

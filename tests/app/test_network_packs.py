@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -403,3 +404,88 @@ def test_an_edge_hands_its_tasks_to_those_that_it_invited_alone(road: Road) -> N
         node_packs.pack(road.folder / "north", "x", road.disk)
     with pytest.raises(BadInput, match="nobody has joined devices/d"):
         node_packs.pack(road.folder / "d", "x", road.disk)
+
+
+def an_own_task(road: Road) -> None:
+    """The edge's own list, handed back as if it were a result."""
+    shutil.rmtree(road.disk)
+    road.task()
+
+
+def of_another_run(road: Road) -> None:
+    """What the same device made for an earlier run, with its signature."""
+    home = open_home(road.folder / "d")
+    envelope = packs.open_pack(road.disk, [home.key.public_key()]).envelope
+    earlier = replace(envelope, run="1" * 32, answers=hashlib.sha256(b"a task of then").hexdigest())
+    text, signature = carrying.sign_envelope(earlier, home.key)
+    (road.disk / packs.LIST_NAME).write_bytes(text)
+    (road.disk / packs.SIGNATURE_NAME).write_bytes(signature)
+
+
+def of_another_stage(road: Road) -> None:
+    """An honest list in which the stage is that of another round."""
+    home = open_home(road.folder / "d")
+    envelope = packs.open_pack(road.disk, [home.key.public_key()]).envelope
+    text, signature = carrying.sign_envelope(replace(envelope, kind="refine", stage="devices/d/refine2"), home.key)
+    (road.disk / packs.LIST_NAME).write_bytes(text)
+    (road.disk / packs.SIGNATURE_NAME).write_bytes(signature)
+
+
+def in_the_name_of_another(road: Road) -> None:
+    """Signed by a member that joined, as the sender it is not."""
+    home = open_home(road.folder / "d")
+    envelope = packs.open_pack(road.disk, [home.key.public_key()]).envelope
+    text, signature = carrying.sign_envelope(replace(envelope, sender="devices/c", stage="devices/c"), home.key)
+    (road.disk / packs.LIST_NAME).write_bytes(text)
+    (road.disk / packs.SIGNATURE_NAME).write_bytes(signature)
+
+
+def files_of_another_pack(road: Road) -> None:
+    """A whole pack whose files are those of another whole pack of as many bytes."""
+    write_model(road.folder / "model", SIZE, 3)
+    shutil.copyfile(road.folder / "model" / MODEL_NAME, road.disk / packs.FILES / MODEL_NAME)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (an_own_task, "signed by nobody who is known here"),
+        (of_another_run, "devices/d has no such task"),
+        (of_another_stage, "is refused"),
+        (in_the_name_of_another, "is said to be of devices/c, whose key did not sign it"),
+        (files_of_another_pack, "other bytes than its sender signed"),
+    ],
+)
+def test_a_pack_that_is_swapped_or_foreign_is_refused(road: Road, spoil: Callable[[Road], None], reason: str) -> None:
+    road.result()
+    spoil(road)
+    (road.disk / packs.JOIN_NAME).unlink(missing_ok=True)
+    before = road.kept()
+    with pytest.raises(BadInput, match=reason):
+        node_packs.unpack(road.folder / "north", road.disk)
+    assert road.kept() == before and road.state() != "received"
+
+
+def test_a_request_to_join_of_an_old_disk_lets_nobody_in_again(road: Road) -> None:
+    road.join()
+    old = (road.disk / packs.JOIN_NAME).read_bytes()
+    commands.revoke(road.folder / "north", "d")
+    for _ in range(2):
+        (road.disk / packs.JOIN_NAME).write_bytes(old)
+        with pytest.raises(BadInput, match="the request to join is refused: "):
+            node_packs.unpack(road.folder / "north", road.disk)
+        commands.invite(road.folder / "north", "d", road.folder / "again.join")
+    member = road.store.member("devices/d")
+    assert member is not None and member.key is None
+
+
+def test_the_task_of_an_earlier_round_on_an_old_disk_changes_nothing(road: Road) -> None:
+    road.result()
+    node_packs.unpack(road.folder / "north", road.disk)
+    road.hub.install(road.digests["d"])
+    road.hub.accept(road.digests["d"])
+    shutil.copytree(road.disk, road.folder / "old")
+    road.ask(text='{"round": 2}')
+    assert "is accepted" in node_packs.unpack(road.folder / "north", road.folder / "old")[-1], "that of then, once more"
+    task = road.store.open_task("devices/d")
+    assert task is not None and task.state == "offered", "the new one waits for its own result"

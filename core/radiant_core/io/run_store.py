@@ -178,7 +178,7 @@ def seal(folder: Path, key: str, names: Sequence[str]) -> None:
     """
     folder = Path(folder)
     for name in names:
-        if not _stays_inside(name):
+        if not stays_inside(name):
             raise BadInput(f"cannot seal {name!r} in {folder}: give a name inside the folder, relative to it.")
     files = {name: file_sha256(folder / name) for name in names}
     try:
@@ -302,11 +302,12 @@ def _is_seal(record: Any) -> bool:
         and set(record) == {"version", "key", "files"}
         and record["version"] == SEAL_VERSION
         and isinstance(record["files"], dict)
-        and all(_stays_inside(name) and isinstance(digest, str) for name, digest in record["files"].items())
+        and all(stays_inside(name) and isinstance(digest, str) for name, digest in record["files"].items())
     )
 
 
-def _stays_inside(name: str) -> bool:
+def stays_inside(name: str) -> bool:
+    """Whether a name, relative with "/", leads to nothing outside the folder it is joined to."""
     parts = PurePosixPath(name).parts
     return bool(parts) and not name.startswith("/") and ".." not in parts and "\0" not in name
 

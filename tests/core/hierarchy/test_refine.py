@@ -99,3 +99,12 @@ def test_devices_with_many_photographs_show_each_at_least_once_and_drift_no_furt
     """Up to 200 steps in a round were measured to gain (docs/experiments/aggregation.md)."""
     assert [refining_steps(8, views) for views in (1, 13, 25, 26, 88, 199, 201)] == [8, 104, 200, 200, 200, 200, 201]
     assert refining_steps(1, 500) == 500
+
+
+def test_a_refinement_of_an_earlier_round_is_none_of_this_one(tmp_path: Path) -> None:
+    """Whoever sends what it sent before: the scene that it refines stands in it."""
+    first = refine_device(TASK, BLURRED, photographs(0), Recorder())
+    save_refinement(tmp_path, first, BLURRED, "float16", lambda message: None)
+    assert not isinstance(load_refinement(tmp_path, BLURRED), str)
+    second_start = refine_scene(BLURRED, [first])
+    assert load_refinement(tmp_path, second_start) == "it refines another scene than the one that was sent: run that node again."

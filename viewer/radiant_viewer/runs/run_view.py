@@ -22,7 +22,7 @@ from radiant_core.geometry.support import Support
 from radiant_core.io.cleaning_file import CLEANING_NAME, cleaning_path, load_cleaning
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
-from radiant_core.io.run_store import read_json
+from radiant_core.io.run_store import read_json, stays_inside
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
@@ -234,7 +234,9 @@ def require_splats(run: RunView) -> Splats:
 
 def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
     """Return the files of photograph, render and difference of a held-out photograph; BadInput
-    where the run has none."""
+    where the run has none, or the name leads out of the folder of pictures."""
+    if not stays_inside(name):
+        raise BadInput(f"{name[:80]!r} is no name of a photograph inside a run: score the run again, or leave out who sent it.")
     paths = tuple(run.folder / "pictures" / kind / f"{name}.png" for kind in COMPARISON_KINDS)
     missing = [path for path in paths if not path.is_file()]
     if missing and run.in_field:
@@ -264,7 +266,7 @@ def canonical_path(run: RunView, name: str) -> Path | None:
     """Return the file of a held-out photograph's render in the model's own light; None where light
     is not modelled."""
     path = run.folder / "pictures" / "canonical" / f"{name}.png"
-    return path if path.is_file() else None
+    return path if stays_inside(name) and path.is_file() else None
 
 
 def no_model_text(folder: Path) -> str:
