@@ -469,7 +469,9 @@ def test_a_database_that_cannot_be_written_ends_in_a_sentence(road: Road, comman
         "invite": lambda: commands.invite(north, "c", road.folder / "c.join"),
         "revoke": lambda: commands.revoke(north, "d"),
     }
-    with pytest.raises(CannotWrite, match=r"hub\.sqlite cannot be used \(database or disk is full\): free space on its disk, then do it again"):
+    with pytest.raises(
+        CannotWrite, match=r"hub\.sqlite cannot be used \(database or disk is full\): free space on its disk, then do it again"
+    ):
         actions[command]()
     assert road.kept() == before and not (road.folder / "c.join").exists()
 

@@ -140,7 +140,8 @@ def hear(folder: Path) -> Callable[[Sequence[Event]], None]:
     def use(events: Sequence[Event]) -> None:
         said = StringIO()
         display = ProgressDisplay(Console(file=said, width=100), clock=lambda: float(100 * clock()))
-        manifest.stages.clear(), manifest.decisions.clear(), manifest.warnings.clear(), manifest.peak_bytes.clear()
+        for kept in (manifest.stages, manifest.decisions, manifest.warnings, manifest.peak_bytes):
+            kept.clear()
         with EventFile(folder, display) as file:
             for event in events:
                 require(decode(encode(event)) == event, "another event is read than was written")
@@ -186,6 +187,7 @@ def _other_event(name: str) -> Callable[[Path], Message]:
 
 # What nodes say to the one above
 
+
 def _replied(world: World, method: str, target: str, body: bytes) -> str:
     """Ask as the member; raises Refused where the answer is one. The reply is always JSON."""
     reply = world.answer(world.sealed(method, target, body))
@@ -223,7 +225,12 @@ def _poll(folder: Path) -> Iterator[Message]:
         _look(world)
         for said in world.heard:
             begun = set[str]()
-            hearing([StageStarted(stage="edges/north/count"), *(each for line in said.events for each in admit_event(line, "edges/north", begun))])
+            hearing(
+                [
+                    StageStarted(stage="edges/north/count"),
+                    *(each for line in said.events for each in admit_event(line, "edges/north", begun)),
+                ]
+            )
             if said.ended is not None:
                 require(str(ended_of("edges/north/count", said.ended).error).isprintable(), "a control character in a reason")
 
@@ -267,6 +274,7 @@ def _announcement(folder: Path) -> Iterator[Message]:
 
 # What nodes hear from the one above
 
+
 class _Told:
     """A way whose answers are what a test says; see `Way`."""
 
@@ -297,7 +305,7 @@ class _Idle:
         return self.folder
 
     def begin(self, envelope: Envelope, folder: Path, digest: str) -> Any:
-        return SimpleNamespace(heard=lambda: [], outcome=lambda: None, stop=lambda: None, result=dict)
+        return SimpleNamespace(heard=list, outcome=lambda: None, stop=lambda: None, result=dict)
 
 
 def _device(folder: Path) -> tuple[Line, Ed25519PrivateKey]:
@@ -422,6 +430,7 @@ def _invitation(folder: Path) -> Message:
 
 # Packs
 
+
 @contextmanager
 def _pack_join(folder: Path) -> Iterator[Message]:
     make_edge(folder, 8443, 8443, ["d"])
@@ -484,10 +493,21 @@ EDGE_MESSAGES: Mapping[str, Any] = {
     "edge_count": EdgeCountTask(**DEVICES),
     "edge_raster": EdgeRasterTask(**DEVICES, cell_m=5.0, first_held_out=(0, 3)),
     "region": RegionTask(
-        **DEVICES, train=TRAIN, backend="native", first_held_out=(0, 3), num_dealt=(9, 9), origin=(45.0, 7.5, 300.0),
-        sfm=SfmSettings(matching="auto", seed=0), aggregate=AggregateConfig(), upload="float16", step_policy="fixed", num_devices=2,
-        num_photographs=18, deadline_factor=2.0, lpips=None,
-    ),  # fmt: skip
+        **DEVICES,
+        train=TRAIN,
+        backend="native",
+        first_held_out=(0, 3),
+        num_dealt=(9, 9),
+        origin=(45.0, 7.5, 300.0),
+        sfm=SfmSettings(matching="auto", seed=0),
+        aggregate=AggregateConfig(),
+        upload="float16",
+        step_policy="fixed",
+        num_devices=2,
+        num_photographs=18,
+        deadline_factor=2.0,
+        lpips=None,
+    ),
     "edge_refine": EdgeRefineTask(devices=("d",), to_cloud=MOVE, joined="0" * 64, number=2),
     "edge_score": EdgeScoreTask(devices=("d",), to_cloud=MOVE, versions=("refined", "joined")),
 }
@@ -532,7 +552,8 @@ CORRECTION = {"scale": 1.0, "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0,
 CORRECTIONS = {"d": CORRECTION, "c": None}
 SMALL: Mapping[str, Any] = {
     NOTES_NAME: {"decisions": [], "warnings": []}, "count.json": COUNT, "raster.json": RASTER, "scores.json": SCORES, FRAME_NAME: FRAME,
-    SUMMARY_NAME: SUMMARY, "corrections.json": CORRECTIONS, "refused.json": {"c": "it has no Gaussian."}, REPORT_NAME: {"found": {}, "missing": {}},
+    SUMMARY_NAME: SUMMARY, "corrections.json": CORRECTIONS, "refused.json": {"c": "it has no Gaussian."},
+    REPORT_NAME: {"found": {}, "missing": {}},
 }  # fmt: skip
 
 
