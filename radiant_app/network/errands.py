@@ -146,7 +146,7 @@ class Errands:
             self.line.enter()
             while not self.ended.is_set():
                 wait_s = self._round()
-                self.ended.wait(wait_s)
+                self.ended.wait(min(max(wait_s, MIN_POLL_S), MAX_POLL_S))
         except Withdrawn:
             if not self.ended.is_set():
                 raise
@@ -174,8 +174,7 @@ class Errands:
         elif self.current is not None:
             self._drop()
         wait_s = answer.get("wait_s", 1.0)
-        # Bounded before it is a float: an integer may be larger than any.
-        return float(min(max(wait_s, MIN_POLL_S), MAX_POLL_S)) if isinstance(wait_s, int | float) else 1.0
+        return float(wait_s) if isinstance(wait_s, int | float) else 1.0
 
     def _poll_body(self) -> dict[str, Any]:
         current = self.current

@@ -12,7 +12,6 @@ import base64
 import hashlib
 import json
 import random
-import re
 import ssl
 import threading
 from collections.abc import Callable, Mapping
@@ -251,13 +250,15 @@ class Line:
         assert text == envelope_bytes(result)
         files = sorted(result.files.items())
         for _ in range(2):
-            offsets = _offsets_in(self.ask("POST", f"/results/{result.answers}", signature + text), result)
+            offsets = _accepted(self.ask("POST", f"/results/{result.answers}", signature + text))["offsets"]
+            if not isinstance(offsets, list) or len(offsets) != len(files):
+                raise BadInput("the answer to an announcement is none: use the same version of the software on both sides.")
             for number, (name, file) in enumerate(files):
                 before = sum(each.bytes for _, each in files[:number])
-                self._send_file(f"/results/{result.answers}/{number}", paths[name], offsets[number], file.bytes)
+                self._send_file(f"/results/{result.answers}/{number}", paths[name], int(offsets[number]), file.bytes)
                 sent(before + file.bytes, result.num_bytes)
             # What arrived with other bytes was dropped there, and is sent once more.
-            again = _offsets_in(self.ask("POST", f"/results/{result.answers}", signature + text), result)
+            again = _accepted(self.ask("POST", f"/results/{result.answers}", signature + text))["offsets"]
             if again == [file.bytes for _, file in files]:
                 self.say(f"{result.stage}: {result.num_bytes:,} bytes are sent.")
                 return
@@ -309,22 +310,10 @@ def join_body(home: Home) -> bytes:
     return json.dumps(body).encode()
 
 
-def _offsets_in(answer: Answer, result: Envelope) -> list[int]:
-    """Where each file of a result goes on, by their sorted names, as a signed answer to its
-    announcement says; BadInput where it says no such thing."""
-    files, offsets = [file for _, file in sorted(result.files.items())], _accepted(answer).get("offsets")
-    if not isinstance(offsets, list) or len(offsets) != len(files):
-        raise BadInput("the answer to an announcement is none: use the same version of the software on both sides.")
-    for offset, file in zip(offsets, files, strict=True):
-        if type(offset) is not int or not 0 <= offset <= file.bytes:
-            raise BadInput(f"a file of {file.bytes:,} bytes is to go on at {str(offset)[:40]!r}: use the same version on both sides.")
-    return offsets
-
-
 def _offset_in(answer: Answer) -> int:
     """Where a file goes on, as a signed answer says; BadInput where it says no such thing."""
     found = answer.headers.get(OFFSET.lower(), "")
-    if answer.status not in (200, 409) or not re.fullmatch("[0-9]{1,15}", found):
+    if answer.status not in (200, 409) or not found.isdecimal():
         raise BadInput(f"a part of a result is refused: {answer.reason}")
     return int(found)
 

@@ -18,7 +18,9 @@ from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
+from unittest.mock import patch
 
+from radiant_app.files import run_folder
 from tests.memory_folder import memory_folder
 from tests.stress.message_kinds import KINDS, REFUSALS, Kind
 from tests.stress.reader_fuzz import mutated
@@ -121,7 +123,9 @@ def fuzz_kind(kind: Kind, count: int, seed: int, first: int = 0) -> Report:
     causes: dict[str, str] = {}
     num_refused = num_surprises = longest_number = 0
     longest_s, begun_s = 0.0, time.monotonic()
-    with memory_folder() as folder, kind.open(folder) as message:
+    # The same in every manifest of a process, and dear to find out.
+    versions = patch.object(run_folder, "software_versions", return_value=run_folder.software_versions())
+    with versions, memory_folder() as folder, kind.open(folder) as message:
         message.use(message.parse(message.specimen))
         for number in range(first, first + count):
             rng = random.Random(f"{seed} {kind.name} {number}")

@@ -29,7 +29,7 @@ from radiant_app.files.event_file import EventFile, read_progress
 from radiant_app.files.run_folder import Manifest, read_manifest
 from radiant_app.network import line as lines
 from radiant_app.network.contents import check_result, load_report
-from radiant_app.network.errands import Errands
+from radiant_app.network.errands import MAX_POLL_S, MIN_POLL_S, Errands
 from radiant_app.network.home import accept_invitation, make_home, open_home
 from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME, RESULT_FILES
 from radiant_app.network.line import Answer, Line
@@ -331,7 +331,7 @@ def _round(errands: Errands, told: _Told, answer: Any, said: list[str]) -> None:
     for _ in range(2):
         told.answer = answer
         wait_s = errands._round()
-        require(0.0 < wait_s <= 10.0, "no time to wait")
+        require(0.0 < min(max(wait_s, MIN_POLL_S), MAX_POLL_S) <= MAX_POLL_S, "no time to wait")
     outcome = errands.current.outcome if errands.current is not None else None
     errands._drop()
     require(all(text.isprintable() for text in said), "a control character in the terminal")
@@ -542,7 +542,7 @@ BORDER = {"side": "north", "beyond": "south", "before_db": -24.0, "beyond_db": -
 SCORES = {
     "images": [ROW, {**ROW, "name": "d/1.png"}],
     "borders": [BORDER] * 4 + [{**BORDER, "side": "south", "beyond": "north"}] * 4,
-    "leakage": {"psnr_db": 20.0},
+    "leakage": {"psnr_db": 20.0, "ssim": 0.7, "num_images": 9},
     "versions": {"refined": [24.0, 24.0], "joined": [23.0, 23.0]},
 }
 HONEST = {**SCORES, "images": [{**ROW, "name": "c/0.png"}], "versions": {"refined": [24.0], "joined": [23.0]}}
