@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import shutil
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from radiant_app.commands import node_packs
+from radiant_app.network.contents import MAX_REASON_CHARS, check_frame
 from radiant_app.network.home import open_home
 from radiant_app.network.packs import LIST_NAME, SIGNATURE_NAME
 from radiant_app.network.receiving import open_desk
@@ -20,8 +22,8 @@ from radiant_app.network.store import HubStore
 from radiant_core import __version__
 from radiant_core.aggregate.averaging import Refinement
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import MODEL_NAME, load_refinement, save_refinement
-from radiant_core.io.transport.delivery import describe_files
+from radiant_core.io.messages import FRAME_NAME, MODEL_NAME, load_refinement, load_uncertainty, save_refinement
+from radiant_core.io.transport.delivery import SentFile, describe_files
 from radiant_core.io.transport.envelope import open_envelope, sign_envelope
 from tests.app.test_network_packs import Road
 from tests.app.test_network_reception import World
@@ -141,6 +143,14 @@ def test_the_result_of_an_older_task_answers_no_newer_one(world: World, older: s
     assert found is not None and found.state == "offered" and world.store.result(newer.digest) is None and world.kept() == kept
 
 
+def test_a_reason_as_long_as_may_be_is_read_in_any_letters(tmp_path: Path) -> None:
+    """Of 4,000 letters outside ASCII, which another writer of JSON writes in six bytes each."""
+    frame = {"status": "missing", "reason": "é" * MAX_REASON_CHARS, "uncertainty": None}
+    (tmp_path / FRAME_NAME).write_text(json.dumps(frame))
+    check_frame(frame)
+    assert load_uncertainty(tmp_path) is None
+
+
 def test_the_refinement_of_an_older_round_refines_no_newer_scene(tmp_path: Path) -> None:
     """Its sender may sign it again for the newer task: it names the scene that it was made from."""
     first = ground_splats(20)
@@ -150,6 +160,21 @@ def test_the_refinement_of_an_older_round_refines_no_newer_scene(tmp_path: Path)
     save_refinement(tmp_path, refined, first, "float16", lambda message: None)
     assert not isinstance(load_refinement(tmp_path, first), str)
     assert load_refinement(tmp_path, second) == "it refines another scene than the one that was sent: run that node again."
+
+
+def test_an_empty_file_with_another_hash_is_asked_for_again_and_ends_nothing(world: World) -> None:
+    """It was removed as damaged, and then missed as a file: every later part was answered by 503, as of a broken disk."""
+    wrong = {"report.json": SentFile(bytes=0, sha256="b" * 64)}
+    for _ in range(2):
+        assert world.ask("POST", f"/results/{world.task.digest}", world.announcement(files=wrong)) == (200, {"offsets": [0]})
+        assert world.answer(world.part(0, b"x")).status == 409
+        assert world.answer(world.part(0, b"")).status == 200
+    found = world.store.task(world.task.digest)
+    assert found is not None and found.state == "offered"
+    right = {"report.json": SentFile(bytes=0, sha256=hashlib.sha256(b"").hexdigest())}
+    assert world.ask("POST", f"/results/{world.task.digest}", world.announcement(files=right))[0] == 200
+    found = world.store.task(world.task.digest)
+    assert found is not None and found.state == "received"
 
 
 # By a disk

@@ -35,7 +35,8 @@ FULL_BYTES = 1 << 20
 """With less than this left a disk counts as full: libraries that write there end their
 process, or half a file, without a word."""
 _HALVES = re.compile(rb"(?i)\\ud[89a-f]|\xed[\xa0-\xbf]|\x00")
-"""What a JSON text has where a value may hold half a character: its escape, or its bytes; or a NUL, as texts of 16 and 32 bits have."""
+"""What a JSON text has where a value may hold half a character: its escape, or its bytes; or a NUL,
+as texts of 16 and 32 bits have."""
 
 
 def disk_is_full(folder: Path) -> bool:
