@@ -14,7 +14,7 @@ import pytest
 
 from radiant_app.commands import node_packs
 from radiant_app.network.contents import MAX_REASON_CHARS, check_frame
-from radiant_app.network.home import open_home
+from radiant_app.network.home import Listening, open_home
 from radiant_app.network.packs import LIST_NAME, SIGNATURE_NAME
 from radiant_app.network.receiving import open_desk
 from radiant_app.network.reception import Asked, Refused
@@ -175,6 +175,13 @@ def test_an_empty_file_with_another_hash_is_asked_for_again_and_ends_nothing(wor
     assert world.ask("POST", f"/results/{world.task.digest}", world.announcement(files=right))[0] == 200
     found = world.store.task(world.task.digest)
     assert found is not None and found.state == "received"
+
+
+@pytest.mark.parametrize("url", ["https://[::1/", "https://[x]:1", "https://host:99999", "https://host:x", "http://host", "https://", "a"])
+def test_an_address_that_is_none_is_said_in_a_join_file_and_an_option(url: str) -> None:
+    with pytest.raises(BadInput, match="expected https://HOST:PORT, as the machines that join will reach this one"):
+        Listening(url=url)
+    assert Listening(url="https://[::1]:8443").url and Listening(url="https://host").url
 
 
 # By a disk
