@@ -23,7 +23,7 @@ from radiant_app.network.home import (
 )
 from radiant_app.network.overview import NodeRow, read_rows
 from radiant_app.network.serving import require_network
-from radiant_app.network.store import HubStore
+from radiant_app.network.store import open_store
 from radiant_app.plain_text import plain_text
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import read_json, write_json
@@ -48,11 +48,8 @@ def invite(folder: Path, name: str, out: Path, identity: Identity = "pinned") ->
     invitation = new_invitation(home, name, identity)
     # The folder first: what is written into the store takes an earlier invitation back.
     with folder_made_for(out):
-        store = HubStore(folder=home.folder)
-        try:
+        with open_store(home.folder) as store:
             store.invite(invitation.node, invitation.token)
-        finally:
-            store.close()
         write_private(out, invitation_text(invitation).encode())
     return invitation
 
@@ -61,12 +58,9 @@ def revoke(folder: Path, name: str) -> str:
     """Refuse a node at its next request; returns its id."""
     home = open_home(folder)
     node = f"{'edges' if home.node == 'cloud' else 'devices'}/{name}"
-    store = HubStore(folder=home.folder)
-    try:
+    with open_store(home.folder) as store:
         if not store.revoke(node):
             raise BadInput(f"{node} was never invited here: radiant node status lists who was.")
-    finally:
-        store.close()
     return node
 
 

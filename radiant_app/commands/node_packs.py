@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from radiant_app.network.carrying import keep_task, pack_own
-from radiant_app.network.errands import require_own
+from radiant_app.network.errands import note_asked, require_own
 from radiant_app.network.home import UPPER_NAME, Home, open_home
 from radiant_app.network.packs import has_list, open_pack, read_join
 from radiant_app.network.receiving import open_desk
@@ -56,9 +56,15 @@ def _unpack_task(home: Home, folder: Path) -> str | None:
         return None
     require_own(home, task.envelope)
     task.check()
-    keep_task(home, task)
+    replaced = keep_task(home, task)
+    # From now on no older one of its stage is taken, however often its pack is found again.
+    note_asked(home, task.envelope)
     command = "radiant node work --photos FOLDER --offline" if home.node.startswith("devices/") else "radiant node serve --offline"
-    return f"the task of {task.envelope.stage} is here; next: {command}"
+    instead = ""
+    if replaced is not None:
+        whose = "" if replaced.run == task.envelope.run else " of another run"
+        instead = f", in place of that of {replaced.stage}{whose}, which is not done"
+    return f"the task of {task.envelope.stage} is here{instead}; next: {command}"
 
 
 def _unpack_from_below(home: Home, folder: Path) -> list[str]:

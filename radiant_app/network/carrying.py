@@ -22,7 +22,7 @@ from radiant_app.network.line import join_body, seal_headers
 from radiant_app.network.packs import Pack, clear_pack, copy_listed, has_list, open_pack, write_join, write_pack
 from radiant_app.network.reception import JOIN
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.run_store import file_sha256, read_json, write_json
+from radiant_core.io.run_store import file_sha256, parse_json, read_json, write_json
 from radiant_core.io.transport.envelope import Envelope, Request, open_envelope, sign_envelope
 
 CARRIED, TASK, RESULT_NAME = "carried", "task", "result.json"
@@ -63,15 +63,33 @@ def sealed_join(home: Home) -> tuple[dict[str, str], bytes]:
     return {**seal_headers(request, home.key), "content-length": str(len(body))}, body
 
 
-def keep_task(home: Home, pack: Pack) -> None:
-    """Keep a task whose list and files were checked, in place of an earlier one; raises as
-    `write_pack`."""
+def keep_task(home: Home, pack: Pack) -> Envelope | None:
+    """Keep a task whose list and files were checked, in place of an earlier one, which is returned
+    where it was another one and is not done; raises as `write_pack`."""
+    before = _waiting_task(home)
     write_pack(
         home.folder / CARRIED / TASK,
         pack.text,
         pack.signature,
         {name: (pack.files[name], file) for name, file in pack.envelope.files.items()},
     )
+    return before if before is not None and before.digest != pack.envelope.digest else None
+
+
+def _waiting_task(home: Home) -> Envelope | None:
+    """The task that was unpacked and has no result yet."""
+    place, result = home.folder / CARRIED / TASK, home.folder / CARRIED / RESULT_NAME
+    if not has_list(place):
+        return None
+    try:
+        task = open_pack(place, [home.upper.key]).envelope
+    except BadInput:
+        # Of a node above that had another key.
+        return None
+    if not result.is_file():
+        return task
+    answered = parse_json(base64.b64decode(read_json(result, ("text",))["text"]))["answers"]
+    return None if answered == task.digest else task
 
 
 @dataclass(kw_only=True)

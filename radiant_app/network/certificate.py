@@ -43,7 +43,7 @@ def key_of_certificate(pem: bytes) -> Ed25519PublicKey:
         certificate = x509.load_pem_x509_certificate(pem)
         key = certificate.public_key()
         certificate.verify_directly_issued_by(certificate)
-    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm) as error:
+    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm, x509.InvalidVersion) as error:
         raise BadInput(f"a certificate cannot be used ({error}): ask for another join file.") from error
     if not isinstance(key, Ed25519PublicKey):
         raise BadInput("a certificate is of another kind of key, expected Ed25519: ask for another join file.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import sqlite3
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -43,8 +44,9 @@ class EdgeWork:
             self.ended = Outcome()
         except RadiantError as error:
             self.ended = Outcome(error=error)
-        except OSError as error:
-            self.ended = Outcome(error=BadInput(f"{error.strerror or type(error).__name__} on the disk of this edge."))
+        except (OSError, sqlite3.Error) as error:
+            reason = str(getattr(error, "strerror", None) or error or type(error).__name__)
+            self.ended = Outcome(error=BadInput(f"{reason} on the disk of this edge."))
         finally:
             # A thread that died of our own fault is a crash: its outcome is said, then it is seen.
             self.ended = self.ended or Outcome(error=BadInput("this edge failed by a fault of the software; its terminal says which."))

@@ -56,8 +56,7 @@ class Listening:
     """Without TLS, behind a reverse proxy that has it."""
 
     def __post_init__(self) -> None:
-        parts = urlsplit(self.url)
-        if parts.scheme != "https" or not parts.hostname or parts.query or parts.fragment:
+        if not _is_address(self.url):
             raise BadInput(f"--url is {self.url[:200]!r}, expected https://HOST:PORT, as the machines that join will reach this one.")
         if not 0 <= self.port <= 65535:
             raise BadInput(f"the port is {self.port}, expected 0 to 65535.")
@@ -150,6 +149,15 @@ class Home:
         first = int(read_json(path, ("next",))["next"]) if path.is_file() else 1
         write_json(path, {"next": first + RESERVED})
         return first, first + RESERVED
+
+
+def _is_address(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+        # Python asks for the number of a port first where it is used.
+        return parts.scheme == "https" and bool(parts.hostname) and parts.port != 0 and not (parts.query or parts.fragment)
+    except ValueError:
+        return False
 
 
 def open_home(folder: Path) -> Home:

@@ -16,7 +16,7 @@ from radiant_app.network.home import Home, Listening
 from radiant_app.network.kinds import RESULT_FILES, task_files, task_problem
 from radiant_app.network.reception import Reception, Said
 from radiant_app.network.serving import serve
-from radiant_app.network.store import HubStore, KnownTask
+from radiant_app.network.store import HubStore, KnownTask, open_store
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.io.transport.delivery import describe_files
@@ -147,14 +147,11 @@ def open_hub(home: Home, poll_s: float | None = None) -> Iterator[Hub]:
     cannot be done."""
     listening: Listening = home.listening
     (home.folder / INCOMING).mkdir(exist_ok=True)
-    store = HubStore(folder=home.folder)
-    hub = Hub(home=home, store=store, arrivals=Arrivals(folder=home.folder / INCOMING))
-    reception = Reception(node=home.node, key=home.key, store=store, arrivals=hub.arrivals, heard=hub.hear, poll_s=poll_s or POLL_S)
-    hub.heard_of = reception.heard_of
-    hub.arrivals.remove_all_but(store.open_digests())
-    try:
+    with open_store(home.folder) as store:
+        hub = Hub(home=home, store=store, arrivals=Arrivals(folder=home.folder / INCOMING))
+        reception = Reception(node=home.node, key=home.key, store=store, arrivals=hub.arrivals, heard=hub.hear, poll_s=poll_s or POLL_S)
+        hub.heard_of = reception.heard_of
+        hub.arrivals.remove_all_but(store.open_digests())
         with serve(listening, home.identity, reception) as port:
             hub.port = port
             yield hub
-    finally:
-        store.close()

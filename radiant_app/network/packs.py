@@ -88,6 +88,9 @@ def clear_pack(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if strange := sorted({path.name for path in folder.iterdir()} - {LIST_NAME, SIGNATURE_NAME, FILES, JOIN_NAME}):
             raise BadInput(f"{folder} holds {strange[0][:80]!r}: give a folder that is new, empty, or an earlier pack.")
+        if (folder / FILES).is_symlink() or ((folder / FILES).exists() and not (folder / FILES).is_dir()):
+            # A link would lead the files of a pack, and their removal, to another place.
+            raise BadInput(f"{folder} holds {FILES!r}, which is no folder of a pack: give a folder that is new, empty, or an earlier pack.")
         # Without its signature the earlier one is no pack, whenever this process ends.
         for name in (SIGNATURE_NAME, LIST_NAME, JOIN_NAME):
             (folder / name).unlink(missing_ok=True)
@@ -125,6 +128,8 @@ def has_list(folder: Path) -> bool:
 def copy_listed(source: Path, target: Path, file: SentFile) -> None:
     """Copy a file that a list names; BadInput, and nothing at `target`, where its bytes are others:
     the carrier may change it while it is read. Raises as `atomic_path`."""
+    if not source.is_file():
+        raise BadInput(f"{source} is not there any more: run again what makes it, then pack it.")
     target.parent.mkdir(parents=True, exist_ok=True)
     digest, left = hashlib.sha256(), file.bytes
     with atomic_path(target) as temporary, temporary.open("xb") as out, open(source, "rb", opener=open_without_waiting) as read:

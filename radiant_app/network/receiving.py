@@ -18,7 +18,7 @@ from radiant_app.network.arrivals import INCOMING, PART_BYTES, Arrivals, DiskFul
 from radiant_app.network.home import Home
 from radiant_app.network.packs import Pack, open_pack, write_pack
 from radiant_app.network.reception import DONE, JOIN, Asked, Reception, Refused
-from radiant_app.network.store import HubStore
+from radiant_app.network.store import HubStore, open_store
 from radiant_core.errors import BadInput, CannotWrite
 from radiant_core.io.run_store import parse_json
 from radiant_core.io.transport.envelope import is_envelope_of, open_envelope
@@ -96,11 +96,8 @@ class Desk:
 
 @contextmanager
 def open_desk(home: Home) -> Iterator[Desk]:
-    """The desk of a node, until the end of the block."""
+    """The desk of a node, until the end of the block; raises as `open_store`."""
     (home.folder / INCOMING).mkdir(exist_ok=True)
-    store = HubStore(folder=home.folder)
-    reception = Reception(node=home.node, key=home.key, store=store, arrivals=Arrivals(folder=home.folder / INCOMING))
-    try:
+    with open_store(home.folder) as store:
+        reception = Reception(node=home.node, key=home.key, store=store, arrivals=Arrivals(folder=home.folder / INCOMING))
         yield Desk(home=home, store=store, reception=reception)
-    finally:
-        store.close()

@@ -23,6 +23,8 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
+from radiant_core.errors import CannotWrite
+
 STORE_NAME = "hub.sqlite"
 OPEN = ("offered", "taken", "received")
 _CLOSED = ("accepted", "refused", "failed", "withdrawn")
@@ -291,6 +293,20 @@ class HubStore:
     def result(self, task: str) -> tuple[bytes, bytes] | None:
         """The announcement of a task's result and its signature."""
         return next(iter(self._rows("select text, signature from results where task = ?", task)), None)
+
+
+@contextmanager
+def open_store(folder: Path) -> Iterator[HubStore]:
+    """The database of a node's folder, until the end of the block; CannotWrite where its disk is
+    full, or refuses otherwise, at any moment of it."""
+    try:
+        store = HubStore(folder=folder)
+        try:
+            yield store
+        finally:
+            store.close()
+    except sqlite3.Error as error:
+        raise CannotWrite(f"{folder / STORE_NAME} cannot be used ({error}): free space on its disk, then do it again.") from error
 
 
 def _hash(token: str) -> str:

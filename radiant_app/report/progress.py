@@ -2,8 +2,9 @@
 
     sfm: matching, step 3 of 6   ━━━━━━╺━━━   45 %  elapsed 0:31, left in step about 0:40
 
-Names of photographs, jobs and devices are printed as they are: none is read as markup. Lines of a
-log file are not wrapped.
+Names of photographs, jobs and devices are printed as they are, but for what has no shape of its
+own, which comes as its escape: none is read as markup, and no text of a stranger moves the cursor.
+Lines of a log file are not wrapped.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from rich.table import Column
 from rich.text import Text
 
 from radiant_app.events import Decided, Event, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
+from radiant_app.plain_text import shown_text
 from radiant_app.report.pace import Pace, clock_text
 
 _Item = TypeVar("_Item")
@@ -93,9 +95,9 @@ class ProgressDisplay:
             self._begin(event.stage)
         elif isinstance(event, StageProgress) and event.stage in self._tasks:
             self._paces[event.stage].update(event)
-            title = f"{event.stage}: {event.doing}" if event.doing else event.stage
+            title = shown_text(f"{event.stage}: {event.doing}" if event.doing else event.stage)
             self._progress.update(
-                self._tasks[event.stage], description=title, completed=event.done, total=event.total or None, note=event.note
+                self._tasks[event.stage], description=title, completed=event.done, total=event.total or None, note=shown_text(event.note)
             )
             self._print_line(event)
         elif isinstance(event, StageDone):
@@ -106,12 +108,13 @@ class ProgressDisplay:
         elif isinstance(event, TimeLeft):
             self._tell_time_left(event)
         elif isinstance(event, Warned):
-            self._print(f"warning {event.stage}: {event.message}", "yellow")
+            self._print(shown_text(f"warning {event.stage}: {event.message}"), "yellow")
         elif isinstance(event, Decided) and not event.decision.changes_nothing:
             decision = event.decision
             self.num_decisions += 1
             if self._with_decisions:
-                self._print(f"decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})", "dim")
+                said = f"decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})"
+                self._print(shown_text(said), "dim")
 
     def _print(self, line: str | Text, style: str | None = None) -> None:
         self._console.print(line, style=style, highlight=False, markup=False, emoji=False, soft_wrap=not self._console.is_terminal)
@@ -155,7 +158,7 @@ class ProgressDisplay:
         self._line_due_s[event.stage] = now_s + SECONDS_BETWEEN_LINES
         share = f"{100 * event.done / event.total:.0f} %" if event.total else ""
         texts = [event.doing, share, self._paces[event.stage].text, event.note]
-        self._print(f"{event.stage}: {', '.join(text for text in texts if text)}")
+        self._print(shown_text(f"{event.stage}: {', '.join(text for text in texts if text)}"))
 
     def _end(self, stage: str, line: Text) -> None:
         self._remove(stage)

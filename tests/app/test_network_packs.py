@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import resource
 import shutil
+import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -330,6 +332,149 @@ def test_a_folder_with_something_else_is_left_as_it_is(road: Road) -> None:
     with pytest.raises(BadInput, match=r"holds 'holiday.jpg'"):
         road.task()
     assert [path.name for path in road.disk.iterdir()] == ["holiday.jpg"]
+
+
+def _files_is_a_link(road: Road) -> None:
+    (road.folder / "holiday").mkdir()
+    (road.folder / "holiday" / "a.jpg").write_bytes(b"x")
+    (road.disk / packs.FILES).symlink_to(road.folder / "holiday")
+
+
+def _files_leads_nowhere(road: Road) -> None:
+    (road.disk / packs.FILES).symlink_to(road.folder / "nowhere")
+
+
+def _files_is_a_file(road: Road) -> None:
+    (road.disk / packs.FILES).write_bytes(b"x")
+
+
+@pytest.mark.parametrize("odd", [_files_is_a_link, _files_leads_nowhere, _files_is_a_file])
+def test_a_folder_whose_files_are_no_folder_is_left_as_it_is(road: Road, odd: Callable[[Road], None]) -> None:
+    """Neither emptied nor written to: a link would lead to another place."""
+    road.disk.mkdir()
+    odd(road)
+    with pytest.raises(BadInput, match=r"holds 'files', which is no folder of a pack: give a folder that is new, empty, or an earlier"):
+        road.task()
+    assert [path.name for path in road.disk.iterdir()] == [packs.FILES]
+    assert not (road.folder / "nowhere").exists() and all(path.exists() for path in (road.folder / "holiday").glob("*"))
+
+
+def test_what_is_not_there_any_more_is_said_by_its_name(road: Road) -> None:
+    road.result()
+    (road.folder / "model" / MODEL_NAME).unlink()
+    with pytest.raises(BadInput, match=rf"model/{MODEL_NAME} is not there any more: run again what makes it, then pack it"):
+        node_packs.pack(road.folder / "d", None, road.disk)
+    with pytest.raises(BadInput, match="no signed list"):
+        packs.open_pack(road.disk, [])
+
+
+def swapped_files(road: Road) -> None:
+    shutil.rmtree(road.disk / packs.FILES)
+    shutil.copytree(road.folder / "of d" / packs.FILES, road.disk / packs.FILES)
+
+
+def swapped_list(road: Road) -> None:
+    shutil.copyfile(road.folder / "of d" / packs.LIST_NAME, road.disk / packs.LIST_NAME)
+
+
+def swapped_signature(road: Road) -> None:
+    shutil.copyfile(road.folder / "of d" / packs.SIGNATURE_NAME, road.disk / packs.SIGNATURE_NAME)
+
+
+def cut_list(road: Road) -> None:
+    text = (road.disk / packs.LIST_NAME).read_bytes()
+    (road.disk / packs.LIST_NAME).write_bytes(text[:-40])
+
+
+@pytest.mark.parametrize(
+    ("swap", "reason"),
+    [
+        (swapped_files, "other bytes than its sender signed"),
+        (swapped_list, "signed by nobody who is known here"),
+        (swapped_signature, "signed by nobody who is known here"),
+        (cut_list, "signed by nobody who is known here"),
+    ],
+)
+def test_packs_of_two_devices_that_were_mixed_are_refused(tmp_path: Path, swap: Callable[[Road], None], reason: str) -> None:
+    road = Road(tmp_path, ("d", "c"))
+    road.result("d")
+    shutil.copytree(road.disk, road.folder / "of d")
+    write_model(road.folder / "model", SIZE, 2)
+    road.result("c")
+    swap(road)
+    with pytest.raises(BadInput, match=reason):
+        node_packs.unpack(road.folder / "north", road.disk)
+    assert {road.state("d"), road.state("c")} == {"offered"}
+    road.store.close()
+
+
+@pytest.mark.parametrize("reader", ["another edge", "the device itself", "the edge that packed it"])
+def test_a_pack_at_a_machine_that_it_is_not_for_is_refused(tmp_path: Path, reader: str) -> None:
+    road, other = Road(tmp_path / "a"), Road(tmp_path / "b")
+    road.result()
+    if reader == "the edge that packed it":
+        road.task()
+    place = {"another edge": other.folder / "north", "the device itself": road.folder / "d"}.get(reader, road.folder / "north")
+    with pytest.raises(BadInput, match="signed by nobody who is known here"):
+        node_packs.unpack(place, road.disk)
+    assert road.state() != "received" and other.state() == "offered"
+    road.store.close()
+    other.store.close()
+
+
+@pytest.mark.parametrize("name", ["../x", "/x", "a/../../x", ".x", "a//x", "a\\x", "x\0"])
+def test_a_member_that_signs_a_name_which_leaves_the_folder_is_refused(road: Road, name: str) -> None:
+    road.result()
+    record = json.loads((road.disk / packs.LIST_NAME).read_bytes())
+    record["files"][name] = record["files"].pop(MODEL_NAME)
+    text = json.dumps(record, sort_keys=True, separators=(",", ":")).encode()
+    (road.disk / packs.LIST_NAME).write_bytes(text)
+    (road.disk / packs.SIGNATURE_NAME).write_bytes(open_home(road.folder / "d").key.sign(b"radiant.envelope 1\0" + text))
+    with pytest.raises(BadInput, match="expected a name inside the folder"):
+        node_packs.unpack(road.folder / "north", road.disk)
+    assert road.state() != "received" and not (road.folder / "x").exists()
+
+
+def test_a_disk_that_fills_while_a_pack_is_written_leaves_no_pack(road: Road) -> None:
+    """The system refuses in the middle of the model, as a full disk does; an earlier pack there is none any more."""
+    road.result()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (SIZE // 2, limits[1]))
+    try:
+        with pytest.raises(CannotWrite, match=rf"cannot write .*{MODEL_NAME}: File too large"):
+            node_packs.pack(road.folder / "d", None, road.disk)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not (road.disk / packs.FILES / MODEL_NAME).exists()
+    with pytest.raises(BadInput, match="no signed list"):
+        packs.open_pack(road.disk, [])
+    node_packs.pack(road.folder / "d", None, road.disk)
+    assert "is received" in node_packs.unpack(road.folder / "north", road.disk)[-1]
+
+
+@pytest.mark.parametrize("command", ["unpack", "pack", "invite", "revoke"])
+def test_a_database_that_cannot_be_written_ends_in_a_sentence(road: Road, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As SQLite says it on a disk without room."""
+    road.result()
+    before = road.kept()
+
+    def full(*given: object, **more: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    for name in ("put_result", "open_task", "invite", "revoke"):
+        monkeypatch.setattr(HubStore, name, full)
+    north = road.folder / "north"
+    actions: dict[str, Callable[[], object]] = {
+        "unpack": lambda: node_packs.unpack(north, road.disk),
+        "pack": lambda: node_packs.pack(north, "d", road.folder / "other"),
+        "invite": lambda: commands.invite(north, "c", road.folder / "c.join"),
+        "revoke": lambda: commands.revoke(north, "d"),
+    }
+    with pytest.raises(
+        CannotWrite, match=r"hub\.sqlite cannot be used \(database or disk is full\): free space on its disk, then do it again"
+    ):
+        actions[command]()
+    assert road.kept() == before and not (road.folder / "c.join").exists()
 
 
 def test_a_forged_request_to_join_is_refused(road: Road) -> None:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from radiant_app.commands.node import Running
+from radiant_app.events import Decided, StageProgress, StageStarted, Warned
 from radiant_app.network.home import accept_invitation, invitation_text, make_home, new_invitation
 from radiant_app.network.line import Answer
 from radiant_app.plain_text import plain_text, shown_text
+from radiant_app.report.progress import ProgressDisplay
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from tests.app.network_nodes import listening
 
@@ -32,6 +38,28 @@ def test_nothing_that_moves_a_cursor_or_turns_a_line_is_passed_on(letter: str) -
 @pytest.mark.parametrize("text", ["a b", "Köln, Straße", "東京/写真.jpg", "می\u200cشود", "👩\u200d🔬", "שלום"])
 def test_text_of_any_language_is_shown_as_it_is(text: str) -> None:
     assert shown_text(text) == text
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_nothing_of_a_run_that_is_shown_moves_the_cursor(terminal: bool) -> None:
+    """Warnings of an edge quote its devices, notes of a stage that was skipped are read from what came."""
+    console = Console(file=io.StringIO(), force_terminal=terminal, color_system=None, width=200)
+    display = ProgressDisplay(console, clock=iter(range(0, 10**6, 1000)).__next__)
+    odd = "a\x1b]0;owned\x07\u202eb\x9b2J"
+    decision = Decision(stage="edges/n", topic=odd, choice=odd, figure=1.0, unit=odd, reason=odd)
+    with display:
+        for event in (
+            StageStarted(stage="edges/n"),
+            Warned(stage="edges/n", message=odd),
+            Decided(decision=decision),
+            StageProgress(stage="edges/n", done=1, total=2, note=odd, phase=odd),
+        ):
+            display(event)
+    assert isinstance(console.file, io.StringIO)
+    # Those are rich's own, which draws the bar of a terminal.
+    said = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", console.file.getvalue())
+    assert said.count(r"a\x1b]0;owned\x07\u202eb\x9b2J") >= 4
+    assert not {*"\x07\x1b\x9b\u202e"} & {*said}
 
 
 def test_what_a_node_says_of_others_is_plain() -> None:

@@ -47,7 +47,8 @@ CAMERAS_NAME, FRAME_NAME, SUMMARY_NAME = "cameras.safetensors", "frame.json", "s
 VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
 NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
 """The summary of a node that delivers no model."""
-MAX_FRAME_BYTES = 1 << 12
+MAX_FRAME_BYTES = 1 << 15
+"""A reason of 4,000 characters, each written in six bytes."""
 MAX_UNCERTAINTY = 1e6
 """In m, rad or as a share: more is no frame."""
 

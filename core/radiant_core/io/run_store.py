@@ -12,6 +12,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -33,6 +34,9 @@ MAX_JSON_BYTES = 64 * 2**20
 FULL_BYTES = 1 << 20
 """With less than this left a disk counts as full: libraries that write there end their
 process, or half a file, without a word."""
+_HALVES = re.compile(rb"(?i)\\ud[89a-f]|\xed[\xa0-\xbf]|\x00")
+"""What a JSON text has where a value may hold half a character: its escape, or its bytes; or a NUL,
+as texts of 16 and 32 bits have."""
 
 
 def disk_is_full(folder: Path) -> bool:
@@ -132,8 +136,12 @@ def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BY
 
 def parse_json(data: bytes | str) -> Any:
     """The value of a JSON text; ValueError or RecursionError where it is malformed, a number
-    not finite, or a key there twice."""
-    return json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
+    not finite, a key there twice, or a text there that holds half a character."""
+    value = json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
+    if _HALVES.search(data if isinstance(data, bytes) else data.encode(errors="surrogatepass")):
+        # Such a text is in no file: whoever writes it again would fail.
+        json.dumps(value, ensure_ascii=False).encode()
+    return value
 
 
 def file_sha256(path: Path) -> str:

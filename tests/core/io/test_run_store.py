@@ -137,12 +137,26 @@ def test_json_refuses_what_it_cannot_keep(tmp_path: Path, value: Any) -> None:
         b"[" * 200_000,
         b"1" * 5000,
         b'{"a": 1} x',
+        # Half a character, in its escape, its bytes and in 16 bits: no file of ours could hold it.
+        b'["\\ud800"]',
+        b'{"\\uDFFF": 1}',
+        b'["\\ude00\\ud83d"]',
+        b'["\xed\xa0\x80"]',
+        '["\ud800"]'.encode("utf-16-le", errors="surrogatepass"),
     ],
 )
 def test_poisoned_json_is_store_damaged(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.json").write_bytes(data)
     with pytest.raises(StoreDamaged, match=r"a\.json is not valid JSON"):
         read_json(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("text", ["\U0001f600", "\ud7ff", "\ue000", "\\ud800", "a\0b"])
+def test_whole_characters_are_read_however_they_are_written(tmp_path: Path, text: str) -> None:
+    for data in (json.dumps([text]).encode(), json.dumps([text], ensure_ascii=False).encode(), json.dumps([text]).encode("utf-16")):
+        (tmp_path / "a.json").write_bytes(data)
+        assert read_json(tmp_path / "a.json") == [text]
+    write_json(tmp_path / "a.json", [text])
 
 
 def test_reading_is_bounded_and_never_waits(tmp_path: Path) -> None:
