@@ -192,7 +192,9 @@ class Dealer:
         for edge, to_cloud in load_corrections(self.run / "cloud").items():
             if to_cloud is not None:
                 moved = load_corrections(self.run / "edges" / edge)
-                found |= {device: [move, to_cloud] for device, move in moved.items() if move is not None}
+                # An edge speaks of its devices alone.
+                below = next(plan.device_ids for plan in self.recipe.edge_plans if plan.edge_id == edge)
+                found |= {device: [move, to_cloud] for device, move in moved.items() if move is not None and device in below}
         return found
 
     def missing_devices(self) -> dict[str, str]:
