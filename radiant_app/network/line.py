@@ -12,25 +12,28 @@ import base64
 import hashlib
 import json
 import random
+import re
 import ssl
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+from pydantic import Field
 
 from radiant_app.network.arrivals import PART_BYTES
 from radiant_app.network.certificate import pinned_context
 from radiant_app.network.home import Home, Invitation
 from radiant_app.network.reception import BODY, COUNTER, GONE, JOIN, NODE, OFFSET, REPLY, SEAL
 from radiant_app.plain_text import plain_text
+from radiant_app.workers.strangers import Told, parse_record
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import content_key, parse_json, read_json, write_json
-from radiant_core.io.transport.delivery import SentFile
+from radiant_core.io.transport.delivery import MAX_FILE_BYTES, SentFile
 from radiant_core.io.transport.envelope import Envelope, Request, envelope_bytes, sign_envelope
 from radiant_core.io.transport.signing import is_signed_by
 
@@ -73,6 +76,10 @@ class Answer:
     def reason(self) -> str:
         """Why something was refused."""
         return plain_text(str(self.record.get("reason", f"it answered {self.status}."))[:1000])
+
+
+class _Offsets(Told):
+    offsets: tuple[Annotated[int, Field(ge=0, le=MAX_FILE_BYTES)], ...]
 
 
 class Withdrawn(Exception):
@@ -250,19 +257,24 @@ class Line:
         assert text == envelope_bytes(result)
         files = sorted(result.files.items())
         for _ in range(2):
-            offsets = _accepted(self.ask("POST", f"/results/{result.answers}", signature + text))["offsets"]
-            if not isinstance(offsets, list) or len(offsets) != len(files):
+            offsets = self._announce(result, signature + text)
+            if len(offsets) != len(files):
                 raise BadInput("the answer to an announcement is none: use the same version of the software on both sides.")
             for number, (name, file) in enumerate(files):
                 before = sum(each.bytes for _, each in files[:number])
-                self._send_file(f"/results/{result.answers}/{number}", paths[name], int(offsets[number]), file.bytes)
+                self._send_file(f"/results/{result.answers}/{number}", paths[name], offsets[number], file.bytes)
                 sent(before + file.bytes, result.num_bytes)
             # What arrived with other bytes was dropped there, and is sent once more.
-            again = _accepted(self.ask("POST", f"/results/{result.answers}", signature + text))["offsets"]
-            if again == [file.bytes for _, file in files]:
+            again = self._announce(result, signature + text)
+            if again == tuple(file.bytes for _, file in files):
                 self.say(f"{result.stage}: {result.num_bytes:,} bytes are sent.")
                 return
         raise BadInput("a result arrived with other bytes than were signed, twice: look at the disk of this machine.")
+
+    def _announce(self, result: Envelope, data: bytes) -> tuple[int, ...]:
+        """From where each file of an announced result goes on."""
+        answer = _accepted(self.ask("POST", f"/results/{result.answers}", data))
+        return parse_record(_Offsets, answer, "the answer to an announcement").offsets
 
     def _send_file(self, target: str, path: Path, offset: int, num_bytes: int) -> None:
         in_vain = 0
@@ -313,7 +325,7 @@ def join_body(home: Home) -> bytes:
 def _offset_in(answer: Answer) -> int:
     """Where a file goes on, as a signed answer says; BadInput where it says no such thing."""
     found = answer.headers.get(OFFSET.lower(), "")
-    if answer.status not in (200, 409) or not found.isdecimal():
+    if answer.status not in (200, 409) or not re.fullmatch(r"[0-9]{1,15}", found):
         raise BadInput(f"a part of a result is refused: {answer.reason}")
     return int(found)
 

@@ -45,6 +45,8 @@ def _problem_of(error: ValidationError) -> str:
     if not problem["loc"] and cause is not None:
         return str(cause)
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"] if part not in _TAGS).lstrip(".")[:_SHOWN]
+    # It is printed, and a stranger may have called it anything.
+    key = "".join(letter if letter.isprintable() else " " for letter in key)
     if problem["type"] in ("missing", "extra_forbidden"):
         return f"{key} is {'missing' if problem['type'] == 'missing' else 'no field of it'}"
     shown = repr(problem["input"])

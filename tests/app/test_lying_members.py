@@ -420,6 +420,12 @@ def test_one_wrong_device_of_a_report_is_missing_with_a_plain_reason(tmp_path: P
     assert report.missing["g"] == "c [2J" and "summary.train_s is '1'" in report.missing["e"]
 
 
+def test_a_key_that_is_printed_moves_no_cursor() -> None:
+    with pytest.raises(BadInput) as refused:
+        scores_of({**SCORES, "a\x1b[2J": 1})
+    assert str(refused.value).isprintable()
+
+
 # What the node above answers
 
 
