@@ -6,7 +6,7 @@ Every loss of a format is reported with its figure, such as the 16 bits of a pos
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from glob import escape as glob_escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -122,7 +122,10 @@ def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     splats, place = placed(request, splats)
     if lost := moved_sentence(splats):
         display(Warned(stage="export", message=lost))
-    figures = {name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}
+    errors = save_sog(request.out, splats)
+    # In the file's unit, which may be a foot.
+    errors = replace(errors, position_max_m=errors.position_max_m * place.unit_m)
+    figures = {name: float(f"{value:.3g}") for name, value in asdict(errors).items()}
     return {"gaussians": len(splats), **figures, **cleaned, **place.write(request.out)}
 
 
@@ -196,8 +199,8 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     return {
         "vertices": len(vertices),
         "triangles": len(surface.mesh.triangles),
-        "resolution": round(surface.voxel, 4),
-        "unit": run.unit,
+        "resolution": round(surface.voxel / place.unit_m, 4),
+        "unit": run.unit if place.reference is None else place.reference.crs.unit,
         **(_origin_of(run) if place.move is None else place.write(request.out)),
     }
 

@@ -36,6 +36,11 @@ class ExportPlace:
         """What moves the scene; None where it stays."""
         return self.reference or self.given
 
+    @property
+    def unit_m(self) -> float:
+        """Metres of the file's unit; 1 where it is the scene's."""
+        return 1.0 if self.reference is None else self.reference.crs.unit_m or 1.0
+
     def write_local(self, out: Path) -> dict[str, Any]:
         """Write beside a file in the scene's own metres where on the globe those lie, if that is
         known; figures for the command line."""

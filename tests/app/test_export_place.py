@@ -18,6 +18,7 @@ from radiant_app.workers.sources import load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.colmap.model import read_model
+from radiant_core.io.export.sog import save_sog
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
 
@@ -213,3 +214,18 @@ def test_units_that_do_not_fit_are_refused_by_name(tmp_path: Path, name: str, cr
 def test_a_switch_without_a_system_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="give it with --crs"):
         export(tmp_path / "a.ply", "--require-grids")
+
+
+MESHES: tuple[tuple[str, tuple[str, ...]], ...] = (("metres", ()), ("feet", ("--crs", "EPSG:2263")))
+
+
+def test_figures_of_files_in_feet_are_in_the_unit_that_they_name(tmp_path: Path) -> None:
+    run = in_new_york(tmp_path)
+    said = json.loads(exported(run, tmp_path / "c.sog", "--crs", "EPSG:2263", "--json").stdout)
+    assert exported(run, tmp_path / "a.ply", "--crs", "EPSG:2263").exception is None
+    in_feet = save_sog(tmp_path / "b.sog", load_ply(tmp_path / "a.ply")).position_max_m
+    # Three digits are said; a US survey foot is 1200/3937 m.
+    assert said["position_max_m"] == pytest.approx(in_feet * 1200 / 3937, rel=5e-3)
+    mesh = [json.loads(exported(run, tmp_path / f"{n}.ply", "--format", "mesh", *more, "--json").stdout) for n, more in MESHES]
+    assert [figures["unit"] for figures in mesh] == ["m", "US survey foot"]
+    assert mesh[1]["resolution"] == pytest.approx(mesh[0]["resolution"] * 3937 / 1200, abs=1e-4)

@@ -33,6 +33,8 @@ from radiant_core.numerics import FloatArray
 
 LOCAL = "LOCAL"
 DEFAULT_ACCURACY_M = 0.02
+OTHER_FORMS = {"{": "JSON, such as OpenSfM's ground_control_points.json", "<": "XML, such as Metashape's markers"}
+"""What lists of other programs begin with."""
 MAX_LIST_BYTES = 1 << 24
 MAX_LOCAL_M = 1e5
 EVERY = re.compile(r"every:(\d+)")
@@ -104,9 +106,13 @@ def read_list(path: Path) -> str:
     # A table saved as "Unicode text" is UTF-16.
     encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
-        return data.decode(encoding)
+        text = data.decode(encoding)
     except UnicodeDecodeError:
         raise BadInput(f"{path} is no text in UTF-8: write the list of points as plain text.") from None
+    other = next((name for sign, name in OTHER_FORMS.items() if text.lstrip().startswith(sign)), None)
+    if other is not None:
+        raise BadInput(f"{path} is {other}, which is not read: write gcp_list.txt, the system on the first line, then {HINT}.")
+    return text
 
 
 def system_of(header: str, source: str) -> Crs | None:

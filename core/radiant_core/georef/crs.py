@@ -67,7 +67,9 @@ class Crs:
     @property
     def title(self) -> str:
         """How messages and files name it."""
-        return self.definition if self.horizontal_epsg is not None and len(self.definition) < 40 else self.name or "the given system"
+        if self.horizontal_epsg is not None and len(self.definition) < 40:
+            return self.definition
+        return self.name or (self.definition if len(self.definition) < 100 else "the given system")
 
     @property
     def heights(self) -> str:
@@ -102,6 +104,16 @@ class Crs:
         from radiant_core.georef.proj import middle_deg
 
         return self.shortfall(*(middle_deg(lat_lon) if self.near is None else self.near))
+
+    def coarseness_over(self, lat_lon: FloatArray) -> str | None:
+        """One sentence where even the best operation in the middle of at least one place (P,2 or 3)
+        [deg, deg] is worse than GPS; None where it is not, or nobody says."""
+        if self.own:
+            return None
+        from radiant_core.georef.operation import coarseness, operation_at
+        from radiant_core.georef.proj import middle_deg
+
+        return coarseness(operation_at(self.definition, *(middle_deg(lat_lon) if self.near is None else self.near)), self.title)
 
     def from_geodetic(self, lat_lon_alt: ArrayLike) -> FloatArray:
         """East, north, up (P,3) of latitudes, longitudes and ellipsoidal heights (P,3) [deg, deg,
@@ -162,12 +174,13 @@ class Crs:
 
 
 def grid_warnings(crs: Crs, lat_lon: FloatArray, *, require_grids: bool = False) -> tuple[str, ...]:
-    """What PROJ lacks for places (P,2 or 3) [deg, deg] in `crs`, as `Crs.shortfall`: nothing or one
-    warning, which `require_grids` makes BadInput."""
+    """What PROJ lacks for places (P,2 or 3) [deg, deg] in `crs`, as `Crs.shortfall`, which
+    `require_grids` makes BadInput, or that its best is coarse: nothing or one warning."""
     lacking = crs.shortfall_over(lat_lon)
     if lacking is not None and require_grids:
         raise BadInput(f"{lacking.removesuffix('.')}, or leave out --require-grids.")
-    return () if lacking is None else (lacking,)
+    said = crs.coarseness_over(lat_lon) if lacking is None else lacking
+    return () if said is None else (said,)
 
 
 def parse_crs(text: str) -> Crs:

@@ -29,9 +29,15 @@ def in_crs(features: Iterable[dict[str, Any]], crs: Crs) -> Iterator[dict[str, A
 
 def crs_member(crs: Crs) -> dict[str, Any]:
     """The member `crs` of a FeatureCollection (GeoJSON 2008, section 3); BadInput for a system
-    whose plane or heights have no code of EPSG, by which it is named."""
+    whose plane or heights have no code of EPSG, by which it is named, or whose heights have another
+    unit than the codes say."""
     if crs.horizontal_epsg is None or (crs.vertical_name and crs.vertical_epsg is None):
         raise BadInput(f"GeoJSON names a system by its EPSG code, and {crs.title} has none: give EPSG:NNNN, or EPSG:NNNN+MMMM.")
+    if crs.vertical_epsg is None and crs.height_unit_m != (crs.unit_m or 1.0):
+        raise BadInput(
+            f"GeoJSON names {crs.title} by the EPSG code {crs.horizontal_epsg}, which says nothing of heights in units of 1 "
+            f"{crs.height_unit}: name a vertical datum with EPSG:NNNN+MMMM, or leave the unit out."
+        )
     if crs.vertical_epsg is None:
         return _named(f"urn:ogc:def:crs:EPSG::{crs.horizontal_epsg}")
     return _named(f"urn:ogc:def:crs,crs:EPSG::{crs.horizontal_epsg},crs:EPSG::{crs.vertical_epsg}")

@@ -135,6 +135,11 @@ def list_line(source: str, line: Fields, known: Iterable[str] = ()) -> ListLine:
     if len(line.values) <= NUM_NUMBERS or not all(_NUMBER.fullmatch(value) for value in line.values[:NUM_NUMBERS]):
         raise BadInput(f"{source}, line {line.number}: {line.text[:80]!r} is no mark of a point, {HINT}.")
     values = [float(value) for value in line.values[:NUM_NUMBERS]]
+    if np.isnan(values[2]):
+        raise BadInput(
+            f"{source}, line {line.number}: the point has no height (NaN), for which OpenSfM takes the plane alone, and which is not used "
+            "here: give its height, or leave its lines out."
+        )
     if not all(np.isfinite(values)) or max(abs(value) for value in values) > 1e9:
         raise BadInput(f"{source}, line {line.number}: a number is not finite or beyond 1e9: {HINT}.")
     east, north, up, column, row = values

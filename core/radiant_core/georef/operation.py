@@ -4,21 +4,30 @@ per system and site.
 PROJ knows several for most pairs of systems, each with an area and an accuracy by EPSG. The best
 of those whose grids are installed is used, for all of a site alike, and never one that skips a
 shift of datum. Where the best of all lacks its grids, `Operation` says so: `only_best` of PROJ
-does not, it takes the next one in silence (PROJ 9.5.1, EPSG:27700 without OSTN15: 1 to 5 m).
+does not, it takes the next one in silence (PROJ 9.5.1, EPSG:27700 without OSTN15: 1 to 5 m). Nor
+does it say that a grid with an @ before its name, optional in PROJ strings and WKT, is not there:
+it shifts nothing then (+nadgrids=@OSTN15_NTv2_OSGBtoETRS.gsb: 110 m).
 """
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 from radiant_core.errors import BadInput
 
 GEODETIC_3D = "EPSG:4979"
 HALF_SIDE_DEG = 0.001
 """Of the area around a place that PROJ is asked for."""
+COARSE_M = 5.0
+"""What GPS of photographs is good to: an operation that is no better is told of."""
+NO_SHIFT = "null"
+"""PROJ's name of a grid that shifts nothing, which is asked for where it stands."""
+_SUFFIX = re.compile(r"\.(?:tif|gsb|gtx)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +63,10 @@ def operation_at(definition: str, lat_deg: float, lon_deg: float) -> Operation:
         except ProjError:
             return Operation(pipeline="", accuracy_m=None)
     used = group.transformers[0] if group.transformers else None
+    skipped, has_others = _optional_grids(used)
+    if used is not None and skipped:
+        # Named by the system itself, so that nothing else is as good.
+        return Operation(pipeline=used.definition if has_others else "", accuracy_m=None, missing=skipped)
     better = None if group.best_available or not group.unavailable_operations else group.unavailable_operations[0]
     return Operation(
         pipeline="" if used is None else used.definition,
@@ -61,6 +74,14 @@ def operation_at(definition: str, lat_deg: float, lon_deg: float) -> Operation:
         missing=() if better is None else tuple(grid.short_name for grid in better.grids if not grid.available),
         best_accuracy_m=None if better is None else _known(better.accuracy),
     )
+
+
+def _optional_grids(transformer: Any) -> tuple[tuple[str, ...], bool]:
+    """Optional grids of a transformer that are not installed, and whether any other one is."""
+    grids = [grid for step in (transformer.operations or ()) for grid in step.grids] if transformer is not None else []
+    named = {grid.short_name.removeprefix("@"): bool(grid.available) for grid in grids}
+    named.pop(NO_SHIFT, None)
+    return tuple(name for name, is_there in named.items() if not is_there), any(named.values())
 
 
 def shortfall(operation: Operation, title: str) -> str | None:
@@ -77,10 +98,26 @@ def shortfall(operation: Operation, title: str) -> str | None:
     )
 
 
+def coarseness(operation: Operation, title: str) -> str | None:
+    """One sentence where even the best operation is worse than GPS; None where it is not, or nobody
+    says."""
+    if operation.missing or operation.accuracy_m is None or operation.accuracy_m <= COARSE_M:
+        return None
+    return (
+        f"{title} is computed here to about {operation.accuracy_m:g} m (EPSG's figure): PROJ knows no better operation from WGS84, with "
+        "or without grids."
+    )
+
+
 def require_usable(operation: Operation, title: str, *, has_vertical: bool) -> None:
     """Raise BadInput, with the grids that are missing, where no operation can be used."""
     if operation.pipeline:
         return
+    if not operation.missing and has_vertical:
+        raise BadInput(
+            f"PROJ knows no operation between heights over the WGS84 ellipsoid and those of {title} here, with or without grids: name the "
+            "system without its vertical datum, or with another one."
+        )
     if not operation.missing:
         raise BadInput(f"PROJ knows no way from WGS84 to {title} that keeps the datum here: name the system by its EPSG code.")
     other = ", or name the system without its vertical datum" if has_vertical else ""
@@ -90,7 +127,8 @@ def require_usable(operation: Operation, title: str, *, has_vertical: bool) -> N
 
 def how_to_get(grids: Sequence[str]) -> str:
     """The commands that fetch grids, as a part of a sentence."""
-    commands = " and ".join(f"`pyproj sync --file {name.removesuffix('.tif')}`" for name in grids)
+    # Older names of grids, as PROJ strings have them, are parts of those of today.
+    commands = " and ".join(f"`pyproj sync --file {_SUFFIX.sub('', name)}`" for name in grids)
     return f"get {'it' if len(grids) == 1 else 'them'} with {commands}"
 
 

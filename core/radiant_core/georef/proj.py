@@ -17,7 +17,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.extras import require_extra
-from radiant_core.georef.operation import Operation, how_to_get, operation_at, require_usable
+from radiant_core.georef.operation import NO_SHIFT, Operation, how_to_get, operation_at, require_usable
 from radiant_core.numerics import FloatArray
 
 _GRID = re.compile(r"Grid (\S+) is not available")
@@ -65,8 +65,8 @@ def described(definition: str) -> ProjSystem | None:
     unit_m = float(axis.unit_conversion_factor) if flat.is_projected else None
     area = system.area_of_use or flat.area_of_use
     return ProjSystem(
-        name=system.name,
-        horizontal_epsg=flat.to_epsg(),
+        name="" if system.name == "unknown" else system.name,
+        horizontal_epsg=None if _shifts_nothing(parts[0]) else flat.to_epsg(),
         vertical_epsg=None if vertical is None else vertical.to_epsg(),
         vertical_name="" if vertical is None else vertical.name,
         unit=axis.unit_name,
@@ -78,6 +78,12 @@ def described(definition: str) -> ProjSystem | None:
         heights_count_down=height is not None and height.direction == "down",
         bounds_deg=None if area is None or area.west > area.east else area.bounds,
     )
+
+
+def _shifts_nothing(plane: Any) -> bool:
+    """Whether a plane is bound to WGS84 by the grid null, so that its datum is not that of the
+    system that it looks like: +ellps=airy with +nadgrids=@null lies 110 m from EPSG:27700."""
+    return bool(plane.is_bound) and any(NO_SHIFT in grid.short_name.split("@") for grid in plane.coordinate_operation.grids)
 
 
 def _height_axis(flat: Any, vertical: Any) -> Any:

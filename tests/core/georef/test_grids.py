@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pyproj import Transformer, datadir
+from pyproj import CRS, Transformer, datadir
 
 from radiant_core.errors import BadInput
 from radiant_core.georef import operation, proj
@@ -122,6 +122,52 @@ def test_with_the_grid_the_published_places_come_out(point: str, without_grids: 
     back = crs.to_geodetic([[*published[:2], place[2]]])[0]
     np.testing.assert_allclose(back[:2], place[:2], atol=1e-8)
     assert grid_warnings(crs, np.array([place]), require_grids=True) == ()
+
+
+NATIONAL_GRID = "+proj=tmerc +lat_0=49 +lon_0=-2 +k=0.9996012717 +x_0=400000 +y_0=-100000 +ellps=airy +units=m"
+OPTIONAL = [
+    (f"{NATIONAL_GRID} +nadgrids=@OSTN15_NTv2_OSGBtoETRS.gsb", (51.5, -0.1), "OSTN15_NTv2_OSGBtoETRS"),
+    (f"{NATIONAL_GRID} +nadgrids=@OSTN15_NTv2_OSGBtoETRS.gsb,@null", (51.5, -0.1), "OSTN15_NTv2_OSGBtoETRS"),
+    (CRS(f"{NATIONAL_GRID} +nadgrids=@OSTN15_NTv2_OSGBtoETRS.gsb +type=crs").to_wkt("WKT1_GDAL"), (51.5, -0.1), "OSTN15_NTv2_OSGBtoETRS"),
+    ("+proj=utm +zone=32 +datum=WGS84 +units=m +geoidgrids=@egm96_15.gtx", (47.0, 9.0), "egm96_15"),
+    ("+proj=utm +zone=32 +datum=WGS84 +units=m +geoidgrids=egm96_15.gtx", (47.0, 9.0), "egm96_15"),
+]
+
+
+@pytest.mark.parametrize(("text", "place", "grid"), OPTIONAL)
+def test_a_grid_that_is_optional_is_not_skipped_in_silence(text: str, place: tuple[float, float], grid: str) -> None:
+    # PROJ 9.5.1 computes the first ones without any shift: 110 m beside the National Grid.
+    crs = parse_crs(text)
+    with pytest.raises(BadInput, match=f"needs the grid {grid}.*`pyproj sync --file {grid}`"):
+        crs.from_geodetic([[*place, 100.0]])
+    assert crs.shortfall(*place) is None
+
+
+def test_no_shift_that_is_asked_for_is_no_system_of_epsg() -> None:
+    crs = parse_crs(f"{NATIONAL_GRID} +nadgrids=@null")
+    assert parse_crs("EPSG:27700").horizontal_epsg == 27700 and crs.horizontal_epsg is None
+    off_m = np.linalg.norm(np.subtract(*(system.from_geodetic([[51.5, -0.1, 0.0]])[0, :2] for system in (crs, parse_crs("EPSG:27700")))))
+    assert off_m > 100
+
+
+@pytest.mark.parametrize(("text", "place", "metres"), [("EPSG:24378", (28.0, 77.0), "22 m"), ("EPSG:22195", (-34.6, -58.4), "9 m")])
+def test_a_system_that_is_coarse_by_itself_says_its_metres(text: str, place: tuple[float, float], metres: str) -> None:
+    crs = parse_crs(text)
+    (told,) = grid_warnings(crs, np.array([place]), require_grids=True)
+    assert f"to about {metres} (EPSG's figure)" in told and crs.shortfall(*place) is None
+    assert grid_warnings(parse_crs("EPSG:2056"), np.array([[47.4, 8.5]])) == ()
+
+
+@pytest.mark.parametrize("text", ["EPSG:5555", "EPSG:25832+5783"])
+def test_heights_that_proj_cannot_compute_are_named_for_it(text: str) -> None:
+    # DHHN92 has no operation in PROJ 9.5.1, by grids or without.
+    with pytest.raises(BadInput, match=r"no operation between heights.*without its vertical datum"):
+        parse_crs(text).from_geodetic([[51.0, 9.0, 100.0]])
+
+
+def test_a_system_without_a_name_is_called_by_its_text() -> None:
+    text = "+proj=utm +zone=18 +datum=NAD27 +units=us-ft"
+    assert str(parse_crs(text).shortfall(40.7, -74.0)).startswith(f"{text} is computed here")
 
 
 def test_a_list_of_another_system_is_refused_where_that_is_not_used() -> None:

@@ -162,7 +162,9 @@ def test_names_that_fit_two_photographs_stay() -> None:
         (["lat lon alt x y image", *PLAIN], "line 2: the columns are 'lat lon alt x y image', expected: east north"),
         (["465_287 5246371 430 1 2 a.jpg p"], "is no mark"),
         ([PLAIN[0], PLAIN[0].replace("186.32", "190.00")], "'gcp-1' has two marks in 'drone_0003.jpg'"),
-        (["465287.8 5246371.9 NaN 1 2 a.jpg p"], "not finite"),
+        (["465287.8 5246371.9 inf 1 2 a.jpg p"], "not finite"),
+        # OpenSfM (docs/source/gcp.rst) and OpenDroneMap take NaN for a height that is not known.
+        (["465287.8 5246371.9 NaN 1 2 a.jpg p"], "line 2: the point has no height (NaN)"),
         (["465287.8 9980123.0 430 1 2 a.jpg p"], "one of zone 32S, the other hemisphere"),
     ],
 )
@@ -183,6 +185,20 @@ def test_a_list_is_read_in_the_encodings_of_tables(encoding: str, tmp_path: Path
     mark = b"\xff\xfe" if encoding == "utf-16-le" else b""
     (tmp_path / "gcp_list.txt").write_bytes(mark + text.encode(encoding))
     assert same(parse_control(control_request(tmp_path / "gcp_list.txt", None, None)), parsed(*PLAIN))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{\n  "points": []\n}\n', "is JSON, such as OpenSfM's ground_control_points.json, which is not read: write gcp_list.txt"),
+        ('<?xml version="1.0"?><document/>', "is XML, such as Metashape's markers"),
+    ],
+)
+def test_lists_of_other_programs_are_named(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "points").write_text(text)
+    for read in (lambda path: control_request(path, None, None), load_control_list):
+        with pytest.raises(BadInput, match=said):
+            read(tmp_path / "points")
 
 
 def test_marks_in_photographs_with_blanks_are_kept(tmp_path: Path) -> None:

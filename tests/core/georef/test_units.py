@@ -172,6 +172,26 @@ def test_a_compound_system_keeps_its_vertical_part_in_geojson(text: str, name: s
             geojson_rows(json.dumps(point))
 
 
+def test_geojson_names_no_unit_of_heights_that_a_code_does_not_say() -> None:
+    with pytest.raises(BadInput, match="code 32618, which says nothing of heights in units of 1 US survey foot"):
+        crs_member(parse_crs("+proj=utm +zone=18 +datum=WGS84 +units=m +vunits=us-ft"))
+    assert crs_member(parse_crs("EPSG:4937"))["properties"]["name"] == "urn:ogc:def:crs:EPSG::4937"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("urn:ogc:def:crs,crs:OGC:1.3:CRS84,crs:EPSG::5773", "EPSG:4326+5773 needs the grid us_nga_egm96_15.tif"),
+        ("EPSG:2056+ESRI:115700", "expected WGS84 longitude and latitude, or one by its EPSG code"),
+        ("urn:ogc:def:crs,crs:EPSG::2263,crs:ESRI::115700", "expected WGS84 longitude and latitude, or one by its EPSG code"),
+    ],
+)
+def test_no_part_of_a_compound_system_is_dropped(name: str, said: str) -> None:
+    member = {"type": "name", "properties": {"name": name}}
+    with pytest.raises(BadInput, match=re.escape(said)):
+        geojson_rows(json.dumps({"type": "Point", "coordinates": [8.5, 47.3, 500.0], "crs": member}))
+
+
 def test_geojson_digits_hold_a_millimetre_in_any_unit() -> None:
     point = {"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": [-74.0, 40.7, 100.0]}}
     kilometres: Crs = parse_crs("+proj=utm +zone=18 +datum=WGS84 +units=km")

@@ -101,6 +101,8 @@ def test_folders_of_cameras(name: str, is_one: bool) -> None:
         ("site.rcproj", "1 .rcproj (a project of RealityScan)"),
         ("DJI_0001.SRT", "1 .srt (positions of a film)"),
         ("geo.txt", "geo.txt (positions)"),
+        ("gcp_list.txt", "gcp_list.txt (ground control)"),
+        ("ground_control_points.json", "ground_control_points.json (ground control of OpenSfM)"),
         ("masks/a.jpg.png", "masks/ (masks, which --masks takes)"),
     ],
 )
@@ -119,6 +121,17 @@ def test_one_line_names_what_lies_beside_and_is_not_used(name: str, told: str, a
 def test_masks_that_are_used_are_not_named(tmp_path: Path) -> None:
     fill(tmp_path, "a.jpg", "masks/a.jpg.png")
     assert beside_warning(tmp_path, tmp_path / "masks") == ()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_list_of_ground_control_that_is_used_is_not_named(tmp_path: Path, encoding: str) -> None:
+    fill(tmp_path / "images", "a.jpg")
+    text = "EPSG:32632\r\n465287.8 5246371.9 427.6 186.3 63.8 a.jpg gcp-1\r\n"
+    (tmp_path / "gcp_list.txt").write_bytes(text.encode(encoding))
+    assert beside_warning(tmp_path / "images", control=text) == ()
+    for other in (None, text.replace("427.6", "427.7")):
+        (told,) = beside_warning(tmp_path / "images", control=other)
+        assert "gcp_list.txt (ground control)" in told
 
 
 def test_photographs_beside_a_folder_of_images_are_named(tmp_path: Path) -> None:

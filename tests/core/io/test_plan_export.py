@@ -14,8 +14,10 @@ import pytest
 from shapely.geometry import MultiPolygon, Point, Polygon, shape
 from shapely.geometry.base import BaseGeometry
 
+from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
+from radiant_core.georef.crs import parse_crs
 from radiant_core.io.csv_cells import cell_of_text, text_of_cell
 from radiant_core.io.export.plan import CSV_HEADER, land_features, save_device_waypoints, save_regions_geojson
 from radiant_core.io.waypoints.reader import read_waypoints
@@ -141,6 +143,19 @@ def test_our_own_regions_file_is_a_waypoint_file(tmp_path: Path) -> None:
     found = read_waypoints(tmp_path / "r.geojson")
     assert sorted(found.waypoints.names) == sorted(waypoints.names)
     assert "Polygon ignored" in found.warnings[0]
+
+
+@pytest.mark.parametrize("text", ["EPSG:2056", "EPSG:21781", "EPSG:32632", "EPSG:4258"])
+@pytest.mark.parametrize("kind", ["ellipsoid", "takeoff", "ground", "sea"])
+def test_heights_keep_what_they_count_from_in_a_system_without_a_vertical_datum(kind: HeightFrom, text: str, tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned(count=30)
+    waypoints = replace(waypoints, counts_from=kind)
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints, crs=parse_crs(text))
+    found = read_waypoints(tmp_path / "r.geojson").waypoints
+    assert found.counts_from == kind
+    heights = dict(zip(found.names, found.lat_lon_alt[:, 2].tolist(), strict=True))
+    # Millimetres, as they are written.
+    np.testing.assert_allclose([heights[name] for name in waypoints.names], waypoints.lat_lon_alt[:, 2], atol=6e-4)
 
 
 def test_other_waypoints_than_the_plans_are_refused_and_nothing_is_written(tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ that is known. Every other kind of height has a column of its own (`COLUMNS`), e
 whose height is of another: flown as heights above take-off they would be hundreds of metres off.
 What is beyond the waypoints' limits stands in none. Names are never formulas (`csv_cells`).
 GeoJSON (RFC 7946): WGS84, longitude first, the third number above the ellipsoid, other heights as
-properties `height_m` and `height_from`; outer rings counter-clockwise, cut at the 180th
-meridian; straight in longitude and latitude, so sides are divided every 500 m, where a straight
-line of the plan differs by 1 cm at most up to latitude 60°.
+properties `height_m` and `height_from`, as all in a system without a vertical datum; outer rings
+counter-clockwise, cut at the 180th meridian; straight in longitude and latitude, so sides are
+divided every 500 m, where a straight line of the plan differs by 1 cm at most up to latitude 60°.
 """
 
 from __future__ import annotations
@@ -110,7 +110,8 @@ def save_regions_geojson(
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     placed = None if crs is None else crs.at(*waypoints.origin[:2].tolist())
-    write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers), placed)
+    third = () if crs is not None and not crs.vertical_name else ("ellipsoid",)
+    write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers, (*third, "unknown")), placed)
 
 
 def write_features(path: Path, features: Iterable[dict[str, Any]], crs: Crs | None = None) -> None:
@@ -169,8 +170,14 @@ def _metres(height: float) -> str:
 
 
 def _features(
-    cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints, buffers: Sequence[EdgeBuffer]
+    cloud_plan: CloudPlan,
+    edge_plans: Sequence[EdgePlan],
+    waypoints: Waypoints,
+    buffers: Sequence[EdgeBuffer],
+    unsaid: Sequence[HeightFrom],
 ) -> Iterator[dict[str, Any]]:
+    """All features; kinds of heights that are `unsaid` have no property, for the third number says
+    them, or nothing is known."""
     yield from land_features(cloud_plan, edge_plans, waypoints.origin)
     kinds = [("waypoint", plan) for plan in edge_plans] + [("buffer", buffer) for buffer in buffers]
     codes = waypoints.height_codes
@@ -180,7 +187,7 @@ def _features(
             if device >= 0:
                 about["device"] = plan.device_ids[device]
             counts_from = HEIGHT_KINDS[codes[camera]]
-            if counts_from not in ("ellipsoid", "unknown"):
+            if counts_from not in unsaid:
                 about |= {HEIGHT_M: round(float(waypoints.lat_lon_alt[camera, 2]), 3), HEIGHT_FROM: counts_from}
             yield point_feature(waypoints.lat_lon_alt[camera], about, altitude_known=counts_from == "ellipsoid")
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from radiant_core.io.photos.folders import MASK_FOLDERS, SUFFIXES, UNREAD_SUFFIXES, in_short, read_folder
 
+CONTROL_LIST = "gcp_list.txt"
 _PROJECT_FILES = {
     "transforms.json": "poses of nerfstudio or instant-ngp",
     "transforms_train.json": "poses of NeRF",
@@ -18,7 +19,9 @@ _PROJECT_FILES = {
     "img_list.txt": "photographs of ODM",
     "geo.txt": "positions",
     "image_geocoding.txt": "positions",
-    "gcp_list.txt": "ground control",
+    CONTROL_LIST: "ground control",
+    "ground_control_points.json": "ground control of OpenSfM",
+    "exif_overrides.json": "positions of OpenSfM",
     "bundle.out": "poses of Bundler",
     "sfm_data.json": "poses of OpenMVG",
     "calibrated_external_camera_parameters.txt": "poses of Pix4D",
@@ -50,11 +53,12 @@ _XML_HEAD_BYTES = 4096
 _XML_KINDS = ((b"<document", b"<chunk", "poses of Metashape"), (b"<BlocksExchange", b"<", "poses of BlocksExchange"))
 
 
-def beside_warning(folder: Path, masks: Path | None = None, *, named: bool = True) -> tuple[str, ...]:
+def beside_warning(folder: Path, masks: Path | None = None, *, control: str | None = None, named: bool = True) -> tuple[str, ...]:
     """One line about what lies in a folder of photographs, or beside one that is called images, and
-    is not used; `masks` are. Kinds alone where names are private."""
+    is not used; `masks` are, and a list with the text `control`. Kinds alone where names are
+    private."""
     places = (folder, folder.parent) if folder.name == "images" else (folder,)
-    there = [each for place in places for each in _projects_in(place, masks, above=place != folder)]
+    there = [each for place in places for each in _projects_in(place, masks, control, above=place != folder)]
     if len(places) > 1:
         there += [
             (f"{count} {suffix}", "films or pictures that are not read") for suffix, count in sorted(unread_in(folder.parent).items())
@@ -72,7 +76,7 @@ def unread_in(folder: Path) -> dict[str, int]:
     return dict(Counter(suffixes))
 
 
-def _projects_in(folder: Path, masks: Path | None, *, above: bool) -> list[tuple[str, str]]:
+def _projects_in(folder: Path, masks: Path | None, control: str | None, *, above: bool) -> list[tuple[str, str]]:
     """Name and kind of each thing; `above`: photographs too, which only the folder below gives."""
     told: list[tuple[str, str]] = []
     suffixes: Counter[str] = Counter()
@@ -85,6 +89,8 @@ def _projects_in(folder: Path, masks: Path | None, *, above: bool) -> list[tuple
         name, suffix = path.name.lower(), path.suffix.lower()
         if path.is_dir():
             told += [] if path.resolve() == used else _folder_kind(path, above=above)
+        elif control is not None and name == CONTROL_LIST and _has_text(path, control):
+            continue
         elif name in _PROJECT_FILES:
             told.append((path.name, _PROJECT_FILES[name]))
         elif suffix in _PROJECT_SUFFIXES or (above and suffix in SUFFIXES):
@@ -101,6 +107,14 @@ def _folder_kind(path: Path, *, above: bool) -> list[tuple[str, str]]:
     if above and name not in ("images", "sparse") and (number := len(read_folder(path).names)):
         return [(f"{path.name}/", f"{number} photographs")]
     return []
+
+
+def _has_text(path: Path, text: str) -> bool:
+    try:
+        data = path.read_bytes() if path.stat().st_size <= 2 * len(text.encode()) + 4 else b""
+    except OSError:
+        return False
+    return text in (data.decode("utf-8-sig", "replace"), data.decode("utf-16", "replace"))
 
 
 def _xml_kind(path: Path) -> str:

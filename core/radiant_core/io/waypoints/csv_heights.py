@@ -59,6 +59,12 @@ that a line fills holds."""
 UNIT = re.compile(r"\s*[(\[_ ]\s*(deg|degrees|°|m|metres|meters)\s*[)\]]?$")
 _FEET = re.compile(r"\s*[(\[_ ]?\s*(ft|feet|foot|usft|us-ft|us_ft|ftus)\s*[)\]]?$")
 _SIGNS = re.compile(r"[^a-z0-9]+")
+_UNIT_FIRST = re.compile(r"[(\[]\s*([\w-]+)[\s,]+(agl|amsl|msl|hae)\s*[)\]]$")
+"""As in "altitude (m AGL)"."""
+_LIKE_HEIGHTS = re.compile(r"(?:^|[^a-z])(?:alt|altitude|height|elevation|elev|ele|z|h)(?:[^a-z]|$)|altitude|height")
+"""Names of columns that may be heights, of which nothing says what they count from or in what."""
+_NO_HEIGHTS = re.compile(r"image|picture|photo|sensor|frame|error|accuracy|mode|std|sigma|gimbal")
+_MAX_NAMED = 3
 _MODES: dict[str, HeightFrom] = {"": "takeoff", "0": "takeoff", "1": "ground"}
 """Litchi's altitudemode: 1 where "Above Ground" is ticked."""
 
@@ -76,9 +82,12 @@ class CsvHeights:
     and for feet."""
 
     def __init__(self, header: Sequence[str]) -> None:
+        header = [_UNIT_FIRST.sub(r"\2 (\1)", name) for name in header]
         stems = [_SIGNS.sub("", UNIT.sub("", name)) for name in header]
         self._mode = stems.index("altitudemode") if "altitudemode" in stems else None
         self._columns = [column for what, kind, names in COLUMNS for column in _columns_of(header, stems, what, kind, names)]
+        read = {column.index for column in self._columns}
+        self._unread = [name for index, name in enumerate(header) if index not in read and _may_be_height(name)]
         self._highest_plain_m = 0.0
 
     def of_line(self, cells: Sequence[str], line: int) -> tuple[float | None, HeightFrom]:
@@ -109,12 +118,22 @@ class CsvHeights:
         if len(self._columns) > 1:
             first, *others = (repr(column.shown) for column in self._columns)
             rows.notes.append(f"Heights are those of the column {first}; {', '.join(others)} only where that is empty.")
+        if self._unread and not self._columns:
+            named = ", ".join(repr(name) for name in self._unread[:_MAX_NAMED])
+            rows.notes.append(
+                f"Not read as heights, since their names do not say what they count from in metres: {named}. Name the column altitude(m) "
+                "where it is above take-off, altitude_agl(m) above the ground, altitude_amsl(m) above the sea, altitude_ellipsoid(m)."
+            )
 
     def _mode_of(self, cells: Sequence[str], line: int) -> HeightFrom:
         text = "" if self._mode is None else cells[self._mode].strip()
         if text not in _MODES:
             raise BadInput(f"the altitudemode in line {line} is {text[:40]!r}, expected 0 (above take-off) or 1 (above the ground).")
         return _MODES[text]
+
+
+def _may_be_height(name: str) -> bool:
+    return _LIKE_HEIGHTS.search(name) is not None and _NO_HEIGHTS.search(name) is None
 
 
 def _columns_of(header: Sequence[str], stems: Sequence[str], what: str, kind: HeightFrom, names: tuple[str, ...]) -> list[_Column]:

@@ -30,6 +30,8 @@ HEIGHT_M, HEIGHT_FROM = "height_m", "height_from"
 """Properties of points that say a height which is none above the ellipsoid."""
 MAX_HEIGHT_M = 1e9
 _CRS84 = re.compile(r"\bCRS:?84h?\b")
+_OTHER_AUTHORITY = re.compile(r"\b(?:ESRI|IGNF|IAU\w*|NKG)[:/]")
+"""Whose codes stand for one part of a system, which would be lost beside EPSG's of the other."""
 _EPSG = re.compile(r"EPSG[:/](?:[\d.]*[:/])?(\d{4,6})(?:\+(?:EPSG:)?(\d{4,6}))?\b")
 
 
@@ -80,10 +82,15 @@ def _system_of(value: dict[str, Any]) -> Crs | None:
     """What the member `crs` names; None for WGS84."""
     crs = value.get("crs")
     named = json.dumps(crs)
-    if crs is None or _CRS84.search(named):
+    if crs is None:
         return None
     codes = [code for found in _EPSG.findall(named) for code in found if code]
-    if not 1 <= len(codes) <= 2:
+    if _CRS84.search(named):
+        # Alone WGS84, but the plane of heights over a vertical datum beside one.
+        codes = ["4326", *codes] if codes else []
+        if not codes and not _OTHER_AUTHORITY.search(named):
+            return None
+    if not 1 <= len(codes) <= 2 or _OTHER_AUTHORITY.search(named):
         raise BadInput(f"its coordinate system is {named[:80]}, expected WGS84 longitude and latitude, or one by its EPSG code.")
     system = parse_crs(f"EPSG:{'+'.join(codes)}")
     return None if system.own and system.unit_m is None else system
@@ -125,9 +132,10 @@ def _height_of(properties: dict[str, Any], place: str) -> tuple[float | None, He
         return None
     if kind == "unknown":
         return None, "unknown"
-    if kind not in HEIGHT_KINDS or not isinstance(height, int | float) or not abs(height) < MAX_HEIGHT_M:
+    if kind not in HEIGHT_KINDS or not isinstance(height, int | float) or isinstance(height, bool) or not abs(height) < MAX_HEIGHT_M:
         raise BadInput(
-            f"{place} has {HEIGHT_FROM} {kind!r} and {HEIGHT_M} {height!r}, expected one of {', '.join(HEIGHT_KINDS)} and metres."
+            f"{place} has {HEIGHT_FROM} {str(kind)[:40]!r} and {HEIGHT_M} {str(height)[:40]!r}, expected one of {', '.join(HEIGHT_KINDS)} "
+            "and metres."
         )
     return float(height), kind
 

@@ -4,14 +4,17 @@ The third number is a height only where the geometry's own altitudeMode says of 
 which holds where none stands, and clampToSeaFloor are to be read without it (OGC 12-007r2, 9.20).
 Routes of DJI (`wpml_heights`) have their heights beside the coordinates. Document types and
 entities are refused before parsing, so that nothing is fetched or expanded. Elements are dropped
-once they are read.
+once they are read. An altitudeOffset (KML 2.3; Google's extension) is added to the heights of its
+geometry.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import re
 from functools import lru_cache
+from typing import NamedTuple
 from xml.etree.ElementTree import Element, ParseError, iterparse
 
 from radiant_core.choices import HeightFrom
@@ -29,6 +32,7 @@ MODES: dict[str, HeightFrom] = {
 """What each altitudeMode lets the third number count from; the sea floor's depth is not known."""
 MODE_NAMES = ("altitudeMode", "seaFloorAltitudeMode")
 """gx:altitudeMode of Google's extension has the first name too; KML 2.3 has the second."""
+SEA_FLOOR = ("clampToSeaFloor", "relativeToSeaFloor")
 _DECLARED_ENCODING = re.compile(r"^(\s*<\?xml[^>]*?)\sencoding\s*=\s*(\"[^\"]*\"|'[^']*')")
 
 
@@ -64,7 +68,7 @@ class _Reading:
     def __init__(self) -> None:
         self.rows = WaypointRows()
         self.wpml = WpmlHeights(self.rows)
-        self.num_clamped, self.highest_clamped = 0, 0.0
+        self.num_clamped, self.highest_clamped, self.num_over_sea_floor = 0, 0.0, 0
 
     def take(self, element: Element) -> None:
         """An element that has ended."""
@@ -87,6 +91,11 @@ class _Reading:
                 f"{self.num_clamped} of {len(self.rows.names)} waypoints are clamped to the ground, which clampToGround and no altitudeMode"
                 f" mean in KML: their third numbers, up to {self.highest_clamped:g}, are no heights."
             )
+        if self.num_over_sea_floor:
+            self.rows.notes.append(
+                f"{self.num_over_sea_floor} of {len(self.rows.names)} waypoints count from the sea floor, as their altitudeMode says, and "
+                "its depth is not known: their third numbers are no heights."
+            )
         return self.rows
 
     def _add_placemark(self, placemark: Element) -> None:
@@ -101,24 +110,34 @@ class _Reading:
             tuples = " ".join(child.text or "" for child in geometry if _local(child.tag) == "coordinates").split()
             if not tuples or (kind == "Point" and len(tuples) > 1):
                 raise BadInput(f"{place} has a {kind} with {len(tuples)} coordinates, expected longitude,latitude,altitude without blanks.")
-            counts_from = _counts_from(geometry, place)
+            heights = _heights_of(geometry, place)
             for index, written in enumerate(tuples, start=1):
-                self._add_tuple(place, f"{name}-{index}" if name and kind == "LineString" else name, written, counts_from)
+                self._add_tuple(place, f"{name}-{index}" if name and kind == "LineString" else name, written, heights)
 
-    def _add_tuple(self, place: str, name: str, written: str, counts_from: HeightFrom) -> None:
+    def _add_tuple(self, place: str, name: str, written: str, heights: _Heights) -> None:
         parts = written.split(",")
         if len(parts) not in (2, 3):
             raise BadInput(f"{place} has the coordinates {written[:60]!r}, expected longitude,latitude or longitude,latitude,altitude.")
         lon, lat = (number(part, f"a coordinate of {place}") for part in parts[:2])
         alt = number(parts[2], f"an altitude of {place}") if len(parts) == 3 else None
-        if alt is not None and counts_from == "unknown":
+        if alt is not None and heights.over_sea_floor:
+            self.num_over_sea_floor += 1
+        elif alt is not None and heights.counts_from == "unknown":
             self.num_clamped, self.highest_clamped = self.num_clamped + 1, max(self.highest_clamped, alt)
-        self.rows.add(name, (lat, lon), alt, counts_from)
+        self.rows.add(name, (lat, lon), None if alt is None else alt + heights.offset_m, heights.counts_from)
 
 
-def _counts_from(geometry: Element, place: str) -> HeightFrom:
-    """What a geometry's own altitudeMode lets its heights count from; BadInput for an unknown one,
-    and for several that contradict."""
+class _Heights(NamedTuple):
+    """How third numbers of a geometry become heights."""
+
+    counts_from: HeightFrom
+    over_sea_floor: bool
+    offset_m: float
+
+
+def _heights_of(geometry: Element, place: str) -> _Heights:
+    """What a geometry's own altitudeMode and altitudeOffset say; BadInput for an unknown mode, for
+    several that contradict, and for an offset that is no number."""
     modes = [(child.text or "").strip() for child in geometry if _local(child.tag) in MODE_NAMES]
     unknown = next((mode for mode in modes if mode and mode not in MODES), None)
     if unknown is not None:
@@ -126,4 +145,8 @@ def _counts_from(geometry: Element, place: str) -> HeightFrom:
     meant: set[HeightFrom] = {MODES[mode] for mode in modes if mode}
     if len(meant) > 1:
         raise BadInput(f"{place} has the altitudeModes {' and '.join(modes)}, which contradict: leave one.")
-    return meant.pop() if meant else "unknown"
+    written = [(child.text or "").strip() for child in geometry if _local(child.tag) == "altitudeOffset"]
+    offset_m = sum(number(text, f"the altitudeOffset of {place}") for text in written if text)
+    if not math.isfinite(offset_m):
+        raise BadInput(f"{place} has the altitudeOffset {offset_m}, expected metres.")
+    return _Heights(meant.pop() if meant else "unknown", any(mode in SEA_FLOOR for mode in modes), offset_m)

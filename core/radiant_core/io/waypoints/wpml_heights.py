@@ -48,6 +48,7 @@ class WpmlHeights:
             "executeHeight": EXECUTED.get(self._settings.get("executeHeightMode", ""), "unknown"),
             "height": EDITED.get(self._settings.get("heightMode", ""), "unknown"),
         }
+        without = 0
         for row, children in self._waiting:
             written = "executeHeight" if "executeHeight" in children else "height"
             text = children.get(written, "")
@@ -55,5 +56,10 @@ class WpmlHeights:
                 text = self._settings.get("globalHeight", "")
             if text and modes[written] != "unknown":
                 self._rows.set_height(row, number(text, f"the {written} of waypoint {row + 1}"), modes[written])
+            without += bool(text) and modes[written] == "unknown"
+        if without:
+            named = [f"{name} {self._settings[name][:40]!r}" for name in _SETTINGS[:2] if self._settings.get(name)]
+            said = f"its {' and '.join(named)} is not known" if named else "it has no executeHeightMode and no heightMode"
+            self._rows.notes.append(f"{without} heights of a DJI route are not used, for {said}, which would say what they count from.")
         self._waiting.clear()
         self._settings.clear()

@@ -98,6 +98,46 @@ def test_what_is_clamped_is_said_with_the_number_that_is_none(tmp_path: Path) ->
     assert found.waypoints.heights_m is None and not found.waypoints.altitude_known
 
 
+def test_heights_over_the_sea_floor_are_not_called_clamped(tmp_path: Path) -> None:
+    (tmp_path / "a.kml").write_text(kml(placemark("<gx:altitudeMode>relativeToSeaFloor</gx:altitudeMode>")))
+    assert read_waypoints(tmp_path / "a.kml").warnings[0].startswith("1 of 1 waypoints count from the sea floor")
+
+
+@pytest.mark.parametrize("name", ["altitudeOffset", "gx:altitudeOffset"])
+def test_an_offset_is_a_part_of_the_height(tmp_path: Path, name: str) -> None:
+    mode = "<altitudeMode>relativeToGround</altitudeMode>"
+    line = placemark(f"<{name}>30</{name}>{mode}", "8.54,47.37,80 8.541,47.37,81", "LineString")
+    assert read(tmp_path, "a.kml", kml(line)) == [("ground", 110.0), ("ground", 111.0)]
+    with pytest.raises(BadInput, match="the altitudeOffset of the placemark"):
+        read(tmp_path, "a.kml", kml(placemark(f"<{name}>a</{name}>{mode}")))
+
+
+@pytest.mark.parametrize(
+    ("mode", "said"), [("", "has no executeHeightMode"), ("<wpml:heightMode>A</wpml:heightMode>", "its heightMode 'A' is not known")]
+)
+def test_heights_of_dji_without_a_mode_are_named(tmp_path: Path, mode: str, said: str) -> None:
+    (tmp_path / "a.kml").write_text(wayline(mode, "<wpml:height>80</wpml:height>"))
+    assert said in read_waypoints(tmp_path / "a.kml").warnings[0]
+
+
+@pytest.mark.parametrize("column", ["height", "Height (ft)", "elevation", "z", "Altitude(km)", "Altitude (GPS)"])
+def test_a_column_that_may_be_heights_is_named_where_it_is_not_read(tmp_path: Path, column: str) -> None:
+    (tmp_path / "a.csv").write_text(f"latitude,longitude,{column},image height,photo\n47.37,8.54,80,3000,a.jpg\n")
+    first, second = read_waypoints(tmp_path / "a.csv").warnings
+    assert first.startswith(f"Not read as heights, since their names do not say what they count from in metres: {column.lower()!r}.")
+    assert "None of 1 waypoints has an altitude" in second
+
+
+@pytest.mark.parametrize(
+    ("column", "counts_from"), [("Altitude (m AGL)", "ground"), ("Altitude [m, AMSL]", "sea"), ("Altitude (metres HAE)", "ellipsoid")]
+)
+def test_a_unit_may_stand_before_what_a_column_counts_from(tmp_path: Path, column: str, counts_from: HeightFrom) -> None:
+    quoted = f'"{column}"'
+    assert read(tmp_path, "a.csv", f"latitude,longitude,{quoted}\n47.37,8.54,80\n") == [(counts_from, 80.0)]
+    with pytest.raises(BadInput, match="is in feet"):
+        read(tmp_path, "b.csv", "latitude,longitude,Altitude (ft AGL)\n47.37,8.54,80\n")
+
+
 def wayline(mode: str, height: str, more: str = "") -> str:
     mark = f"<Placemark><Point><coordinates>8.54,47.37</coordinates></Point><wpml:index>0</wpml:index>{height}</Placemark>"
     return f'<kml xmlns="{KML}" xmlns:wpml="{WPML}"><Document><Folder>{more}{mark}{mode}</Folder></Document></kml>'
