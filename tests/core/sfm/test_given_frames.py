@@ -182,7 +182,7 @@ def camera_folder(name: str) -> str:
 
 
 @pytest.mark.parametrize("name_of", [camera_folder, lambda name: f"/card/{camera_folder(name)}", lambda name: camera_folder(name)[6:]])
-def test_photographs_in_folders_below_those_of_devices_are_known_by_their_paths_there(name_of: Callable[[str], str], tmp_path: Path) -> None:
+def test_photographs_below_folders_of_devices_are_known_by_their_paths_there(name_of: Callable[[str], str], tmp_path: Path) -> None:
     write_photographs(tmp_path, named=camera_folder)
     write_model(tmp_path / "sparse" / "0", renamed(hamlet_model(), name_of))
     poses = read_given_poses(tmp_path, None, "by device")
