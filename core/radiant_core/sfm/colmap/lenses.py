@@ -272,12 +272,12 @@ def _doubtful(camera: CameraKey) -> str:
 
 
 def _tag_warnings(lenses: Sequence[Lens], excluded: set[tuple[str, str]]) -> tuple[str, ...]:
-    told = []
-    for lens in (lens for lens in lenses if lens.is_mistrusted):
-        told.append(
-            f"{len(lens.photographs)} photographs say a {_doubtful(lens.photographs[0].camera)}, which no lens of theirs has: it is not used, "
-            "and found from the photographs alone."
-        )
+    told = [
+        f"{len(lens.photographs)} photographs say a {_doubtful(lens.photographs[0].camera)}, which no lens of theirs has: "
+        "it is not used, and found from the photographs alone."
+        for lens in lenses
+        if lens.is_mistrusted
+    ]
     for make, model in sorted(excluded):
         told.append(f"the 35 mm focal lengths of {f'{make} {model}'.strip()} leave digital zoom out: they are multiplied by it.")
     return tuple(told)
