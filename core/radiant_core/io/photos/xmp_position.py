@@ -5,8 +5,8 @@
     exif:GPSAltitude               "4555/10" m, negative where GPSAltitudeRef is 1 or 3
     drone-dji:AbsoluteAltitude     metres with a sign
 
-RelativeAltitude counts from take-off, which is no altitude, and IPTC's LocationShown is the place of
-what is seen. Attributes and elements alike; the packet is searched, never parsed: it comes from
+RelativeAltitude counts from take-off, which is no altitude, and IPTC's LocationShown is the place
+of what is seen. Attributes and elements alike; the packet is searched, never parsed: it comes from
 strangers.
 """
 
