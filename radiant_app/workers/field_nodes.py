@@ -37,7 +37,7 @@ from radiant_core.io.messages import NOTHING, load_uncertainty, save_device_mode
 from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_count, file_copies
 from radiant_core.io.photos.folders import folders_warning, read_folder, unread_warning
-from radiant_core.io.photos.listing import doubts_warning, photograph_heads, photograph_positions
+from radiant_core.io.photos.listing import doubts_warning, photograph_heads, photograph_positions, sea_warning
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_json, seal, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
@@ -69,6 +69,7 @@ def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) ->
         *unread_warning(content.unread),
         *beside_warning(photographs, named=named),
         *doubts,
+        *sea_warning([exif.altitude_from_sea for exif in heads.values()]),
     ):
         reporter.warn(message)
     copies = file_copies({name: photographs / name for name in found})

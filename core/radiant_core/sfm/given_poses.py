@@ -80,14 +80,13 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
         raise BadInput(f"{source} has no poses beside its photographs (sparse/ or a Mill 19 folder): give a COLMAP model with --poses.")
     folder = model_folder or models[0].folder
     model, files = read_with_files(folder, photos, required=False)
+    _require_sizes(model, photos)
     if where == "by device":
-        files = _by_file_name(files)
-        model = replace(model, images=tuple(replace(image, name=PurePosixPath(image.name).name) for image in model.images))
+        files, model = _below_devices(files), _named_below_devices(model, files)
     cameras = _cameras_of(model)
     if len(cameras) < 2:
         raise BadInput(f"{folder} has {len(cameras)} poses, expected those of all photographs.")
     _require_z_up(cameras, folder)
-    _require_sizes(model, photos)
     given = shifted_frame(cameras, "the COLMAP model")
     if where == "own" and not given.is_same:
         raise BadInput(
@@ -115,9 +114,33 @@ def _read_mill19_poses(source: Path) -> GivenPoses:
     return GivenPoses(cameras=cameras, photos=source, model=None, given=given, notes=(note,) if unposed else ())
 
 
-def _by_file_name(files: ImageFiles) -> ImageFiles:
-    """Files in folders of devices, by their name there."""
-    return replace(files, files={PurePosixPath(name).name: PurePosixPath(file).name for name, file in files.files.items()})
+def _below_devices(files: ImageFiles) -> ImageFiles:
+    """Files in folders of devices by their paths there, and the same ends of their names."""
+    ends: dict[str, str] = {}
+    for name, file in files.files.items():
+        below = _below_first(file)
+        ends["/".join(PurePosixPath(name).parts[-len(PurePosixPath(below).parts) :])] = below
+    return replace(files, files=ends)
+
+
+def _named_below_devices(model: ColmapModel, files: ImageFiles) -> ColmapModel:
+    """The model whose images are named as in the folder of their device. Raises BadInput where two
+    devices have one of the same name."""
+    there = set(files.files.values())
+    names = [_below_first(image.name) if image.name in there else PurePosixPath(image.name).name for image in model.images]
+    first: dict[str, str] = {}
+    for image, name in zip(model.images, names, strict=True):
+        if first.setdefault(name, image.name) != image.name:
+            raise BadInput(
+                f"the poses have {first[name]} and {image.name}, which are both {name!r} in the folder of their device: rename one, there "
+                "and in the poses."
+            )
+    return replace(model, images=tuple(replace(image, name=name) for image, name in zip(model.images, names, strict=True)))
+
+
+def _below_first(path: str) -> str:
+    """A path without its first folder."""
+    return path.partition("/")[2] or path
 
 
 def _moved(model: ColmapModel, given: GivenFrame) -> ColmapModel:

@@ -139,6 +139,19 @@ def test_photographs_without_a_pose_are_counted(tmp_path: Path) -> None:
     assert unposed_count(unposed, files) == ("4 of 13 photographs in images have no pose in the model and are left out.",)
 
 
+def test_what_is_no_photograph_has_no_pose_to_lack(tmp_path: Path) -> None:
+    write_photographs(tmp_path / "images", ALL[:9])
+    write_photographs(tmp_path / "card", ALL[9:])
+    (tmp_path / "images" / "card").symlink_to(tmp_path / "card")
+    for made in ("._drone_0000.jpg", ".thumbs/drone_0000.jpg", "masks/drone_0000.jpg.png"):
+        (tmp_path / "images" / made).parent.mkdir(exist_ok=True)
+        (tmp_path / "images" / made).touch()
+    write_part(tmp_path / "model", 12)
+    _, files = read_with_files(tmp_path / "model", tmp_path / "images")
+    assert files.renamed == {name: f"card/{name}" for name in ALL[9:]}
+    assert photographs_without_pose(files) == ()
+
+
 NAMES: list[tuple[str, list[str], list[str], dict[str, str]]] = [
     ("as they are", ["a.jpg", "b.jpg"], ["a.jpg", "b.jpg"], {"a.jpg": "a.jpg", "b.jpg": "b.jpg"}),
     ("a folder more", ["images/a.jpg"], ["a.jpg"], {"images/a.jpg": "a.jpg"}),
@@ -153,6 +166,8 @@ NAMES: list[tuple[str, list[str], list[str], dict[str, str]]] = [
     ("no ending", ["frame.0001"], ["frame.0001.jpg"], {"frame.0001": "frame.0001.jpg"}),
     ("an ending that is none", ["frame.0001", "frame.0002"], ["frame.jpg"], {}),
     ("umlauts", ["Bäume/ÄHRE 1.jpg"], ["ähre 1.jpg"], {"Bäume/ÄHRE 1.jpg": "ähre 1.jpg"}),
+    ("marked letters", ["B\u00e4ume/\u00e4.jpg"], ["Ba\u0308ume/a\u0308.jpg"], {"B\u00e4ume/\u00e4.jpg": "Ba\u0308ume/a\u0308.jpg"}),
+    ("here", ["./a.jpg", "cam0//b.jpg"], ["a.jpg", "cam0/b.jpg"], {"./a.jpg": "a.jpg", "cam0//b.jpg": "cam0/b.jpg"}),
     ("two files", ["a.jpg"], ["a.png", "a.tif"], {}),
     ("two folders", ["a.jpg"], ["cam0/a.jpg", "cam1/a.jpg"], {}),
     ("two names", ["cam0/a.jpg", "cam1/a.jpg"], ["a.jpg"], {}),

@@ -1,8 +1,8 @@
 """Where and how a position stands in photographs, against what exiftool 12.57 reads of the same files.
 
-The files were made as below and read by `exiftool -n -Composite:GPSLatitude -Composite:GPSLongitude
--Composite:GPSAltitude`; its figures stand in the tables. Where the row says "EXIF 3.0" exiftool
-12.57 is older than the standard (CIPA DC-008-2023, 4.6.7.1.6).
+Two tests write the rows of the tables of EXIF and of XMP into photographs and compare them with
+`exiftool -n`; rows that it reads otherwise, or not at all, are named with the reason. It is older
+than EXIF 3.0 (CIPA DC-008-2023, GPSAltitudeRef), whose rows say so.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from radiant_core.io.photos.facts import file_facts, read_exif_of
 from radiant_core.io.photos.jpeg import join_facts
 from radiant_core.io.photos.listing import MAX_FILE_BYTES, doubts_warning, list_photographs, photograph_positions
 from radiant_core.io.photos.xmp_position import xmp_position
+from radiant_core.io.waypoints.reader import exif_waypoints
+from radiant_core.sfm.colmap.workspace import warn_of_unused
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
 ZURICH = (47.0 + 22.1234 / 60, 8.0 + 32.5 / 60, 455.5)
@@ -93,6 +95,43 @@ def test_every_form_of_a_position_in_exif(gps: dict[int, tuple[int, bytes, int]]
     assert position_of(gps) == pytest.approx(wanted, abs=1e-9, nan_ok=True)
 
 
+REFERENCES = {"none": (None, False), "0": (0, False), "1": (1, False), "2": (2, True), "3": (3, True), "4": (4, False)}
+
+
+@pytest.mark.parametrize(("code", "is_of_sea"), REFERENCES.values(), ids=REFERENCES)
+def test_what_an_altitude_counts_from_is_kept_where_it_is_said(code: int | None, is_of_sea: bool, tmp_path: Path) -> None:
+    """GPSAltitudeRef of EXIF 3.0: 2 and 3 are of the sea; 0 and 1 are of the ellipsoid there and of
+    the sea in EXIF 2.32."""
+    exif = exif_with(changed((5, None if code is None else (BYTE, bytes([code]), 1))))
+    packet = f'exif:GPSLatitude="47,22.1234N" exif:GPSLongitude="8,32.5E" exif:GPSAltitude="4555/10" exif:GPSAltitudeRef="{code}"'
+    (tmp_path / "a.jpg").write_bytes(with_exif(exif))
+    (tmp_path / "b.jpg").write_bytes(jpeg_with(NAMESPACE + packet_with(packet)))
+    flight = exif_waypoints(tmp_path)
+    assert flight.waypoints.height_kinds == (("sea",) if is_of_sea else ("absolute",))
+    listing = list_photographs(tmp_path)
+    assert [photo.altitude_from_sea for photo in listing.photographs] == [is_of_sea] * 2
+    said = [warning for warning in warn_of_unused(listing) if "count from the sea" in warning]
+    assert said == (
+        [
+            "2 of 2 photographs have GPS altitudes that count from the sea (GPSAltitudeRef 2 or 3), up to 107 m from those of the "
+            "ellipsoid, which they are taken for: name no vertical datum in --crs."
+        ]
+        if is_of_sea
+        else []
+    )
+
+
+def test_a_reference_without_an_altitude_says_nothing() -> None:
+    assert not join_facts([exif_with(changed((5, (BYTE, b"\2", 1)), (6, None)))], []).altitude_from_sea
+
+
+def test_names_in_utf_8_are_read() -> None:
+    """Type 129 of EXIF 3.0; the lens of a photograph is told by them."""
+    entries = struct.pack("<HHII", 0x0110, 129, 10, 8 + 2 + 12 + 4)
+    block = b"II*\0" + struct.pack("<I", 8) + struct.pack("<H", 1) + entries + bytes(4) + b"Drone 3 x\0"
+    assert join_facts([block], []).model == "Drone 3 x"
+
+
 def needs_exiftool() -> str:
     path = shutil.which("exiftool")
     if path is None:
@@ -151,7 +190,8 @@ def test_another_datum_is_said_and_taken_for_wgs_84() -> None:
         assert join_facts([exif_with(changed((0x12, letter(name))))], []).position_doubt == ""
 
 
-# What writers put into XMP; degrees and metres as exiftool 12.57 reads them.
+# What writers put into XMP; degrees and metres. `test_the_table_of_xmp_is_what_exiftool_reads` has
+# exiftool's.
 PACKETS = {
     "exif, minutes": (
         'exif:GPSLatitude="47,22.1234N" exif:GPSLongitude="8,32.5E" exif:GPSAltitude="4555/10" exif:GPSAltitudeRef="0"',
@@ -173,6 +213,22 @@ PACKETS = {
         (*ZURICH[:2], math.nan),
     ),
     "below": ('a:GpsLatitude="31.5" a:GpsLongitude="35.5" a:AbsoluteAltitude="-412.25"', (31.5, 35.5, -412.25)),
+    "below the sea, EXIF 3.0": (
+        'exif:GPSLatitude="47,22.1234N" exif:GPSLongitude="8,32.5E" exif:GPSAltitude="4555/10" exif:GPSAltitudeRef="3"',
+        (*ZURICH[:2], -455.5),
+    ),
+    "beside what is shown": (
+        "<Iptc4xmpExt:LocationShown><rdf:Bag><rdf:li><rdf:Description><exif:GPSLatitude>1,2N</exif:GPSLatitude>"
+        "<exif:GPSLongitude>1,2E</exif:GPSLongitude></rdf:Description></rdf:li></rdf:Bag></Iptc4xmpExt:LocationShown>"
+        "<exif:GPSLatitude>47,22.1234N</exif:GPSLatitude><exif:GPSLongitude>8,32.5E</exif:GPSLongitude>"
+        "<Iptc4xmpExt:LocationShown/>",
+        (*ZURICH[:2], math.nan),
+    ),
+    "of what is shown": (
+        '<Iptc4xmpExt:LocationShown rdf:parseType="Resource"><exif:GPSLatitude>1,2N</exif:GPSLatitude>'
+        "<exif:GPSLongitude>1,2E</exif:GPSLongitude></Iptc4xmpExt:LocationShown>",
+        None,
+    ),
     "no fix": ('drone-dji:GpsLatitude="0.00" drone-dji:GpsLongitude="0.0"', None),
     "of home": (
         'drone-dji:HomeLatitude="47.3" drone-dji:HomeLongitude="8.5" exif:GPSDestLatitude="1,2N" exif:GPSDestLongitude="1,2E"',
@@ -185,10 +241,41 @@ PACKETS = {
 
 @pytest.mark.parametrize(("written", "wanted"), PACKETS.values(), ids=PACKETS)
 def test_every_form_of_a_position_in_xmp(written: str, wanted: tuple[float, float, float] | None) -> None:
-    packet = f"<x:xmpmeta><rdf:Description {written}/></x:xmpmeta>" if "<" not in written else f"<rdf:Description>{written}"
-    found = xmp_position(packet.encode())
+    found = xmp_position(packet_with(written))
     # DJI's ten digits are 0.01 mm.
     assert found is None if wanted is None else found == pytest.approx(wanted, abs=1e-9, nan_ok=True)
+
+
+def packet_with(written: str) -> bytes:
+    """A whole packet with these attributes or elements."""
+    names = {
+        "rdf": "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
+        "exif": "http://ns.adobe.com/exif/1.0/",
+        "drone-dji": "http://www.dji.com/drone-dji/1.0/",
+        "Iptc4xmpExt": "http://iptc.org/std/Iptc4xmpExt/2008-02-29/",
+        "a": "http://example.org/a/",
+    }
+    spaces = " ".join(f'xmlns:{name}="{address}"' for name, address in names.items())
+    content = f"<rdf:Description {written}/>" if "<" not in written else f"<rdf:Description>{written}</rdf:Description>"
+    return f'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF {spaces}>{content}</rdf:RDF></x:xmpmeta>'.encode()
+
+
+@pytest.mark.parametrize("name", [name for name, (_, wanted) in PACKETS.items() if wanted is not None])
+def test_the_table_of_xmp_is_what_exiftool_reads(name: str, tmp_path: Path) -> None:
+    """Rows without a position are not compared: exiftool prints what stands there, 0, 0 and 97°
+    too."""
+    written, wanted = PACKETS[name]
+    assert wanted is not None
+    (tmp_path / "a.jpg").write_bytes(jpeg_with(NAMESPACE + packet_with(written)))
+    tags = ("GPSLatitude", "GPSLongitude", "GPSLongtitude", "GPSAltitude", "AbsoluteAltitude", "GPSAltitudeRef")
+    command = [needs_exiftool(), "-n", "-a", "-s", *(f"-XMP:{tag}" for tag in tags), str(tmp_path / "a.jpg")]
+    lines = subprocess.check_output(command, text=True).lower().splitlines()
+    told = {tag.strip(): float(value) for tag, value in (line.split(":") for line in lines)}
+    alt = told.get("gpsaltitude", told.get("absolutealtitude", math.nan))
+    # exiftool tells the reference on its own.
+    alt = -alt if told.get("gpsaltituderef") in (1, 3) else alt
+    longitude = told["gpslongitude"] if "gpslongitude" in told else told["gpslongtitude"]
+    assert (told["gpslatitude"], longitude, alt) == pytest.approx(wanted, abs=1e-9, nan_ok=True)
 
 
 XMP = (
@@ -247,6 +334,12 @@ def exif_tiff() -> bytes:
     return data.replace(struct.pack("<Q", 0xABCDEF), struct.pack("<Q", at)) + bytes(tail)
 
 
+def nested(block: bytes) -> bytes:
+    """The block behind a directory that leads to its own one as that of EXIF."""
+    first = struct.pack("<HHHII", 1, 0x8769, 4, 1, 8) + bytes(4)
+    return block[:4] + struct.pack("<I", len(block)) + block[8:] + first
+
+
 BLOCK = exif_with(GPS)
 PLACES = {
     "PNG eXIf": png((b"eXIf", BLOCK)),
@@ -258,6 +351,7 @@ PLACES = {
     "PNG profile APP1": png((b"tEXt", b"Raw profile type APP1\0" + profile(b"generic", b"Exif\0\0" + BLOCK))),
     "PNG profile APP1, XMP": png((b"zTXt", b"Raw profile type APP1\0\0" + zlib.compress(profile(b"generic", NAMESPACE + XMP)))),
     "JPEG EXIF": with_exif(BLOCK),
+    "JPEG EXIF, in the directory of EXIF": with_exif(nested(BLOCK)),
     "JPEG XMP": jpeg_with(NAMESPACE + XMP),
     "JPEG EXIF behind XMP": jpeg_with(NAMESPACE + b"<x/>", b"Exif\0\0" + BLOCK),
     "JPEG second EXIF": jpeg_with(b"Exif\0\0" + exif_with({0: (BYTE, b"\2\3\0\0", 4)}), b"Exif\0\0" + BLOCK),

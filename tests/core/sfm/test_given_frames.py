@@ -175,6 +175,32 @@ def test_known_poses_on_a_map_are_moved_by_whole_hundreds_and_find_their_photogr
     assert any("another name" in note for note in poses.notes) == differs
 
 
+def camera_folder(name: str) -> str:
+    """Two folders of one camera in that of a device, each with a DJI_0000.jpg."""
+    number = int(name[6:10])
+    return f"north/{100 + number // 6}MEDIA/DJI_{number % 6:04d}.jpg"
+
+
+@pytest.mark.parametrize("name_of", [camera_folder, lambda name: f"/card/{camera_folder(name)}", lambda name: camera_folder(name)[6:]])
+def test_photographs_below_folders_of_devices_are_known_by_their_paths_there(name_of: Callable[[str], str], tmp_path: Path) -> None:
+    write_photographs(tmp_path, named=camera_folder)
+    write_model(tmp_path / "sparse" / "0", renamed(hamlet_model(), name_of))
+    poses = read_given_poses(tmp_path, None, "by device")
+    assert poses.cameras.names == tuple(camera_folder(image.name).removeprefix("north/") for image in hamlet_model().images)
+    assert all((tmp_path / "north" / name).is_file() for name in poses.cameras.names) and poses.notes == ()
+
+
+def test_a_name_that_two_devices_have_is_refused_with_both(tmp_path: Path) -> None:
+    def two_devices(name: str) -> str:
+        number = int(name[6:10])
+        return f"{'north' if number < 6 else 'south'}/DJI_{number % 6:04d}.jpg"
+
+    write_photographs(tmp_path, named=two_devices)
+    write_model(tmp_path / "sparse" / "0", renamed(hamlet_model(), two_devices))
+    with pytest.raises(BadInput, match=r"^the poses have north/DJI_0000.jpg and south/DJI_0000.jpg, which are both 'DJI_0000.jpg' in the"):
+        read_given_poses(tmp_path, None, "by device")
+
+
 def test_poses_near_their_origin_stay_to_the_last_bit(tmp_path: Path) -> None:
     write_photographs(tmp_path / "images")
     write_model(tmp_path / "model", hamlet_model())
@@ -189,6 +215,18 @@ def test_one_device_of_many_with_poses_far_out_is_refused_before_it_trains(tmp_p
     write_model(tmp_path / "model", moved(hamlet_model(), UTM))
     with pytest.raises(BadInput, match=r"the poses lie up to 5\.25e\+06 from their origin, .* take the same whole numbers off the poses"):
         read_given_poses(tmp_path, tmp_path / "model", "own")
+
+
+@pytest.mark.parametrize(("where", "place_of"), WHERE)
+def test_poses_of_undistorted_photographs_are_not_given_to_devices_either(
+    where: Where, place_of: Callable[[str], str], tmp_path: Path
+) -> None:
+    write_photographs(tmp_path, named=place_of)
+    model = hamlet_model()
+    smaller = {number: replace(camera, size_wh=(319, 239)) for number, camera in model.cameras.items()}
+    write_model(tmp_path / "sparse" / "0", replace(model, cameras=smaller))
+    with pytest.raises(BadInput, match=r"has \(320, 240\) px and its camera \(319, 239\): the poses are of undistorted photographs"):
+        read_given_poses(tmp_path, None, where)
 
 
 def test_poses_of_undistorted_photographs_are_not_given_to_those_as_they_were_taken(tmp_path: Path) -> None:

@@ -121,6 +121,14 @@ def test_a_focal_length_that_no_lens_has_is_not_used_and_said(tags: dict[str, An
     assert any(f"4 photographs say a focal length of {said}, which no lens of theirs has" in told for told in lenses.warnings)
 
 
+@pytest.mark.parametrize("zoom", [1e6, 65535.0, 1e-4])
+@pytest.mark.parametrize("focal_35mm", [24.0, None])
+def test_a_digital_zoom_that_no_camera_has_is_not_used_and_said(zoom: float, focal_35mm: float | None) -> None:
+    lenses = lenses_of(PLAIN, *[{"digital_zoom": zoom, "focal_35mm": focal_35mm}] * 3)
+    assert initial_focal_px(lenses.lenses[1]) == (1.2 * 4000, False)
+    assert any(f"3 photographs say a digital zoom of {zoom:,.6g}, which no lens of theirs has" in told for told in lenses.warnings)
+
+
 @pytest.mark.parametrize("focal_35mm", [8.0, 24.0, 162.0, 2400.0])
 def test_fisheyes_and_telephoto_lenses_are_believed(focal_35mm: float) -> None:
     lenses = lenses_of(*[{"focal_35mm": focal_35mm, "focal_mm": None}] * 2)

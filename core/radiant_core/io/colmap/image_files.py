@@ -3,22 +3,24 @@
 Programs name images by whole paths, with another separator, letter case or ending than the files
 have. A name that is no file is taken for the one file whose path ends like it, or that it ends
 like, compared
-    as they are written;   without regard to letter case;   without the ending either
+    as they are written;   without regard to letter case, or how letters with marks are coded;
+    without the ending either
 in this order. Where that is none or more than one, or two names would share a file, nothing is
 taken for it.
 """
 
 from __future__ import annotations
 
+import unicodedata
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap.candidates import pictures_in
 from radiant_core.io.colmap.model import read_records
 from radiant_core.io.colmap.records import ColmapModel, check_model, is_image_name
+from radiant_core.io.photos.folders import photograph_names
 
 Parts = tuple[str, ...]
 MAX_ENDING = 5
@@ -66,13 +68,11 @@ def read_with_files(model_folder: Path, folder: Path, *, required: bool = True) 
 
 def match_images(names: Sequence[str], folder: Path) -> ImageFiles:
     """The files in `folder` of images of these names."""
-    files = {name: name for name in names if is_image_name(name) and (folder / name).is_file()}
+    files = {name: name for name in names if _is_plain(name) and (folder / name).is_file()}
     lost = [name for name in names if name not in files]
     if lost and folder.is_dir():
         taken = set(files.values())
-        free = [
-            path for found in pictures_in(folder) if (path := found.relative_to(folder).as_posix()) not in taken and is_image_name(path)
-        ]
+        free = [path for path in photograph_names(folder) if path not in taken and is_image_name(path)]
         files |= _match(lost, free)
     return ImageFiles(files={name: files[name] for name in names if name in files}, folder=folder, num_names=len(names))
 
@@ -83,7 +83,7 @@ def require_files(images: ImageFiles, names: Sequence[str]) -> None:
     if not lost:
         return
     used = set(images.files.values())
-    there = [found.relative_to(images.folder).as_posix() for found in pictures_in(images.folder)]
+    there = photograph_names(images.folder)
     other = next((path for path in there if path not in used), None)
     beside = (
         f"which holds {len(there)} photographs" + ("" if other is None else f", such as {other!r}")
@@ -99,7 +99,7 @@ def require_files(images: ImageFiles, names: Sequence[str]) -> None:
 def photographs_without_pose(images: ImageFiles) -> tuple[str, ...]:
     """The paths of the photographs in the folder that the model has no image of."""
     used = set(images.files.values())
-    return tuple(path for path in _paths_in(images.folder) if path not in used)
+    return tuple(path for path in photograph_names(images.folder) if path not in used)
 
 
 def unposed_count(unposed: Sequence[str], images: ImageFiles) -> tuple[str, ...]:
@@ -110,8 +110,9 @@ def unposed_count(unposed: Sequence[str], images: ImageFiles) -> tuple[str, ...]
     return (f"{len(unposed)} of {total} photographs in {images.folder.name} have no pose in the model and are left out.",)
 
 
-def _paths_in(folder: Path) -> list[str]:
-    return [path.relative_to(folder).as_posix() for path in pictures_in(folder)]
+def _is_plain(name: str) -> bool:
+    """Whether a name is written as paths in a folder are: "./a.jpg" is a file and not its path."""
+    return is_image_name(name) and PurePosixPath(name).as_posix() == name
 
 
 def _match(names: Collection[str], paths: Collection[str]) -> dict[str, str]:
@@ -146,7 +147,8 @@ def _as_written(parts: Parts) -> Parts:
 
 
 def _without_case(parts: Parts) -> Parts:
-    return tuple(part.casefold() for part in parts)
+    # macOS writes ü as u and a mark, others as one letter.
+    return tuple(unicodedata.normalize("NFC", part).casefold() for part in parts)
 
 
 def _without_ending(parts: Parts) -> Parts:

@@ -13,7 +13,8 @@ from radiant_core.io.photos.folders import MASK_FOLDERS, SUFFIXES, UNREAD_SUFFIX
 CONTROL_LIST = "gcp_list.txt"
 _PROJECT_FILES = {
     "transforms.json": "poses of nerfstudio or instant-ngp",
-    "transforms_train.json": "poses of NeRF",
+    **dict.fromkeys(("transforms_train.json", "transforms_val.json", "transforms_test.json"), "poses of NeRF"),
+    "poses_bounds.npy": "poses of LLFF",
     "cameras.json": "lenses of ODM",
     "images.json": "photographs of ODM",
     "img_list.txt": "photographs of ODM",
@@ -24,7 +25,6 @@ _PROJECT_FILES = {
     "exif_overrides.json": "positions of OpenSfM",
     "bundle.out": "poses of Bundler",
     "sfm_data.json": "poses of OpenMVG",
-    "calibrated_external_camera_parameters.txt": "poses of Pix4D",
     "reconstruction.json": "poses of OpenSfM",
 }
 _PROJECT_SUFFIXES = {
@@ -39,9 +39,18 @@ _PROJECT_SUFFIXES = {
     ".out": "poses of Bundler",
     ".srt": "positions of a film",
     ".mrk": "times of exposure",
+    ".obs": "observations of satellites",
+    ".nav": "observations of satellites",
+    ".gpx": "tracks",
     ".xmp": "sidecars",
     ".opf": "a project in OPF",
 }
+_PROJECT_ENDINGS = {
+    "calibrated_external_camera_parameters.txt": "poses of Pix4D",
+    "calibrated_external_camera_parameters_wgs84.txt": "poses of Pix4D",
+    "_pmatrix.txt": "poses of Pix4D",
+}
+"""Ends of names that begin with that of a project."""
 _PROJECT_FOLDERS = {
     **dict.fromkeys(MASK_FOLDERS, "masks, which --masks takes"),
     "opensfm": "poses of OpenSfM",
@@ -89,15 +98,25 @@ def _projects_in(folder: Path, masks: Path | None, control: str | None, *, above
         name, suffix = path.name.lower(), path.suffix.lower()
         if path.is_dir():
             told += [] if path.resolve() == used else _folder_kind(path, above=above)
+<<<<<<< HEAD
         elif control is not None and name == CONTROL_LIST and _has_text(path, control):
             continue
         elif name in _PROJECT_FILES:
             told.append((path.name, _PROJECT_FILES[name]))
+=======
+        elif kind := _kind_of_file(name):
+            told.append((path.name, kind))
+>>>>>>> eyes2
         elif suffix in _PROJECT_SUFFIXES or (above and suffix in SUFFIXES):
             suffixes[suffix] += 1
         elif suffix == ".xml" and (kind := _xml_kind(path)):
             told.append((path.name, kind))
     return [*told, *((f"{count} {suffix}", _PROJECT_SUFFIXES.get(suffix, "photographs")) for suffix, count in sorted(suffixes.items()))]
+
+
+def _kind_of_file(name: str) -> str:
+    """What a file of this name, in lower case, is of; empty of another."""
+    return _PROJECT_FILES.get(name) or next((kind for ending, kind in _PROJECT_ENDINGS.items() if name.endswith(ending)), "")
 
 
 def _folder_kind(path: Path, *, above: bool) -> list[tuple[str, str]]:

@@ -3,9 +3,9 @@
     degrees = ±(d + m/60 + s/3600)     negative south and west; one, two or three numbers
     altitude = ±a                      GPSAltitudeRef 0 and 2: above, 1 and 3: below
 
-EXIF 2.32 has references 0 and 1, of the sea. EXIF 3.0 (CIPA DC-008-2023, 4.6.7.1.6) adds 2 and 3
-for the sea and calls 0 and 1 heights of the ellipsoid; writers have not followed, so the sign alone
-is taken from them. Once per photograph.
+EXIF 2.32 has references 0 and 1, of the sea. EXIF 3.0 (CIPA DC-008-2023, GPSAltitudeRef) adds 2 and
+3 for the sea and calls 0 and 1 heights of the ellipsoid; writers have not followed, so 2 and 3 say
+what an altitude counts from, and 0 and 1 its sign alone. Once per photograph.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from radiant_core.io.photos.tiff import Value, number, text
 
 LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = range(1, 7)
 MAP_DATUM, GPS_ERROR = 0x12, 0x1F
-_BELOW = (1, 3)
+_BELOW, _OF_SEA = (1, 3), (2, 3)
 _WEIGHTS = np.array([1, 1 / 60, 1 / 3600])
 Position = tuple[float, float, float]
 
@@ -33,6 +33,8 @@ class Fix:
     fault: str = ""
     datum: str = ""
     """Of the map, where it is said and another than WGS 84."""
+    counts_from_sea: bool = False
+    """Whether it is said that the altitude does."""
 
 
 def read_fix(gps: Mapping[int, Value]) -> Fix:
@@ -43,7 +45,12 @@ def read_fix(gps: Mapping[int, Value]) -> Fix:
     if isinstance(lat, str) or isinstance(lon, str):
         return Fix(fault=lat if isinstance(lat, str) else str(lon))
     position = on_globe(lat, lon, _altitude(gps))
-    return Fix(lat_lon_alt=position, fault="" if position or not (lat or lon) else f"a position of {lat:g}°, {lon:g}°", datum=_datum(gps))
+    return Fix(
+        lat_lon_alt=position,
+        fault="" if position or not (lat or lon) else f"a position of {lat:g}°, {lon:g}°",
+        datum=_datum(gps),
+        counts_from_sea=position is not None and not math.isnan(position[2]) and _reference(gps) in _OF_SEA,
+    )
 
 
 def on_globe(lat: float, lon: float, alt: float) -> Position | None:
@@ -55,12 +62,16 @@ def on_globe(lat: float, lon: float, alt: float) -> Position | None:
 
 
 def _altitude(gps: Mapping[int, Value]) -> float:
-    alt, reference = number(gps.get(ALTITUDE)), gps.get(ALTITUDE_REF)
+    alt = number(gps.get(ALTITUDE))
     if alt is None:
         return math.nan
-    # The standard's type is a byte; some write a short, or the digit as text.
-    code = number(reference) if not isinstance(reference, bytes) else reference[:1][0] - 48 * (reference[:1] in b"0123")
-    return -alt if code in _BELOW else alt
+    return -alt if _reference(gps) in _BELOW else alt
+
+
+def _reference(gps: Mapping[int, Value]) -> float | None:
+    """GPSAltitudeRef; the standard's type is a byte; some write a short, or the digit as text."""
+    reference = gps.get(ALTITUDE_REF)
+    return number(reference) if not isinstance(reference, bytes) else reference[:1][0] - 48 * (reference[:1] in b"0123")
 
 
 def _datum(gps: Mapping[int, Value]) -> str:

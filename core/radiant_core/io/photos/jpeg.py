@@ -22,7 +22,7 @@ from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.photos.gps import GPS_ERROR, Position, read_fix
 from radiant_core.io.photos.tiff import XMP_PACKET, first_directory, inner_directory, number, text
 from radiant_core.io.photos.xmp import VERTICAL_SHARE, xmp_sigma_m
-from radiant_core.io.photos.xmp_position import xmp_position
+from radiant_core.io.photos.xmp_position import xmp_counts_from_sea, xmp_position
 
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _START_OF_SCAN, _END_OF_IMAGE, _APP1, _APP2 = 0xDA, 0xD9, 0xE1, 0xE2
@@ -71,6 +71,8 @@ class ExifFacts:
     """Size in px that the camera says it took; a picture cut from it has another."""
     position_doubt: str = ""
     """What stands in place of a position, or what is doubtful in one."""
+    altitude_from_sea: bool = False
+    """Whether it is said that the altitude counts from the sea; else nobody says from what."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,13 +122,15 @@ def join_facts(blocks: Sequence[bytes], packets: Sequence[bytes]) -> ExifFacts:
     exif = _first_said([read_exif(block) for block in blocks])
     sigma_m = next((sigma for packet in packets if (sigma := xmp_sigma_m(packet)) is not None), None)
     serial = next((match[1].decode().strip() for packet in packets if (match := _WRITTEN_SERIAL.search(packet))), "")
-    written = next((position for packet in packets if (position := xmp_position(packet)) is not None), None)
+    said, written = next(((packet, place) for packet in packets if (place := xmp_position(packet)) is not None), (b"", None))
     exif = replace(exif, position_sigma_m=sigma_m or exif.position_sigma_m, serial=exif.serial or serial)
     if written is None:
         return exif
     if exif.lat_lon_alt is None:
-        return replace(exif, lat_lon_alt=written, position_doubt="")
-    return _compared(exif, exif.lat_lon_alt, written)
+        return replace(exif, lat_lon_alt=written, position_doubt="", altitude_from_sea=xmp_counts_from_sea(said))
+    compared = _compared(exif, exif.lat_lon_alt, written)
+    takes_altitude = compared.lat_lon_alt != exif.lat_lon_alt
+    return replace(compared, altitude_from_sea=xmp_counts_from_sea(said)) if takes_altitude else compared
 
 
 def _first_said(facts: Sequence[ExifFacts]) -> ExifFacts:
@@ -210,7 +214,9 @@ def read_tiff_facts(tiff: bytes) -> ExifFacts:
 def read_exif(tiff: bytes) -> ExifFacts:
     """The facts in an EXIF block (a TIFF header and its directories); never raises."""
     main = first_directory(tiff)
-    details, gps = inner_directory(tiff, main.get(EXIF_POINTER)), inner_directory(tiff, main.get(GPS_POINTER))
+    details = inner_directory(tiff, main.get(EXIF_POINTER))
+    # The standard has it in the main directory; some writers have it in the one of EXIF.
+    gps = inner_directory(tiff, main.get(GPS_POINTER, details.get(GPS_POINTER)))
     fix = read_fix(gps)
     zoom = number(details.get(DIGITAL_ZOOM))
     taken_wh = tuple(int(number(details.get(tag)) or 0) for tag in (PIXEL_WIDTH, PIXEL_HEIGHT))
@@ -227,6 +233,7 @@ def read_exif(tiff: bytes) -> ExifFacts:
         taken_wh=(taken_wh[0], taken_wh[1]) if min(taken_wh) > 0 else None,
         lat_lon_alt=fix.lat_lon_alt,
         position_doubt=fix.fault or (f"GPS in the datum {fix.datum}" if fix.datum and fix.lat_lon_alt else ""),
+        altitude_from_sea=fix.counts_from_sea,
         position_sigma_m=_sigma_of(number(gps.get(GPS_ERROR))),
         taken_s=_seconds(text(details.get(TAKEN)), text(details.get(TAKEN_FRACTION))),
         log2_exposure=_log2_exposure(*(number(details.get(tag)) for tag in (EXPOSURE_TIME, F_NUMBER, ISO_SPEED))),

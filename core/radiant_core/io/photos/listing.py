@@ -82,6 +82,8 @@ class Photograph:
     """Standard deviations east, north, up that the receiver gives; None where it gives none."""
     position_doubt: str = ""
     """What stands in place of a position, or what is doubtful in one."""
+    altitude_from_sea: bool = False
+    """Whether it is said that the altitude counts from the sea."""
     samples: SampleRange | None = None
     """The values it uses, where they are not 8-bit numbers."""
 
@@ -239,6 +241,17 @@ def doubts_warning(doubts: Mapping[str, str], num_photographs: int, *, named: bo
     return tuple(told)
 
 
+def sea_warning(are_from_sea: Sequence[bool]) -> tuple[str, ...]:
+    """What is said where altitudes of photographs are known to count from the sea; a scene takes
+    all heights for those over the ellipsoid."""
+    if not any(are_from_sea):
+        return ()
+    return (
+        f"{sum(are_from_sea)} of {len(are_from_sea)} photographs have GPS altitudes that count from the sea (GPSAltitudeRef 2 or 3), up to "
+        "107 m from those of the ellipsoid, which they are taken for: name no vertical datum in --crs.",
+    )
+
+
 def _consequence(doubt: str) -> str:
     if doubt.startswith("EXIF and XMP"):
         return ", of which that of EXIF is used"
@@ -361,6 +374,7 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
         camera=_camera_of(exif, name, size_wh),
         position_sigma_m=exif.position_sigma_m,
         position_doubt=exif.position_doubt,
+        altitude_from_sea=exif.altitude_from_sea,
         samples=samples,
     )
 

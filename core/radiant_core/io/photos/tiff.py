@@ -23,9 +23,10 @@ XMP_PACKET = 0x02BC
 Value = bytes | FloatArray
 """A tag's value: bytes of text or undefined types, else its numbers as float64."""
 
-_BYTES, _RATIONALS = (1, 2, 7), (5, 10)
+_BYTES, _RATIONALS = (1, 2, 7, 129), (5, 10)
+"""129 is text in UTF-8, which EXIF 3.0 has for names of makers, cameras and lenses."""
 _NUMBERS = {3: "u2", 4: "u4", 5: "u4", 9: "i4", 10: "i4", 11: "f4", 12: "f8", 13: "u4", 16: "u8", 17: "i8", 18: "u8"}
-_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
+_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8, 129: 1}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,8 +5,9 @@
     exif:GPSAltitude               "4555/10" m, negative where GPSAltitudeRef is 1 or 3
     drone-dji:AbsoluteAltitude     metres with a sign
 
-RelativeAltitude counts from take-off, which is no altitude. Attributes and elements alike; the
-packet is searched, never parsed: it comes from strangers.
+RelativeAltitude counts from take-off, which is no altitude, and IPTC's LocationShown is the place
+of what is seen. Attributes and elements alike; the packet is searched, never parsed: it comes from
+strangers.
 """
 
 from __future__ import annotations
@@ -22,16 +23,29 @@ _LATITUDE = re.compile(_START + rb"(?:GPSLatitude|GpsLatitude|Latitude)" + _VALU
 _LONGITUDE = re.compile(_START + rb"(?:GPSLongitude|GpsLongitude|GpsLongtitude|Longitude)" + _VALUE)
 _ALTITUDE = re.compile(_START + rb"(?:AbsoluteAltitude|GPSAltitude|GpsAltitude)" + _VALUE)
 _ALTITUDE_REF = re.compile(_START + rb"GPSAltitudeRef" + _VALUE)
+_SHOWN = re.compile(rb"</?[\w-]{1,32}:LocationShown(?:\s[^<>]{0,255}[^/<>])?>")
 _DEGREES = re.compile(r"([+-]?\d{1,3}(?:\.\d{1,15})?)(?:,(\d{1,3}(?:\.\d{1,15})?))?(?:,(\d{1,3}(?:\.\d{1,15})?))?\s?([NSEWnsew])?")
 _METRES = re.compile(r"([+-]?\d{1,9}(?:\.\d{1,12})?)(?:/(\d{1,9}))?(?:\s?m)?")
 
 
 def xmp_position(packet: bytes) -> Position | None:
     """Degrees north and east and metres (NaN without an altitude), or None; never raises."""
+    packet = _of_camera(packet)
     lat, lon = _degrees(_text(_LATITUDE, packet), "NS"), _degrees(_text(_LONGITUDE, packet), "EW")
     if lat is None or lon is None:
         return None
     return on_globe(lat, lon, _metres(packet))
+
+
+def xmp_counts_from_sea(packet: bytes) -> bool:
+    """Whether the packet says that its altitude counts from the sea; never raises."""
+    packet = _of_camera(packet)
+    return not math.isnan(_metres(packet)) and _text(_ALTITUDE_REF, packet) in ("2", "3")
+
+
+def _of_camera(packet: bytes) -> bytes:
+    """The packet without places that the photograph shows, each between its two tags."""
+    return b"".join(_SHOWN.split(packet)[::2])
 
 
 def _text(pattern: re.Pattern[bytes], packet: bytes) -> str:

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_warning, file_copies
@@ -29,7 +30,7 @@ from radiant_core.io.waypoints.csv_reader import csv_rows
 from radiant_core.io.waypoints.geojson_reader import geojson_rows
 from radiant_core.io.waypoints.kml_reader import kml_rows
 from radiant_core.io.waypoints.rows import WaypointRows
-from radiant_core.plan.heights import HEIGHT_KINDS
+from radiant_core.plan.heights import HEIGHT_KINDS, height_codes
 from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints, clean_waypoints
 
 MAX_FILE_BYTES = 256 * 2**20
@@ -102,7 +103,8 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
     low = np.isnan(geodetic[:, 2])
     # For the plan alone, which heights hardly move: none is flown at.
     geodetic[low, 2] = 0.0 if low.all() else np.median(geodetic[~low, 2])
-    codes = np.where(low, HEIGHT_KINDS.index("unknown"), HEIGHT_KINDS.index("absolute")).astype(np.uint8)
+    kinds: list[HeightFrom] = ["sea" if heads[name].altitude_from_sea else "absolute" for name in positions]
+    codes = np.where(low, HEIGHT_KINDS.index("unknown"), height_codes(kinds)).astype(np.uint8)
     try:
         waypoints = Waypoints(names=tuple(positions), lat_lon_alt=geodetic, counts_from=codes)
     except BadInput as error:

@@ -32,6 +32,8 @@ telephoto lens with digital zoom."""
 FOCAL_MM_RANGE = (0.5, 3000.0)
 CROP_RANGE = (0.4, 40.0)
 """35 mm equivalent ÷ focal length: from larger than medium format to a phone's smallest sensor."""
+ZOOM_RANGE = (0.01, 200.0)
+"""Digital zoom: twice what the longest phones have."""
 WIDTHS = (0.01, 0.02, 0.04)
 """Differences of focal lengths, as shares, that one lens may have."""
 LEAST_SHARED = 5.0
@@ -139,13 +141,17 @@ def _is_sound_mm(camera: CameraKey) -> bool:
     return camera.focal_mm is None or FOCAL_MM_RANGE[0] <= camera.focal_mm <= FOCAL_MM_RANGE[1]
 
 
+def _is_sound_zoom(camera: CameraKey) -> bool:
+    return ZOOM_RANGE[0] <= camera.digital_zoom <= ZOOM_RANGE[1]
+
+
 def _cameras_without_zoom_in_35mm(photographs: Sequence[Photograph]) -> set[tuple[str, str]]:
     """Makers and models whose 35 mm equivalent leaves digital zoom out: at one focal length it is
     the same with zoom and without. The standard does not say, and writers differ."""
     plain: set[tuple[object, ...]] = set()
     zoomed: set[tuple[object, ...]] = set()
     for camera in (photo.camera for photo in photographs):
-        if _sound_35mm(camera) is not None and camera.focal_mm is not None:
+        if _sound_35mm(camera) is not None and camera.focal_mm is not None and _is_sound_zoom(camera):
             seen = plain if camera.digital_zoom <= 1 + SAME_ZOOM else zoomed
             seen.add((camera.make, camera.model, camera.focal_mm, camera.focal_35mm))
     return {(str(make), str(model)) for make, model, *_ in plain & zoomed}
@@ -166,16 +172,16 @@ def _optics(camera: CameraKey) -> tuple[object, ...]:
 
 def _lens(group: list[Photograph], excluded: set[tuple[str, str]], sizes: dict[tuple[object, ...], list[tuple[int, int]]]) -> Lens:
     first = group[0].camera
-    values = [value for photo in group if (value := _sound_35mm(photo.camera)) is not None]
+    values = [value for photo in group if (value := _sound_35mm(photo.camera)) is not None and _is_sound_zoom(photo.camera)]
     zoom = first.digital_zoom if (first.make, first.model) in excluded else 1.0
     focal_35mm = float(np.median(values)) * zoom if values else None
     return Lens(
         photographs=tuple(group),
         focal_35mm=focal_35mm,
         focal_mm=first.focal_mm if _is_sound_mm(first) else None,
-        digital_zoom=first.digital_zoom,
+        digital_zoom=first.digital_zoom if _is_sound_zoom(first) else 1.0,
         full_wh=_full_size(first, sizes[_optics(first)]),
-        is_mistrusted=(first.focal_35mm is not None and not values) or not _is_sound_mm(first),
+        is_mistrusted=(first.focal_35mm is not None and not values) or not _is_sound_mm(first) or not _is_sound_zoom(first),
     )
 
 
@@ -255,15 +261,23 @@ def _width_warning(body: CameraKey, members: Sequence[Photograph], split: Sequen
     )
 
 
+def _doubtful(camera: CameraKey) -> str:
+    if not _is_sound_zoom(camera):
+        return f"digital zoom of {camera.digital_zoom:,.6g}"
+    return (
+        f"focal length of {camera.focal_35mm:,.6g} mm at 35 mm"
+        if camera.focal_35mm is not None
+        else f"focal length of {camera.focal_mm:,.6g} mm"
+    )
+
+
 def _tag_warnings(lenses: Sequence[Lens], excluded: set[tuple[str, str]]) -> tuple[str, ...]:
-    told = []
-    for lens in (lens for lens in lenses if lens.is_mistrusted):
-        camera = lens.photographs[0].camera
-        said = f"{camera.focal_35mm:,.6g} mm at 35 mm" if camera.focal_35mm is not None else f"{camera.focal_mm:,.6g} mm"
-        told.append(
-            f"{len(lens.photographs)} photographs say a focal length of {said}, which no lens of theirs has: it is not used, "
-            "and found from the photographs alone."
-        )
+    told = [
+        f"{len(lens.photographs)} photographs say a {_doubtful(lens.photographs[0].camera)}, which no lens of theirs has: "
+        "it is not used, and found from the photographs alone."
+        for lens in lenses
+        if lens.is_mistrusted
+    ]
     for make, model in sorted(excluded):
         told.append(f"the 35 mm focal lengths of {f'{make} {model}'.strip()} leave digital zoom out: they are multiplied by it.")
     return tuple(told)

@@ -9,7 +9,7 @@ from pathlib import Path
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.copies import copies_count, copies_warning
 from radiant_core.io.photos.folders import folders_warning, unread_warning
-from radiant_core.io.photos.listing import PhotoListing, doubts_warning, list_photographs, skipped_in_short
+from radiant_core.io.photos.listing import PhotoListing, doubts_warning, list_photographs, sea_warning, skipped_in_short
 from radiant_core.sfm.config import Report, SfmProgress
 
 DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json")
@@ -43,6 +43,7 @@ def warn_of_unused(listing: PhotoListing, beside: tuple[str, ...] = (), *, named
         *folders_warning(listing.content, named=named),
         *unread_warning(listing.content.unread),
         *doubts_warning(doubts, len(listing.photographs), named=named),
+        *sea_warning([photo.altitude_from_sea for photo in listing.photographs]),
         *(stretch.said for stretch in listing.stretches),
     )
     if named:
