@@ -98,15 +98,10 @@ def _projects_in(folder: Path, masks: Path | None, control: str | None, *, above
         name, suffix = path.name.lower(), path.suffix.lower()
         if path.is_dir():
             told += [] if path.resolve() == used else _folder_kind(path, above=above)
-<<<<<<< HEAD
         elif control is not None and name == CONTROL_LIST and _has_text(path, control):
             continue
-        elif name in _PROJECT_FILES:
-            told.append((path.name, _PROJECT_FILES[name]))
-=======
         elif kind := _kind_of_file(name):
             told.append((path.name, kind))
->>>>>>> eyes2
         elif suffix in _PROJECT_SUFFIXES or (above and suffix in SUFFIXES):
             suffixes[suffix] += 1
         elif suffix == ".xml" and (kind := _xml_kind(path)):
