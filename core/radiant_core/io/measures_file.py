@@ -40,10 +40,12 @@ def places_of(row: dict[str, Any]) -> FloatArray:
 
 
 def figures_text(row: dict[str, Any]) -> str:
-    """A measure's figures with σ in one line."""
+    """A measure's figures with σ in one line, and what is known of the scale."""
     figures = [f"{name} {about['value']:.3f} ± {about['sigma']:.3f} {about['unit']}" for name, about in row["figures"].items()]
     filled = row.get("filled", 0)
-    return "; ".join(figures) + (f" ({100 * filled:.0f} % filled)" if filled >= LEAST_SHOWN else "")
+    scale = row.get("scale")
+    said = f"; {scale}" if isinstance(scale, str) and scale.isprintable() else ""
+    return "; ".join(figures) + (f" ({100 * filled:.0f} % filled)" if filled >= LEAST_SHOWN else "") + said
 
 
 def _is_measure(row: Any) -> bool:
