@@ -141,3 +141,13 @@ def test_altitudes_that_drift_are_not_held_against_what_is_said_of_up() -> None:
     straight = ",".join(str(value) for value in scene_in_world(model, photos, 0).world_from_model.rotation[2])
     assert scene_in_world(model, drifting, 0, Placement(up=straight)).doubts == ()
     assert scene_in_world(model, drifting, 0, Placement(up="ground")).doubts == ()
+
+
+@pytest.mark.parametrize(
+    ("far_m", "num_gps", "in_doubt"),
+    [((23.0, 21.0), 12, True), ((23.0, 21.0), 40, False), ((2.1e6, 2.0e6), 12, False), ((), 12, False)],
+)
+def test_many_photographs_that_may_be_placed_wrongly_put_the_scene_in_doubt(far_m: tuple[float, ...], num_gps: int, in_doubt: bool) -> None:
+    """The word for quality is no "good" beside "or the photographs are placed wrongly"."""
+    outliers = GpsOutliers(names=tuple("ab"[: len(far_m)]), away_m=far_m, num_gps=num_gps, extent_m=60.0)
+    assert outliers.doubt() == (outliers.warning() if in_doubt else ())
