@@ -119,8 +119,8 @@ def test_gps_is_blamed_only_where_nothing_else_can_be_wrong(away_m: tuple[float,
     assert ("photographs are placed wrongly" in said) != blames_gps and "(a.jpg, b.jpg)" in said
 
 
-@pytest.mark.parametrize(("lean_deg", "stops"), [(40.0, False), (85.0, False), (120.0, True), (180.0, True)])
-def test_up_below_the_horizon_of_gps_stops(lean_deg: float, stops: bool) -> None:
+@pytest.mark.parametrize(("lean_deg", "stops"), [(40.0, False), (55.0, False), (88.0, True), (180.0, True)])
+def test_up_that_turns_ground_into_walls_stops(lean_deg: float, stops: bool) -> None:
     model, photos, _ = site()
     up = scene_in_world(model, photos, 0).world_from_model.rotation
     leaning = up.T @ np.array([np.sin(np.radians(lean_deg)), 0.0, np.cos(np.radians(lean_deg))])

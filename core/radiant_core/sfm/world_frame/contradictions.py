@@ -25,9 +25,9 @@ NOTABLE_SCALE, GROSS_SCALE = 0.03, 0.25
 """A length by tape or by flying height is known to no better; a wrong unit is off by far more."""
 NOTABLE_TURN_DEG, GROSS_TURN_DEG = 10.0, 20.0
 """Declination and dial of a compass; what no compass is off by."""
-NOTABLE_LEAN_DEG, GROSS_LEAN_DEG = 15.0, 90.0
-"""Altitudes that drift, or a photograph that was not held straight, put up so far away; below the
-horizon it is only where GPS is mirrored, which its plane does not do."""
+NOTABLE_LEAN_DEG, GROSS_LEAN_DEG = 15.0, 60.0
+"""Altitudes that drift, or a photograph that was not held straight, put up so far away; so far that
+photographs which look down would look ahead, only where they would be rolled as well."""
 FOOT_M = 0.3048
 UNIT_SHARE = 0.1
 """Within this share a ratio is that of two units."""
@@ -108,7 +108,7 @@ def contradicting_north(turn_deg: float, sigma_deg: float, option: str, heading_
 
 def contradicting_up(lean_deg: float, sigma_deg: float, option: str) -> Contradiction | None:
     """Up as a user gives it against GPS, whose altitudes are the worst of it: gross only where that
-    puts the scene upside down."""
+    turns ground into walls."""
     if lean_deg <= max(NOTABLE_LEAN_DEG, NOTABLE_SIGMAS * sigma_deg):
         return None
     return Contradiction(
