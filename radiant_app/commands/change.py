@@ -88,6 +88,7 @@ def _compare(request: ChangeRequest, surveys: tuple[Survey, Survey], grid: MapGr
         "resolution": grid.cell,
         "unit": older.run.unit,
         "aligned_by_points": fit.num_points,
+        "points_followed": fit.num_followed,
         "shift": [round(float(value), 3) for value in fit.shift],
         "left_between_points": round(fit.residual, 3),
         "height_taken_out": round(float(plane[0]), 3),

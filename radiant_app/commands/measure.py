@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.commands.measure_scale import scale_of_run
 from radiant_app.commands.steps import require_file_to_be
 from radiant_app.commands.survey_parts import Survey, cell_of, load_survey
 from radiant_app.commands.survey_surface import PIXELS_PER_CELL, points_of_survey, surface_of_survey
@@ -133,11 +134,8 @@ def parse_places(text: str) -> FloatArray:
 
 
 def accuracy_of(survey: Survey) -> Accuracy:
-    """σ of a place, and of the scale by GPS: its residual over the spread of the cameras."""
-    cameras, residual = survey.run.scene.cameras, survey.run.scene.frame.residual_m
-    spread = float(np.sqrt(np.square(cameras.centers - cameras.centers.mean(axis=0)).sum(axis=1).mean()))
-    scale = 0.0 if residual is None else residual / max(spread * np.sqrt(len(cameras)), 1e-12)
-    return Accuracy(place=PLACE_GSD * survey.ground.gsd, scale=float(scale))
+    """σ of a place, and of the scale."""
+    return Accuracy(place=PLACE_GSD * survey.ground.gsd, scale=scale_of_run(survey.run).sigma)
 
 
 def surface_for_measures(survey: Survey, resolution: float | None, display: ProgressDisplay) -> HeightMap:
@@ -193,6 +191,7 @@ def _record(found: Measured, survey: Survey) -> dict[str, Any]:
             for figure in found.figures
         },
         "filled": round(found.filled, 4),
+        "scale": scale_of_run(survey.run).said,
     }
     if len(found.profile):
         record["profile"] = [[None if not np.isfinite(value) else round(float(value), 4) for value in row] for row in found.profile]
@@ -219,15 +218,16 @@ def _write_measures(path: Path, kept: dict[str, Any], map_frame: MapFrame) -> No
     if path.suffix.lower() == ".csv":
         lines = io.StringIO()
         writer = csv.writer(lines)
-        writer.writerow(["name", "kind", "figure", "value", "sigma", "unit", "crs"])
+        writer.writerow(["name", "kind", "figure", "value", "sigma", "unit", "crs", "scale"])
         for name, row in kept.items():
             for figure, about in row["figures"].items():
                 # Numbers are numbers; any text may be a formula to a spreadsheet.
-                texts = [cell_of_text(text) for text in (name, row["kind"], figure, about["unit"], row["crs"])]
+                texts = [cell_of_text(text) for text in (name, row["kind"], figure, about["unit"], row["crs"], row.get("scale", ""))]
                 writer.writerow([*texts[:3], about["value"], about["sigma"], *texts[3:]])
         return write_atomic(path, lines.getvalue().encode())
     features = []
     for name, row in kept.items():
         make = polygon_feature if row["kind"] in ("area", "volume") else line_feature
-        features.append(make(map_frame, places_of(row), {"name": name, "kind": row["kind"], **row["figures"]}))
+        scale = {"scale": row["scale"]} if "scale" in row else {}
+        features.append(make(map_frame, places_of(row), {"name": name, "kind": row["kind"], **row["figures"], **scale}))
     return write_json(path, to_geojson(map_frame, features))

@@ -43,7 +43,7 @@ def side_pictures(
     if curve:
         from radiant_viewer.charts.slack_chart import slack_picture
 
-        pictures[SLACKS] = slack_picture(tuple(curve))
+        pictures[SLACKS] = slack_picture(tuple(curve), unit)
     return pictures
 
 

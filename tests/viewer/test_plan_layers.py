@@ -77,16 +77,16 @@ def test_footprint_layers_have_outlines_cells_and_say_what_sees_nothing() -> Non
     box = shapely_box(*low, *high)
     lengths = sum(Polygon(polygon).exterior.intersection(box).length for polygon in footprints.polygons)
     assert np.linalg.norm(np.diff(outlines.segments, axis=1), axis=2).sum() == pytest.approx(lengths)
-    layer = overlap_layer(footprints, town.cloud_plan, cells_a_side=20)
+    layer = overlap_layer(footprints, town.cloud_plan, "units", cells_a_side=20)
     assert layer.heat is not None and layer.heat.high > 1 and 0 < len(layer.polygons) <= 20 * 12
     blind = Footprints(polygons=footprints.polygons, areas_m2=np.zeros(24))
     assert "Without sight of the ground: 24" in footprint_layer(blind, roles, town.cloud_plan).legend[-1].text
-    assert overlap_layer(blind, town.cloud_plan).polygons == ()
+    assert overlap_layer(blind, town.cloud_plan, "m").polygons == ()
     assert np.isnan(count_overlaps(blind)).all()
     with pytest.raises(BadInput, match="give one each"):
         footprint_layer(Footprints(polygons=footprints.polygons[:3], areas_m2=footprints.areas_m2[:3]), roles, town.cloud_plan)
     with pytest.raises(BadInput, match="give regions"):
-        overlap_layer(footprints, replace(town.cloud_plan, borders=(np.zeros((0, 2)),) * 3))
+        overlap_layer(footprints, replace(town.cloud_plan, borders=(np.zeros((0, 2)),) * 3), "m")
 
 
 def test_cameras_are_sorted_and_filtered_by_any_figure() -> None:

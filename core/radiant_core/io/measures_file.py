@@ -49,6 +49,8 @@ class _Measure(Strict):
     places: Annotated[list[tuple[_Number, _Number, _Number]], Field(max_length=1_000_000)]
     figures: dict[_Text, _Figure]
     filled: Annotated[float, Field(ge=0, le=1)] = 0.0
+    scale: Annotated[str, Field(max_length=1_000), AfterValidator(_printable)] = ""
+    """What is known of the scale that lengths are in."""
     profile: list[tuple[_Number | None, _Number | None, _Number | None]] | None = None
 
 
@@ -88,7 +90,8 @@ def places_of(row: dict[str, Any]) -> FloatArray:
 
 
 def figures_text(row: dict[str, Any]) -> str:
-    """A measure's figures with σ in one line."""
+    """A measure's figures with σ in one line, and what is known of the scale."""
     figures = [f"{name} {about['value']:.3f} ± {about['sigma']:.3f} {about['unit']}" for name, about in row["figures"].items()]
     filled = row.get("filled", 0)
-    return "; ".join(figures) + (f" ({100 * filled:.0f} % filled)" if filled >= LEAST_SHOWN else "")
+    said = f"; {row['scale']}" if row.get("scale") else ""
+    return "; ".join(figures) + (f" ({100 * filled:.0f} % filled)" if filled >= LEAST_SHOWN else "") + said

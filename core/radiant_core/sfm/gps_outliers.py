@@ -20,6 +20,8 @@ OUTLIER_FACTOR = 10.0
 """Farther than this many median residuals is no noise of a receiver."""
 LEAST_M = 10.0
 """Nearer than this any receiver may be off."""
+MANY = 0.1
+"""A share of the photographs above which a scene is in doubt where they may be placed wrongly."""
 OUTSIDE_M, OUTSIDE_EXTENTS = 1_000.0, 3.0
 """Farther than both no photograph overlaps with others of the site."""
 
@@ -54,6 +56,11 @@ class GpsOutliers:
             )
         listed = f" ({', '.join(self.names[:MAX_NAMED])}{' …' if len(self.names) > MAX_NAMED else ''})" if named else ""
         return (f"{sentence}{listed}.",)
+
+    def doubt(self) -> tuple[str, ...]:
+        """The warning again where it puts the scene in doubt: many photographs, and not their GPS
+        alone."""
+        return () if not self.names or self.is_gps_off or len(self.names) <= MANY * self.num_gps else self.warning()
 
 
 def gps_outliers(scene: SfmScene, photographs: tuple[Photograph, ...]) -> GpsOutliers:

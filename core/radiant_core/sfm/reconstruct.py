@@ -33,7 +33,7 @@ from radiant_core.sfm.control.place import place_surveyed, survey_record
 from radiant_core.sfm.control.survey import Surveyed, adjust_to_survey
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.given_points import POINT_PHASES, with_points
-from radiant_core.sfm.gps_outliers import gps_outliers
+from radiant_core.sfm.gps_outliers import MANY, gps_outliers
 from radiant_core.sfm.known_poses import is_almost, misfit_text, triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
@@ -118,7 +118,7 @@ def reconstruct(
         masks_folder=masks,
         survey=None if surveyed is None else survey_record(surveyed),
         positions=None if placed.positions is None else placed.positions.record,
-        doubts=placed.doubts,
+        doubts=(*placed.doubts, *outliers.doubt(), *_many_doubted(mapped.doubted, len(scene.cameras))),
     )
 
 
@@ -187,6 +187,7 @@ def scene_from_colmap(
     placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement, keeps_frame=True), contradicted)
     given_frame = _given_frame(placed, None if surveyed is None else given_centers)
     scene, repeats = without_repeats(placed.scene, images_to_use)
+    outliers = gps_outliers(scene, listing.photographs)
     if not pinhole:
         _fit_models(work_folder, placed, scene)
         remove_images(images_to_use, scene.cameras)
@@ -201,7 +202,7 @@ def scene_from_colmap(
             *warn_of_unused(listing, beside),
             *said,
             *repeats,
-            *gps_outliers(scene, listing.photographs).warning(),
+            *outliers.warning(),
             *placed.warnings,
             *given_frame.notes(),
         ),
@@ -209,7 +210,7 @@ def scene_from_colmap(
         given_frame=given_frame,
         survey=None if surveyed is None else survey_record(surveyed),
         positions=None if placed.positions is None else placed.positions.record,
-        doubts=placed.doubts,
+        doubts=(*placed.doubts, *outliers.doubt()),
     )
 
 
@@ -287,6 +288,11 @@ def _doubted_counts(doubted: tuple[str, ...]) -> tuple[str, ...]:
     if not doubted:
         return ()
     return (f"{len(doubted)} of the photographs have a pose that most of their matches contradict.",)
+
+
+def _many_doubted(doubted: tuple[str, ...], total: int) -> tuple[str, ...]:
+    """Poses that most matches contradict put a scene in doubt where they are many."""
+    return _doubted_counts(doubted) if len(doubted) > MANY * total else ()
 
 
 def _named(warnings: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:

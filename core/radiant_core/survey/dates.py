@@ -33,11 +33,13 @@ _SIGMA_OF_MAD = 1.4826
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DateFit:
     """Similarity older ← newer of two world frames, the shift that it takes out at the middle of
-    the ground (3,), and what is left, the median distance of the points that agree."""
+    the ground (3,), how many of the points followed agree, and what is left, the median distance of
+    those."""
 
     older_from_newer: Sim3
     shift: FloatArray
     num_points: int
+    num_followed: int
     residual: float
 
 
@@ -56,7 +58,13 @@ def fit_dates(older: tuple[Splats, Cameras, Frame], newer: tuple[Splats, Cameras
     if not isinstance(fit, PairFit):
         raise BadInput(f"the two runs cannot be aligned: {fit}; give two runs of one place, from like heights and in like light.")
     shift = fit.a_from_b.apply(fit.center[None])[0] - fit.center
-    return DateFit(older_from_newer=compose(fit.a_from_b, first), shift=shift, num_points=fit.num_pairs, residual=fit.residual_m)
+    return DateFit(
+        older_from_newer=compose(fit.a_from_b, first),
+        shift=shift,
+        num_points=fit.num_pairs,
+        num_followed=fit.num_followed,
+        residual=fit.residual_m,
+    )
 
 
 def levelled(older: HeightMap, newer: HeightMap) -> tuple[HeightMap, FloatArray]:

@@ -117,3 +117,37 @@ def test_gps_is_blamed_only_where_nothing_else_can_be_wrong(away_m: tuple[float,
     (said,) = GpsOutliers(names=("a.jpg", "b.jpg"), away_m=away_m, num_gps=12, extent_m=60.0).warning()
     assert said.startswith("the GPS positions of 2 of 12") == blames_gps
     assert ("photographs are placed wrongly" in said) != blames_gps and "(a.jpg, b.jpg)" in said
+
+
+@pytest.mark.parametrize(("lean_deg", "stops"), [(40.0, False), (55.0, False), (88.0, True), (180.0, True)])
+def test_up_that_turns_ground_into_walls_stops(lean_deg: float, stops: bool) -> None:
+    model, photos, _ = site()
+    up = scene_in_world(model, photos, 0).world_from_model.rotation
+    leaning = up.T @ np.array([np.sin(np.radians(lean_deg)), 0.0, np.cos(np.radians(lean_deg))])
+    fields = {"up": ",".join(str(value) for value in leaning)}
+    if stops:
+        with pytest.raises(
+            BadInput, match=rf"--up .* puts up {lean_deg:.0f}° away .* Correct --up, .*; with --contradictions warn --up is taken"
+        ):
+            scene_in_world(model, photos, 0, Placement(**fields))
+    found = scene_in_world(model, photos, 0, Placement(**fields, contradictions="warn"))
+    assert any(f"puts up {lean_deg:.0f}° away from where the photographs' GPS has it" in warning for warning in found.doubts)
+
+
+def test_altitudes_that_drift_are_not_held_against_what_is_said_of_up() -> None:
+    """As in caliterra's photographs, whose altitudes would tilt the scene by 43°."""
+    model, photos, positions_m = site()
+    drifting = photographs_at(tuple(photo.name for photo in photos), positions_m + np.outer(0.9 * positions_m[:, 0], [0.0, 0.0, 1.0]))
+    straight = ",".join(str(value) for value in scene_in_world(model, photos, 0).world_from_model.rotation[2])
+    assert scene_in_world(model, drifting, 0, Placement(up=straight)).doubts == ()
+    assert scene_in_world(model, drifting, 0, Placement(up="ground")).doubts == ()
+
+
+@pytest.mark.parametrize(
+    ("far_m", "num_gps", "in_doubt"),
+    [((23.0, 21.0), 12, True), ((23.0, 21.0), 40, False), ((2.1e6, 2.0e6), 12, False), ((), 12, False)],
+)
+def test_many_photographs_that_may_be_placed_wrongly_put_the_scene_in_doubt(far_m: tuple[float, ...], num_gps: int, in_doubt: bool) -> None:
+    """The word for quality is no "good" beside "or the photographs are placed wrongly"."""
+    outliers = GpsOutliers(names=tuple("ab"[: len(far_m)]), away_m=far_m, num_gps=num_gps, extent_m=60.0)
+    assert outliers.doubt() == (outliers.warning() if in_doubt else ())

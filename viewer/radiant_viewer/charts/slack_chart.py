@@ -19,13 +19,15 @@ MIN_GAP = 0.05
 """Least distance of two labels along the makespan, as a share of the axis."""
 
 
-def slack_picture(points: Sequence[SlackPoint]) -> Image:
-    """Return two panels over the makespan (H,W,3), a dot per slack; BadInput without points."""
+def slack_picture(points: Sequence[SlackPoint], unit: str = "m") -> Image:
+    """Return two panels over the makespan (H,W,3), a dot per slack, lengths in `unit`; BadInput
+    without points."""
     if not points:
         raise BadInput("there is no slack curve to draw: give at least one point.")
     detail = "Each dot is the plan of least Σ distance² whose makespan is at most slack times the shortest"
     figure = titled_figure((WIDTH_PX, HEIGHT_PX), "What slack buys", detail)
-    panels = (("rms_distance_m", "Distance from camera to edge, rms (m)", BLUE), ("border_m", "Borders between regions (m)", ORANGE))
+    distance, border = f"Distance from camera to edge, rms ({unit})", f"Borders between regions ({unit})"
+    panels = (("rms_distance_m", distance, BLUE), ("border_m", border, ORANGE))
     for panel, (name, label, color) in enumerate(panels):
         axes = axes_at(figure, (LEFT_PX + panel * WIDTH_PX // 2, FOOT_PX, WIDTH_PX // 2 - LEFT_PX - 20, HEIGHT_PX - TOP_PX - FOOT_PX))
         _draw(axes, points, name, unit_rgb(color))

@@ -71,7 +71,7 @@ def sight_layers(scene: SfmScene, run: RunView, ground: float) -> list[Layer]:
     if footprints is None:
         return []
     try:
-        return [overlap_layer(footprints, run.cloud_plan, ground), footprint_layer(footprints, run.roles, run.cloud_plan, ground)]
+        return [overlap_layer(footprints, run.cloud_plan, run.unit, ground), footprint_layer(footprints, run.roles, run.cloud_plan, ground)]
     except BadInput:
         # The regions have no borders, so there is no area to count cells on.
         return []

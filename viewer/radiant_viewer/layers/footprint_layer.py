@@ -49,7 +49,7 @@ def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: Clou
     )
 
 
-def overlap_layer(footprints: Footprints, cloud_plan: CloudPlan, height: float = 0.0, cells_a_side: int = CELLS_A_SIDE) -> Layer:
+def overlap_layer(footprints: Footprints, cloud_plan: CloudPlan, unit: str, height: float = 0.0, cells_a_side: int = CELLS_A_SIDE) -> Layer:
     """Return the number of images that see each cell of the regions; unseen cells stay empty.
     Raises BadInput without regions."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
@@ -68,7 +68,7 @@ def overlap_layer(footprints: Footprints, cloud_plan: CloudPlan, height: float =
         name="Overlap",
         polygons=tuple(at_height(place + square, height) for place in places),
         polygon_colors=heat_colors(counts[rows, columns], 0, max(most, 1)),
-        heat=HeatScale(label=f"Images that see the spot, cells of {size:.3g} m", low=0, high=max(most, 1)),
+        heat=HeatScale(label=f"Images that see the spot, cells of {size:.3g} {unit}", low=0, high=max(most, 1)),
     )
 
 

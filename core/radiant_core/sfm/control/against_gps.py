@@ -3,7 +3,9 @@ scene.
 
 Where a list has a place on the globe, all of them must agree; of a site without one (LOCAL) the
 scale must. GPS shifts by some 20 m as a whole, heights by the geoid (up to 107 m) and by altitudes
-that count from elsewhere, so that a height alone never stops the work.
+that count from elsewhere, so that a height alone never stops the work. Altitudes that drift during a
+flight tilt what is fitted to them, and stretch it: where photographs would be rolled by that, only
+the plane of GPS is compared.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from radiant_core.cameras import Cameras
-from radiant_core.frames import Frame, geodetic_from_enu
+from radiant_core.frames import Frame, Sim3, geodetic_from_enu
 from radiant_core.georef.control_points import ControlRequest, system_of
 from radiant_core.georef.likely_cause import likely_cause
 from radiant_core.io.photos.listing import Photograph
@@ -21,9 +23,10 @@ from radiant_core.numerics import FloatArray
 from radiant_core.sfm.colmap.pairs import gps_about, gps_positions
 from radiant_core.sfm.control.before_matching import cause_text, distance_text, listed_system
 from radiant_core.sfm.control.priors import accurate_positions, are_enough
-from radiant_core.sfm.world_frame.align import robust_sim3
+from radiant_core.sfm.world_frame.align import Alignment, robust_sim3
 from radiant_core.sfm.world_frame.contradictions import (
     FOOT_M,
+    GROSS_LEAN_DEG,
     GROSS_SCALE,
     GROSS_SIGMAS,
     GROSS_TURN_DEG,
@@ -33,9 +36,13 @@ from radiant_core.sfm.world_frame.contradictions import (
     NOTABLE_TURN_DEG,
     UNIT_SHARE,
     Contradiction,
+    drift_factor,
     heading_sigma_deg,
     scale_sigma,
 )
+from radiant_core.sfm.world_frame.orient import level_fit
+from radiant_core.sfm.world_frame.up import roll_deg
+from radiant_core.sfm.world_frame.world import MAX_GPS_ROLL_DEG
 
 NOTABLE_SHIFT_M, GROSS_SHIFT_M = 30.0, 200.0
 """Beyond what consumer receivers are off as a whole; beyond all of them and most datums."""
@@ -49,6 +56,7 @@ MIN_POSITIONS = 4
 """Three positions fit any similarity."""
 UPSIDE_DOWN = 0.3
 """Mean of what is up in photographs that look down or ahead, along up, is above 0.7 as a rule."""
+LIST_UP = np.array([0.0, 0.0, 1.0])
 
 
 def against_gps(cameras: Cameras, frame: Frame, photographs: tuple[Photograph, ...], request: ControlRequest) -> tuple[Contradiction, ...]:
@@ -67,7 +75,8 @@ def against_gps(cameras: Cameras, frame: Frame, photographs: tuple[Photograph, .
         found += _shifts(centers, gps_m, frame, request, ACCURATE_SHIFT_M if accurate else NOTABLE_SHIFT_M)
     high = np.isfinite(gps_m[:, 2])
     if high.sum() >= MIN_POSITIONS:
-        found += _turns(centers[high], gps_m[high], request.source, on_globe=frame.kind == "metric")
+        seen = cameras.select(np.flatnonzero(known)[high])
+        found += _turns(seen, gps_m[high], request.source, on_globe=frame.kind == "metric")
     return tuple(found)
 
 
@@ -80,7 +89,7 @@ def _upside_down(cameras: Cameras, source: str) -> Iterator[Contradiction]:
             "heights have the wrong sign",
             is_gross=True,
             taken="the list is taken",
-            remedy="correct the order and signs of its coordinates",
+            remedy="correct the order and signs of its coordinates, unless the photographs do look up",
         )
 
 
@@ -89,9 +98,10 @@ def _shifts(centers: FloatArray, gps_m: FloatArray, frame: Frame, request: Contr
     shift_m = np.median(away_m, axis=0)
     off_m, spread_m = float(np.linalg.norm(shift_m)), float(np.median(np.linalg.norm(away_m - shift_m, axis=1)))
     high = np.isfinite(gps_m[:, 2])
-    rise_m = float(np.median((centers - gps_m)[high, 2])) if high.any() else 0.0
     system = system_of(listed_system(request), request.source)
     listed, expected = (geodetic_from_enu(places, frame.origin_lat_lon_alt) for places in (centers, np.nan_to_num(gps_m)))
+    # Not along the axis up of the one place, from which the globe curves away: 16 km in 457 km.
+    rise_m = float(np.median((listed - expected)[high, 2])) if high.any() else 0.0
     if off_m > max(floor_m, SPREADS * spread_m):
         yield Contradiction(
             sentence=f"{request.source} and the photographs' GPS contradict each other: by the list the photographs were taken "
@@ -112,12 +122,13 @@ def _shifts(centers: FloatArray, gps_m: FloatArray, frame: Frame, request: Contr
         )
 
 
-def _turns(centers: FloatArray, gps_m: FloatArray, source: str, *, on_globe: bool) -> Iterator[Contradiction]:
+def _turns(cameras: Cameras, gps_m: FloatArray, source: str, *, on_globe: bool) -> Iterator[Contradiction]:
     """Of a similarity from the list's frame to GPS, which should be none but for a shift."""
-    fit = robust_sim3(centers, gps_m)
-    if fit.target_from_source is None or fit.status == "inconsistent":
+    fit = robust_sim3(cameras.centers, gps_m)
+    gps_from_list = _gps_from_list(cameras, gps_m, fit)
+    if gps_from_list is None:
         return
-    ratio, sigma = fit.target_from_source.scale, scale_sigma(fit)
+    ratio, sigma = gps_from_list.scale, scale_sigma(fit)
     off = abs(float(np.log(ratio)))
     if off > max(NOTABLE_SCALE, NOTABLE_SIGMAS * sigma):
         foot = abs(np.log(ratio / FOOT_M)) < UNIT_SHARE
@@ -130,13 +141,13 @@ def _turns(centers: FloatArray, gps_m: FloatArray, source: str, *, on_globe: boo
         )
     if not on_globe or fit.status != "ok":
         return
-    rotation, sigma_deg = fit.target_from_source.rotation, heading_sigma_deg(fit)
+    rotation, sigma_deg = gps_from_list.rotation, heading_sigma_deg(fit)
     lean_deg = float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1, 1))))
     turn_deg = abs(float(np.degrees(np.arctan2(rotation[1, 0], rotation[0, 0]))))
-    if lean_deg > max(NOTABLE_LEAN_DEG, NOTABLE_SIGMAS * float(np.degrees(fit.tilt_error_rad))):
+    if lean_deg > max(NOTABLE_LEAN_DEG, NOTABLE_SIGMAS * float(np.degrees(fit.tilt_error_rad)) * drift_factor(fit)):
         yield Contradiction(
             sentence=f"{source} puts up {lean_deg:.0f}° away from where the photographs' GPS has it",
-            is_gross=lean_deg > 90,
+            is_gross=lean_deg > GROSS_LEAN_DEG,
             taken="the list is taken",
             remedy="correct the order and signs of its coordinates",
         )
@@ -148,3 +159,13 @@ def _turns(centers: FloatArray, gps_m: FloatArray, source: str, *, on_globe: boo
             taken="the list is taken",
             remedy="correct the order and signs of its coordinates",
         )
+
+
+def _gps_from_list(cameras: Cameras, gps_m: FloatArray, fit: Alignment) -> Sim3 | None:
+    """What `fit` found, without its tilt where altitudes make that; None where GPS says nothing."""
+    if fit.target_from_source is None or fit.status == "inconsistent":
+        return None
+    rolled_deg = roll_deg(cameras, fit.target_from_source.rotation[2])
+    if fit.status != "ok" or rolled_deg <= max(MAX_GPS_ROLL_DEG, 2 * roll_deg(cameras, LIST_UP)):
+        return fit.target_from_source
+    return level_fit(cameras.centers[fit.inliers], gps_m[fit.inliers], LIST_UP)

@@ -3,7 +3,8 @@
 Robust weights let an adjustment pass over what does not fit; what it then rests on may be little. A
 point counts where two of its marks do and its difference is within four standard deviations, or
 within four times what is usual among the others where the survey is worse than was said. A fit that
-passes over more than half of its points, or leaves fewer than fix a scene, is none.
+passes over more than half of its points, or leaves fewer than fix a scene, is none; and where it
+passes over any, the three that nearly fit whatever they are have to be checked by a fourth.
 """
 
 from __future__ import annotations
@@ -39,14 +40,17 @@ def with_counts(points: tuple[PointQuality, ...], sigmas_m: FloatArray) -> tuple
     return tuple(replace(point, counts=point.is_seen and off[point.name] <= limit) for point in points)
 
 
-def require_counting(points: tuple[PointQuality, ...], sigmas_m: FloatArray, extent_m: float) -> None:
-    """Raise BadInput where most control points, which extend over `extent_m`, do not count, or all
-    are off by a good part of that."""
+def require_counting(points: tuple[PointQuality, ...], sigmas_m: FloatArray, extent_m: float, *, checked: bool) -> None:
+    """Raise BadInput where most control points, which extend over `extent_m`, do not count, those
+    that do fit anyhow and are not `checked` by others, or all are off by a good part of that."""
     counting = [point for point in points if point.counts]
-    if len(counting) < max(MIN_CONTROL, len(points) / 2):
+    least = MIN_CONTROL if checked or len(counting) == len(points) else MIN_CONTROL + 1
+    if len(counting) < max(least, len(points) / 2):
+        anyhow = f", for any {MIN_CONTROL} nearly fit" if least > MIN_CONTROL else ""
         raise BadInput(
             f"ground control does not fit the photographs: {len(counting)} of {len(points)} points count, expected half of them and "
-            f"{MIN_CONTROL} or more ({said_of(points)}): check marks and coordinates, and whether marks count in photographs as stored."
+            f"{least} or more{anyhow} ({said_of(points)}): check marks, and order, signs and units of coordinates, and whether marks "
+            "count in photographs as stored."
         )
     missed_m = float(np.median([point.length_m for point in counting]))
     if missed_m > MAX_MISFIT_SHARE * extent_m and missed_m > MISFIT_SIGMAS * float(sigmas_m.max()):
@@ -54,6 +58,17 @@ def require_counting(points: tuple[PointQuality, ...], sigmas_m: FloatArray, ext
             f"ground control does not fit the photographs: its points miss their places by {missed_m:.3g} m (median) over {extent_m:.3g} "
             "m: check the order and units of its coordinates, and whether marks count in photographs as stored."
         )
+
+
+def misfit_doubt(points: tuple[PointQuality, ...], sigmas_m: FloatArray) -> tuple[str, ...]:
+    """A doubt where control points as a whole miss by far more than their survey's deviations."""
+    off = [sigmas_off(point, sigmas_m) for point in points if point.is_seen]
+    if not off or float(np.median(off)) <= BLUNDER_SIGMAS:
+        return ()
+    return (
+        f"ground control misses the photographs by {float(np.median(off)):.0f} standard deviations (median): it is worse than "
+        f"± {float(sigmas_m.max()):.2g} m (--gcp-accuracy), or some of its coordinates or marks are wrong.",
+    )
 
 
 def said_of(points: tuple[PointQuality, ...]) -> str:

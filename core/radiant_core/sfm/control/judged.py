@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from radiant_core.sfm.control.adjust import Adjusted, Known
-from radiant_core.sfm.control.counting import BLUNDER_SIGMAS, require_counting, said_of, sigmas_off, with_counts
+from radiant_core.sfm.control.counting import BLUNDER_SIGMAS, misfit_doubt, require_counting, said_of, sigmas_off, with_counts
 from radiant_core.sfm.control.marked import Marked
 from radiant_core.sfm.control.quality import PointQuality, check_points, control_points
 
@@ -21,11 +21,12 @@ def judged_points(adjusted: Adjusted, known: Known, marked: Marked) -> tuple[tup
     rows, marks = marked.rows(check=False)
     names, places_m = tuple(marked.names[row] for row in rows), marked.places_m[rows]
     control = with_counts(control_points(adjusted, marks, names, places_m, mark_px), marked.sigmas_m)
-    if len(rows):
-        require_counting(control, marked.sigmas_m, float(np.linalg.norm(np.ptp(places_m, axis=0))))
     rows, marks = marked.rows(check=True)
     names = tuple(marked.names[row] for row in rows)
     check = with_counts(check_points(adjusted, marks, names, marked.places_m[rows], marked.sigmas_m, mark_px), marked.sigmas_m)
+    if control:
+        extent_m = float(np.linalg.norm(np.ptp(places_m, axis=0)))
+        require_counting(control, marked.sigmas_m, extent_m, checked=any(point.counts for point in check))
     lost = sorted(set(names) - {point.name for point in check})
     warnings = marked.warnings
     if lost:
@@ -34,10 +35,10 @@ def judged_points(adjusted: Adjusted, known: Known, marked: Marked) -> tuple[tup
     left = tuple(point for point in (*control, *check) if not point.is_seen)
     if left:
         warnings += (f"{len(left)} of {len(control) + len(check)} surveyed points do not count: {said_of(left)}.",)
-    doubts = ()
+    doubts = misfit_doubt(control, marked.sigmas_m)
     if 2 * sum(point.counts for point in check) < len(check):
         counting = sum(point.counts for point in check)
-        doubts = (f"only {counting} of {len(check)} check points count, which says nothing good of the frame or of their marks.",)
+        doubts += (f"only {counting} of {len(check)} check points count, which says nothing good of the frame or of their marks.",)
     return (*control, *check), warnings, doubts
 
 

@@ -46,6 +46,7 @@ def survey_record(surveyed: Surveyed) -> dict[str, Any]:
         "num_positions_counting": surveyed.num_positions_counting,
         "positions_rms_m": surveyed.positions_rms_m,
         "positions_shift_m": list(surveyed.shift_m),
+        "scale_sigma": surveyed.scale_sigma,
         "control": _summary(surveyed.control),
         "check": _summary(surveyed.check),
         "points": [

@@ -29,6 +29,7 @@ from radiant_core.sfm.control.judged import blunders, judged_points
 from radiant_core.sfm.control.marked import Marked, marks_of
 from radiant_core.sfm.control.priors import accurate_positions, are_enough, middle_of, positions_about
 from radiant_core.sfm.control.quality import PointQuality, Summary, summarize
+from radiant_core.sfm.control.scale import scale_by_points, scale_by_positions
 from radiant_core.sfm.world_frame.align import fit_sim3, robust_sim3
 
 TIES_PER_IMAGE = 250
@@ -59,6 +60,8 @@ class Surveyed:
     warnings: tuple[str, ...]
     doubts: tuple[str, ...] = ()
     """Those of the warnings after which the frame may be wrong."""
+    scale_sigma: float | None = None
+    """Relative standard deviation of the scale (`scale.py`)."""
 
     def decision(self) -> Decision:
         """For the report: what places the scene, and how well."""
@@ -218,6 +221,10 @@ def _surveyed(
     rms = float(np.sqrt(np.mean(np.square(misses[has_gps])))) if has_gps.any() else None
     kind = "scaled" if origin is None else "metric"
     claims = claim_warning(misses, known.gps_sigmas_m)
+    counting = counting_positions(misses, known.gps_sigmas_m)
+    scale_sigma = scale_by_points(points, known.places_m, known.sigmas_m)
+    if scale_sigma is None:
+        scale_sigma = scale_by_positions(known.gps_m[counting], misses[counting], known.gps_sigmas_m[counting])
     east, north, up = adjusted.shift_m.tolist()
     return Surveyed(
         frame=Frame(kind=kind, origin_lat_lon_alt=np.zeros(3) if origin is None else origin, residual_m=rms),
@@ -225,7 +232,7 @@ def _surveyed(
         control=summarize(tuple(point for point in points if not point.is_check)),
         check=summarize(tuple(point for point in points if point.is_check)),
         num_positions=int(has_gps.sum()),
-        num_positions_counting=int(counting_positions(misses, known.gps_sigmas_m).sum()),
+        num_positions_counting=int(counting.sum()),
         positions_rms_m=rms,
         shift_m=(east, north, up),
         tie_sigma_px=known.tie_sigma_px,
@@ -233,4 +240,5 @@ def _surveyed(
         system="WGS84" if control is None else control.system,
         warnings=(*(() if control is None else control.warnings), *warnings, *blunders(points, known), *doubts, *claims),
         doubts=(*doubts, *claims),
+        scale_sigma=scale_sigma,
     )

@@ -25,8 +25,9 @@ NOTABLE_SCALE, GROSS_SCALE = 0.03, 0.25
 """A length by tape or by flying height is known to no better; a wrong unit is off by far more."""
 NOTABLE_TURN_DEG, GROSS_TURN_DEG = 10.0, 20.0
 """Declination and dial of a compass; what no compass is off by."""
-NOTABLE_LEAN_DEG = 15.0
-"""Altitudes that drift, or a photograph that was not held straight, put up so far away."""
+NOTABLE_LEAN_DEG, GROSS_LEAN_DEG = 15.0, 60.0
+"""Altitudes that drift, or a photograph that was not held straight, put up so far away; so far that
+photographs which look down would look ahead, only where they would be rolled as well."""
 FOOT_M = 0.3048
 UNIT_SHARE = 0.1
 """Within this share a ratio is that of two units."""
@@ -58,7 +59,13 @@ def settle(contradictions: Iterable[Contradiction], policy: Contradictions) -> t
 
 def scale_sigma(fit: Alignment) -> float:
     """Relative standard deviation of the scale of a fit to GPS whose errors drift together."""
-    return float(fit.scale_error * np.sqrt(max(1.0, fit.inliers.sum() / MAX_INDEPENDENT)))
+    return float(fit.scale_error) * drift_factor(fit)
+
+
+def drift_factor(fit: Alignment) -> float:
+    """How many times less sure a fit to GPS is than its residuals say, whose errors drift
+    together."""
+    return float(np.sqrt(max(1.0, fit.inliers.sum() / MAX_INDEPENDENT)))
 
 
 def heading_sigma_deg(fit: Alignment) -> float:
@@ -100,14 +107,15 @@ def contradicting_north(turn_deg: float, sigma_deg: float, option: str, heading_
 
 
 def contradicting_up(lean_deg: float, sigma_deg: float, option: str) -> Contradiction | None:
-    """Up as a user gives it against GPS; altitudes are the worst of GPS, so it is never gross."""
+    """Up as a user gives it against GPS, whose altitudes are the worst of it: gross only where that
+    turns ground into walls."""
     if lean_deg <= max(NOTABLE_LEAN_DEG, NOTABLE_SIGMAS * sigma_deg):
         return None
     return Contradiction(
         sentence=f"{option} puts up {lean_deg:.0f}° away from where the photographs' GPS has it, which is known to {sigma_deg:.1f}°",
-        is_gross=False,
+        is_gross=lean_deg > GROSS_LEAN_DEG,
         taken="--up is taken",
-        remedy="leave --up out",
+        remedy="correct --up, or leave it out to go by GPS",
     )
 
 

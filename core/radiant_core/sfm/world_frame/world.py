@@ -146,7 +146,7 @@ def _against_gps(
         turn_deg = decision.figure or 0.0
         option = f"--north {placement.north}"
         found.append(contradicting_north(turn_deg, heading_sigma_deg(gps.fit), option, placement.north_deg + turn_deg))
-    if gps.verdict == "overruled" and gps.fit.status == "ok":
+    if gps.verdict == "overruled" and gps.fit.status == "ok" and not gps.is_rolled:
         found.append(contradicting_up(gps.lean_deg, gps.up_deg, f"--up {placement.up}"))
     return tuple(each for each in found if each is not None)
 
@@ -177,13 +177,15 @@ def move_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, fra
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _JudgedGps:
     """What GPS is good for; roll_deg: RMS roll of the photographs if its up were right, lean_deg:
-    from the scene's up, up_deg: how well GPS fixes it."""
+    from the scene's up, up_deg: how well GPS fixes it, is_rolled: whether that roll shows that its
+    altitudes drift."""
 
     fit: Alignment
     verdict: AlignStatus | Literal["tilted", "overruled"]
     roll_deg: float = 0.0
     lean_deg: float = 0.0
     up_deg: float = 90.0
+    is_rolled: bool = False
 
 
 def _judge(fit: Alignment, cameras: Cameras, up: UpEstimate, *, forced: bool) -> _JudgedGps:
@@ -197,7 +199,7 @@ def _judge(fit: Alignment, cameras: Cameras, up: UpEstimate, *, forced: bool) ->
     leans = up.doubt is None and lean_deg > MAX_GPS_LEAN_DEG and up_deg > up.uncertainty_deg
     tilted = fit.status == "ok" and (rolled or leans)
     verdict = "overruled" if forced and fit.status in ("ok", "collinear") else "tilted" if tilted else fit.status
-    return _JudgedGps(fit=fit, verdict=verdict, roll_deg=roll, lean_deg=lean_deg, up_deg=up_deg)
+    return _JudgedGps(fit=fit, verdict=verdict, roll_deg=roll, lean_deg=lean_deg, up_deg=up_deg, is_rolled=rolled)
 
 
 def _metric_from_model(

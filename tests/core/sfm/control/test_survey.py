@@ -11,8 +11,10 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
 from radiant_core.io.colmap.model import read_model
 from radiant_core.sfm.control.bundle import bundle_of, write_back
+from radiant_core.sfm.control.counting import require_counting
 from radiant_core.sfm.control.intersect import intersect_rays, refine_points
 from radiant_core.sfm.control.place import survey_record
+from radiant_core.sfm.control.quality import PointQuality
 from radiant_core.sfm.control.survey import Surveyed, adjust_to_survey
 from tests.core.sfm.control.surveyed_town import TOWN, TRUE_ORIGIN, control, found_model, photographs
 from tests.seeds import for_seeds
@@ -219,3 +221,46 @@ def test_marks_that_lost_their_weight_do_not_count(num_wrong: int) -> None:
     assert surveyed is not None and surveyed.control is not None
     assert (surveyed.control.num_counting, surveyed.control.num_points) == (4, 5)
     assert not surveyed.points[0].counts and any("gcp-1" in warning for warning in surveyed.warnings)
+
+
+@pytest.mark.parametrize(
+    ("counting", "total", "checked", "said"),
+    [
+        (3, 5, False, "3 of 5 points count, expected half of them and 4 or more, for any 3 nearly fit .p3: 0 of 4 marks fit; p4"),
+        (3, 4, False, "3 of 4 points count, expected half of them and 4 or more"),
+        (2, 3, True, "2 of 3 points count, expected half of them and 3 or more"),
+        (4, 9, True, "4 of 9 points count, expected half of them and 3 or more"),
+        (3, 5, True, None),
+        (3, 3, False, None),
+        (4, 5, False, None),
+    ],
+)
+def test_three_that_are_left_have_to_be_checked_by_others(counting: int, total: int, checked: bool, said: str | None) -> None:
+    """Any three nearly fit: without a fourth, or check points, nobody knows which of the others were wrong."""
+    triple = (0.01, 0.01, 0.01)
+    points = tuple(
+        PointQuality(
+            name=f"p{row}", is_check=False, num_images=4, residual_m=triple, expected_m=triple, residual_px=0.3,
+            num_counting=4 * (row < counting), counts=row < counting,
+        )
+        for row in range(total)
+    )  # fmt: skip
+    if said is None:
+        require_counting(points, np.full(3, 0.02), 100.0, checked=checked)
+        return
+    with pytest.raises(BadInput, match=said):
+        require_counting(points, np.full(3, 0.02), 100.0, checked=checked)
+
+
+def test_control_that_is_worse_than_was_said_puts_the_frame_in_doubt() -> None:
+    """Two of five off by metres pull all of them: each is within four times what is usual, and all of it is bad."""
+    right = control(num_control=5)
+    places_m = right.places_m.copy()
+    places_m[np.flatnonzero(~right.is_check)[:2]] += [[2.0, -1.5, 3.0], [-2.5, 1.0, -2.0]]
+    model = found_model()
+    surveyed = adjust_to_survey(model, photographs(model), replace(right, places_m=places_m), lambda progress: None)
+    assert surveyed is not None
+    assert any("ground control misses the photographs by" in doubt and "than ± 0.02 m" in doubt for doubt in surveyed.doubts)
+    model = found_model()
+    surveyed = adjust_to_survey(model, photographs(model), right, lambda progress: None)
+    assert surveyed is not None and surveyed.doubts == ()
