@@ -17,6 +17,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
 from radiant_core.georef.control_points import ControlPoints, ControlRequest, system_of
 from radiant_core.georef.likely_cause import place_difference
+from radiant_core.georef.list_lines import FIRST_PIXEL
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.control.priors import accurate_positions, are_enough
@@ -99,8 +100,9 @@ def _require_inside(control: ControlPoints, sizes_wh: Mapping[str, tuple[int, in
     if outside:
         (name, pixel), total = outside[0], len(control.mark_images)
         width, height = sizes_wh[name]
+        column, row = pixel - FIRST_PIXEL  # as the list has it
         raise BadInput(
-            f"{source}: {len(outside)} of {total} marks lie outside of their photographs, the first at {pixel[0]:g}, {pixel[1]:g} of "
+            f"{source}: {len(outside)} of {total} marks lie outside of their photographs, the first at {column:g}, {row:g} of "
             f"{name}, which is {width} × {height} px: marks count in the photograph as it is stored, neither turned nor of another size."
         )
 
