@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
@@ -51,8 +50,9 @@ def test_regions_in_feet_come_with_a_warning_or_not_at_all(tmp_path: Path) -> No
     assert "computed here to about 4 m instead of 2 m" in " ".join(result.output.split())
     regions = regions_of(out)
     assert regions["crs"]["properties"]["name"] == "urn:ogc:def:crs:EPSG::2263"
-    heights = [f["geometry"]["coordinates"][2] for f in regions["features"] if f["properties"]["kind"] == "waypoint"]
-    np.testing.assert_allclose(heights, 80 * 3937 / 1200, atol=1e-3)
+    # Heights above take-off are no third numbers, which would count from the system's datum in feet.
+    points = [f for f in regions["features"] if f["properties"]["kind"] == "waypoint"]
+    assert {(len(f["geometry"]["coordinates"]), *heights_of(f)) for f in points} == {(2, 80.0, "takeoff")}
 
 
 def test_positions_in_feet_are_flown_in_metres(tmp_path: Path) -> None:
@@ -62,5 +62,10 @@ def test_positions_in_feet_are_flown_in_metres(tmp_path: Path) -> None:
     assert isinstance(with_switch.exception, BadInput) and "a.geojson" in str(with_switch.exception)
     result = planned(source, out / "plan.json")
     assert result.exception is None and "us_noaa_njhpgn.tif" in " ".join(result.output.split())
-    heights = [f["geometry"]["coordinates"][2] for f in regions_of(out)["features"] if f["properties"]["kind"] == "waypoint"]
-    assert heights == pytest.approx([80.0] * len(LAT_LON), abs=2e-3)
+    points = [f for f in regions_of(out)["features"] if f["properties"]["kind"] == "waypoint"]
+    heights, counts_from = zip(*(heights_of(f) for f in points), strict=True)
+    assert list(heights) == pytest.approx([80.0] * len(LAT_LON), abs=2e-3) and set(counts_from) == {"absolute"}
+
+
+def heights_of(feature: dict) -> tuple[float, str]:
+    return feature["properties"]["height_m"], feature["properties"]["height_from"]

@@ -66,8 +66,7 @@ def reconstruct(
     contradicted = check_control(placement, photographs, {photo.name: photo.size_wh for photo in photographs})
     config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
     report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
-    control = None if placement.control is None else placement.control.text
-    given_masks, beside = masks, beside_warning(photo_folder, masks, control=control)
+    given_masks, beside = masks, beside_warning(photo_folder, masks, control=placement.control_text)
     given_folder, photo_folder = photo_folder, readable_folder(listing, photo_folder, work_folder)
     photos = PhotographSet(folder=photo_folder, given_folder=given_folder, photographs=photographs, masks=masks)
     attempt = find_poses(photos, work_folder, config, report)
@@ -107,7 +106,7 @@ def reconstruct(
             *placed.warnings,
         ),
         unnamed_warnings=(
-            *warn_of_unused(listing, beside_warning(given_folder, given_masks, control=control, named=False), named=False),
+            *warn_of_unused(listing, beside_warning(given_folder, given_masks, control=placement.control_text, named=False), named=False),
             *attempt.warnings,
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
@@ -159,7 +158,7 @@ def scene_from_colmap(
     _require_images(model, listing, image_folder)
     sizes_wh = {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
     contradicted = check_control(placement, listing.photographs, sizes_wh)
-    beside = beside_warning(image_folder, masks, control=None if placement.control is None else placement.control.text)
+    beside = beside_warning(image_folder, masks, control=placement.control_text)
     if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
     image_folder = readable_folder(listing, image_folder, work_folder)

@@ -101,8 +101,9 @@ def _require_inside(control: ControlPoints, sizes_wh: Mapping[str, tuple[int, in
         (name, pixel), total = outside[0], len(control.mark_images)
         pixel = pixel - FIRST_PIXEL  # as the list has it
         width, height = sizes_wh[name]
+        column, row = pixel - FIRST_PIXEL  # as the list has it
         raise BadInput(
-            f"{source}: {len(outside)} of {total} marks lie outside of their photographs, the first at {pixel[0]:g}, {pixel[1]:g} of "
+            f"{source}: {len(outside)} of {total} marks lie outside of their photographs, the first at {column:g}, {row:g} of "
             f"{name}, which is {width} × {height} px: marks count in the photograph as it is stored, neither turned nor of another size."
         )
 

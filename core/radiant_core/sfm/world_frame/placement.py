@@ -76,6 +76,11 @@ class Placement:
         except ValueError:
             return None
 
+    @property
+    def control_text(self) -> str | None:
+        """The list of ground control as it came; None without one."""
+        return None if self.control is None else self.control.text
+
     def parsed_control(self, photographs: Sequence[str] = ()) -> ControlPoints | None:
         """The surveyed points, if there are any, marked in `photographs`; raises as
         `parse_control`."""
