@@ -21,7 +21,7 @@ from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.attempts import PhotographSet, find_poses
+from radiant_core.sfm.attempts import Attempt, PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
@@ -75,11 +75,7 @@ def reconstruct(
     (work_folder / "sparse").mkdir()
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
-    total = int(refined.num_reg_images())
-    report(SfmProgress(phase="triangulating", done=0, total=total))
-    # Once: what more photographs see has just been adjusted.
-    triangulate(refined, attempt.database, photo_folder, work_folder / "sparse", attempt.config, refinements=1)
-    report(SfmProgress(phase="triangulating", done=total, total=total))
+    _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     remove_readable(work_folder)
@@ -121,6 +117,14 @@ def reconstruct(
     )
 
 
+def _triangulate(refined: pycolmap.Reconstruction, attempt: Attempt, photo_folder: Path, folder: Path, report: Report) -> None:
+    total = int(refined.num_reg_images())
+    report(SfmProgress(phase="triangulating", done=0, total=total))
+    # Once: what more photographs see has just been adjusted.
+    triangulate(refined, attempt.database, photo_folder, folder, attempt.config, refinements=1)
+    report(SfmProgress(phase="triangulating", done=total, total=total))
+
+
 def _placed(
     model: ColmapModel,
     surveyed: Surveyed | None,
@@ -156,16 +160,13 @@ def scene_from_colmap(
     model = model.without(listing.left_out)
     given_centers = {image.name: -image.cam_from_world[:3, :3].T @ image.translation for image in model.images}
     _require_images(model, listing, image_folder)
-    sizes_wh = {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
-    contradicted = check_control(placement, listing.photographs, sizes_wh)
+    contradicted = check_control(placement, listing.photographs, _sizes_of(model))
     beside = beside_warning(image_folder, masks, control=placement.control_text)
     if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
-    image_folder = readable_folder(listing, image_folder, work_folder)
-    images_to_use = image_folder
+    images_to_use = image_folder = readable_folder(listing, image_folder, work_folder)
     if files.renamed and (placement.control is not None or not pinhole):
-        model_folder = work_folder / "named"
-        write_for_colmap(model, model_folder)
+        model_folder = _written(model, work_folder / "named")
     surveyed = None
     if placement.control is not None:
         _require_tracks(model, model_folder)
@@ -176,8 +177,7 @@ def scene_from_colmap(
         masks = keep_masks(given, work_folder)
     else:
         if listing.left_out or any(" " in image.name for image in model.images):
-            model_folder = work_folder / "sparse"
-            write_for_colmap(model, model_folder)
+            model_folder = _written(model, work_folder / "sparse")
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         remove_readable(work_folder)
@@ -188,8 +188,7 @@ def scene_from_colmap(
     scene, repeats = without_repeats(placed.scene, images_to_use)
     outliers = gps_outliers(scene, listing.photographs)
     if not pinhole:
-        _fit_models(work_folder, placed, scene)
-        remove_images(images_to_use, scene.cameras)
+        _fit_undistorted(work_folder, placed, scene)
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
@@ -219,6 +218,10 @@ def _phases_of(model: ColmapModel, placement: Placement, *, pinhole: bool) -> tu
     return phases if len(model.points.ids) else (*phases, *POINT_PHASES)
 
 
+def _sizes_of(model: ColmapModel) -> dict[str, tuple[int, int]]:
+    return {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
+
+
 def _require_tracks(model: ColmapModel, model_folder: Path) -> None:
     if not len(model.points.tracks):
         raise BadInput(
@@ -227,8 +230,14 @@ def _require_tracks(model: ColmapModel, model_folder: Path) -> None:
         )
 
 
-def _fit_models(work_folder: Path, placed: PlacedScene, scene: SfmScene) -> None:
+def _written(model: ColmapModel, folder: Path) -> Path:
+    write_for_colmap(model, folder)
+    return folder
+
+
+def _fit_undistorted(work_folder: Path, placed: PlacedScene, scene: SfmScene) -> None:
     """What was given stays as it is; sparse/ is there where COLMAP could not read it as it was."""
+    remove_images(work_folder / "undistorted" / "images", scene.cameras)
     for folder in (work_folder / "sparse", work_folder / "undistorted" / "sparse"):
         if folder.is_dir():
             fit_model(folder, placed.world_from_model, scene.cameras)
