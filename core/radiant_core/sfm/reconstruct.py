@@ -21,7 +21,7 @@ from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.attempts import PhotographSet, find_poses
+from radiant_core.sfm.attempts import Attempt, PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
@@ -75,11 +75,7 @@ def reconstruct(
     (work_folder / "sparse").mkdir()
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
-    total = int(refined.num_reg_images())
-    report(SfmProgress(phase="triangulating", done=0, total=total))
-    # Once: what more photographs see has just been adjusted.
-    triangulate(refined, attempt.database, photo_folder, work_folder / "sparse", attempt.config, refinements=1)
-    report(SfmProgress(phase="triangulating", done=total, total=total))
+    _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     remove_readable(work_folder)
@@ -121,6 +117,15 @@ def reconstruct(
     )
 
 
+def _triangulate(model: pycolmap.Reconstruction, attempt: Attempt, photo_folder: Path, out: Path, report: Report) -> None:
+    """Write the model with the points that its final poses give."""
+    total = int(model.num_reg_images())
+    report(SfmProgress(phase="triangulating", done=0, total=total))
+    # Once: what more photographs see has just been adjusted.
+    triangulate(model, attempt.database, photo_folder, out, attempt.config, refinements=1)
+    report(SfmProgress(phase="triangulating", done=total, total=total))
+
+
 def _placed(
     model: ColmapModel,
     surveyed: Surveyed | None,
@@ -154,15 +159,13 @@ def scene_from_colmap(
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
-    given_centers = {image.name: -image.cam_from_world[:3, :3].T @ image.translation for image in model.images}
+    given_centers = _centers_of(model)
     _require_images(model, listing, image_folder)
-    sizes_wh = {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
-    contradicted = check_control(placement, listing.photographs, sizes_wh)
+    contradicted = check_control(placement, listing.photographs, _sizes_of(model))
     beside = beside_warning(image_folder, masks)
     if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
     image_folder = readable_folder(listing, image_folder, work_folder)
-    images_to_use = image_folder
     if files.renamed and (placement.control is not None or not pinhole):
         model_folder = work_folder / "named"
         write_for_colmap(model, model_folder)
@@ -173,23 +176,19 @@ def scene_from_colmap(
         model = read_model(model_folder)
     given = take_masks(masks, listing.photographs, work_folder)
     if pinhole:
-        masks = keep_masks(given, work_folder)
+        masks, images_to_use = keep_masks(given, work_folder), image_folder
     else:
         if listing.left_out or any(" " in image.name for image in model.images):
             model_folder = work_folder / "sparse"
             write_for_colmap(model, model_folder)
-        undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
-        masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
-        remove_readable(work_folder)
-        model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
+        model, images_to_use, masks = _undistorted(model_folder, image_folder, work_folder, given, report)
     model, said = with_points(model, images_to_use, work_folder, report, masks)
     placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement, keeps_frame=True), contradicted)
-    given_frame = _given_frame(placed, None if surveyed is None else given_centers)
+    given_frame = _given_frame(placed, given_centers if surveyed is not None else None)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     outliers = gps_outliers(scene, listing.photographs)
     if not pinhole:
-        _fit_models(work_folder, placed, scene)
-        remove_images(images_to_use, scene.cameras)
+        _fit_models(work_folder, placed, scene, images_to_use)
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
@@ -213,10 +212,28 @@ def scene_from_colmap(
     )
 
 
+def _undistorted(
+    model_folder: Path, image_folder: Path, work_folder: Path, masks: Path | None, report: Report
+) -> tuple[ColmapModel, Path, Path | None]:
+    """Model, images and masks without distortion."""
+    undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
+    masks = undistort_masks(masks, model_folder, work_folder, SfmConfig().threads)
+    remove_readable(work_folder)
+    return read_model(undistorted.model_folder), undistorted.image_folder, masks
+
+
 def _phases_of(model: ColmapModel, placement: Placement, *, pinhole: bool) -> tuple[Phase, ...]:
     needed: dict[Phase, bool] = {"checking photographs": True, "refining": placement.control is not None, "undistorting": not pinhole}
     phases: tuple[Phase, ...] = tuple(phase for phase, is_needed in needed.items() if is_needed)
     return phases if len(model.points.ids) else (*phases, *POINT_PHASES)
+
+
+def _centers_of(model: ColmapModel) -> dict[str, FloatArray]:
+    return {image.name: -image.cam_from_world[:3, :3].T @ image.translation for image in model.images}
+
+
+def _sizes_of(model: ColmapModel) -> dict[str, tuple[int, int]]:
+    return {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
 
 
 def _require_tracks(model: ColmapModel, model_folder: Path) -> None:
@@ -227,8 +244,10 @@ def _require_tracks(model: ColmapModel, model_folder: Path) -> None:
         )
 
 
-def _fit_models(work_folder: Path, placed: PlacedScene, scene: SfmScene) -> None:
-    """What was given stays as it is; sparse/ is there where COLMAP could not read it as it was."""
+def _fit_models(work_folder: Path, placed: PlacedScene, scene: SfmScene, images: Path) -> None:
+    """Models and `images` become those of the scene. What was given stays as it is; sparse/ is
+    there where COLMAP could not read it as it was."""
+    remove_images(images, scene.cameras)
     for folder in (work_folder / "sparse", work_folder / "undistorted" / "sparse"):
         if folder.is_dir():
             fit_model(folder, placed.world_from_model, scene.cameras)
