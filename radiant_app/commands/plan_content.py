@@ -106,7 +106,12 @@ def content_of_waypoints(
 
 
 def content_of_scene(scene: SfmScene, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, request: ContentRequest) -> PlanContent:
-    """Forecasts and buffers of posed cameras over the median height of their sparse points."""
+    """Forecasts and buffers of posed cameras over the median height of their sparse points.
+    BadInput for buffers in metres of a scene that has none."""
+    if request.buffer is not None and request.buffer.within_m is not None and scene.frame.kind == "unscaled":
+        raise BadInput(
+            f"--buffer {request.buffer.within_m:g}m is in metres, and the scene has no scale: give a share of the footprint such as 20%."
+        )
     if not len(scene.points):
         return PlanContent(reason="not made, for the scene has no points to estimate the ground from.")
     ground_m = float(np.median(scene.points[:, 2])) if request.ground_m is None else request.ground_m

@@ -117,8 +117,8 @@ class SfmOptions:
     tells the metres."""
 
     contradictions: Contradictions = "stop"
-    """Where --gcp, --distance, --height or --north and the photographs' GPS differ by more than GPS
-    can be off: stop, or warn and go by what is given here."""
+    """Where --gcp, --distance, --height, --north or --up and the photographs' GPS differ by more
+    than GPS can be off: stop, or warn and go by what is given here."""
 
     @property
     def placed_by_hand(self) -> bool:

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
 from radiant_app.report.survey import survey_of
+from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_viewer.charts import slack_chart
@@ -79,3 +80,12 @@ def test_a_plan_of_a_scene_without_scale_prints_no_metres(tmp_path: Path) -> Non
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exception is None, result.exception
     assert not METRES.search(result.output) and "units²" in result.output
+
+
+def test_a_buffer_in_metres_is_refused_for_a_scene_that_has_none(tmp_path: Path) -> None:
+    save_run(tmp_path / "run", unscaled_town())
+    arguments = ["plan", str(tmp_path / "run"), "--out", str(tmp_path / "p" / "plan.json"), "--buffer"]
+    result = CliRunner().invoke(app, [*arguments, "15m"])
+    assert isinstance(result.exception, BadInput)
+    assert str(result.exception) == "--buffer 15m is in metres, and the scene has no scale: give a share of the footprint such as 20%."
+    assert CliRunner().invoke(app, [*arguments, "20%"]).exception is None

@@ -158,13 +158,13 @@ def scene_from_colmap(
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
-    given_centers = {image.name: -image.cam_from_world[:3, :3].T @ image.translation for image in model.images}
+    given_centers = _centers_of(model)
     _require_images(model, listing, image_folder)
     contradicted = check_control(placement, listing.photographs, _sizes_of(model))
     beside = beside_warning(image_folder, masks, control=placement.control_text)
     if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
-    images_to_use = image_folder = readable_folder(listing, image_folder, work_folder)
+    image_folder = readable_folder(listing, image_folder, work_folder)
     if files.renamed and (placement.control is not None or not pinhole):
         model_folder = _written(model, work_folder / "named")
     surveyed = None
@@ -174,21 +174,18 @@ def scene_from_colmap(
         model = read_model(model_folder)
     given = take_masks(masks, listing.photographs, work_folder)
     if pinhole:
-        masks = keep_masks(given, work_folder)
+        masks, images_to_use = keep_masks(given, work_folder), image_folder
     else:
         if listing.left_out or any(" " in image.name for image in model.images):
             model_folder = _written(model, work_folder / "sparse")
-        undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
-        masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
-        remove_readable(work_folder)
-        model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
+        model, images_to_use, masks = _undistorted(model_folder, image_folder, work_folder, given, report)
     model, said = with_points(model, images_to_use, work_folder, report, masks)
     placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement, keeps_frame=True), contradicted)
-    given_frame = _given_frame(placed, None if surveyed is None else given_centers)
+    given_frame = _given_frame(placed, given_centers if surveyed is not None else None)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     outliers = gps_outliers(scene, listing.photographs)
     if not pinhole:
-        _fit_undistorted(work_folder, placed, scene)
+        _fit_models(work_folder, placed, scene, images_to_use)
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
@@ -212,10 +209,24 @@ def scene_from_colmap(
     )
 
 
+def _undistorted(
+    model_folder: Path, image_folder: Path, work_folder: Path, masks: Path | None, report: Report
+) -> tuple[ColmapModel, Path, Path | None]:
+    """Model, images and masks without distortion."""
+    undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
+    masks = undistort_masks(masks, model_folder, work_folder, SfmConfig().threads)
+    remove_readable(work_folder)
+    return read_model(undistorted.model_folder), undistorted.image_folder, masks
+
+
 def _phases_of(model: ColmapModel, placement: Placement, *, pinhole: bool) -> tuple[Phase, ...]:
     needed: dict[Phase, bool] = {"checking photographs": True, "refining": placement.control is not None, "undistorting": not pinhole}
     phases: tuple[Phase, ...] = tuple(phase for phase, is_needed in needed.items() if is_needed)
     return phases if len(model.points.ids) else (*phases, *POINT_PHASES)
+
+
+def _centers_of(model: ColmapModel) -> dict[str, FloatArray]:
+    return {image.name: -image.cam_from_world[:3, :3].T @ image.translation for image in model.images}
 
 
 def _sizes_of(model: ColmapModel) -> dict[str, tuple[int, int]]:
@@ -235,9 +246,10 @@ def _written(model: ColmapModel, folder: Path) -> Path:
     return folder
 
 
-def _fit_undistorted(work_folder: Path, placed: PlacedScene, scene: SfmScene) -> None:
-    """What was given stays as it is; sparse/ is there where COLMAP could not read it as it was."""
-    remove_images(work_folder / "undistorted" / "images", scene.cameras)
+def _fit_models(work_folder: Path, placed: PlacedScene, scene: SfmScene, images: Path) -> None:
+    """Models and `images` become those of the scene. What was given stays as it is; sparse/ is
+    there where COLMAP could not read it as it was."""
+    remove_images(images, scene.cameras)
     for folder in (work_folder / "sparse", work_folder / "undistorted" / "sparse"):
         if folder.is_dir():
             fit_model(folder, placed.world_from_model, scene.cameras)

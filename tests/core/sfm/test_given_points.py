@@ -88,7 +88,9 @@ def test_points_that_are_not_of_the_frame_of_the_poses_are_told(tmp_path: Path) 
 @pytest.mark.parametrize("change", [unseen, pointless])
 def test_ground_control_needs_tracks(change: Callable[[ColmapModel], ColmapModel], tmp_path: Path) -> None:
     project = write_project(tmp_path / "project", change(hamlet_model()))
-    text = "EPSG:32632\n465287.8 5246371.9 427.6 186.32 63.83 drone_0003.jpg a\n465287.8 5246371.9 427.6 186 103 drone_0004.jpg a\n"
+    places = {"a": "465287.8 5246371.9", "b": "465297.8 5246371.9", "c": "465287.8 5246381.9"}
+    marks = [f"{place} 427.6 186 103 drone_{number:04d}.jpg {name}" for name, place in places.items() for number in (3, 4)]
+    text = "\n".join(["EPSG:32632", *marks])
     placement = Placement(control=ControlRequest(text=text, source="gcp.txt"))
     with pytest.raises(BadInput, match="does not say which points its images see, which --gcp needs"):
         scene_from_colmap(project / "sparse" / "0", project / "images", tmp_path / "work", quiet, placement=placement)

@@ -3,9 +3,9 @@ scene.
 
 Where a list has a place on the globe, all of them must agree; of a site without one (LOCAL) the
 scale must. GPS shifts by some 20 m as a whole, heights by the geoid (up to 107 m) and by altitudes
-that count from elsewhere, so that a height alone never stops the work. Altitudes that drift during a
-flight tilt what is fitted to them, and stretch it: where photographs would be rolled by that, only
-the plane of GPS is compared.
+that count from elsewhere, so that a height alone never stops the work. Altitudes that drift during
+a flight tilt what is fitted to them, and stretch it: where photographs would be rolled by that,
+only the plane of GPS is compared.
 """
 
 from __future__ import annotations
