@@ -160,6 +160,7 @@ def scene_from_colmap(
     model = model.without(listing.left_out)
     given_centers = _centers_of(model)
     _require_images(model, listing, image_folder)
+    _require_tracks(model, model_folder, placement)
     contradicted = check_control(placement, listing.photographs, _sizes_of(model))
     beside = beside_warning(image_folder, masks, control=placement.control_text)
     if masks is not None or placement.control is not None or not pinhole:
@@ -169,7 +170,6 @@ def scene_from_colmap(
         model_folder = _written(model, work_folder / "named")
     surveyed = None
     if placement.control is not None:
-        _require_tracks(model, model_folder)
         model_folder, surveyed = _adjusted_copy(model_folder, work_folder / "adjusted", listing.photographs, placement, report)
         model = read_model(model_folder)
     given = take_masks(masks, listing.photographs, work_folder)
@@ -233,8 +233,8 @@ def _sizes_of(model: ColmapModel) -> dict[str, tuple[int, int]]:
     return {image.name: model.cameras[image.camera_id].size_wh for image in model.images}
 
 
-def _require_tracks(model: ColmapModel, model_folder: Path) -> None:
-    if not len(model.points.tracks):
+def _require_tracks(model: ColmapModel, model_folder: Path, placement: Placement) -> None:
+    if placement.control is not None and not len(model.points.tracks):
         raise BadInput(
             f"the model in {model_folder} does not say which points its images see, which --gcp needs to move them together: give a "
             "model with its tracks, or the photographs alone."
