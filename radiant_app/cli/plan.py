@@ -9,6 +9,8 @@ import typer
 
 from radiant_app.cli import option_types as options
 from radiant_app.report.tables import finish
+from radiant_core.choices import PlanMethod
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import Preset
 
 
@@ -53,18 +55,16 @@ def plan(
     from radiant_app.commands.plan_content import content_request
     from radiant_app.commands.plan_flight import DroneText, HeightOptions, flight_request
     from radiant_app.commands.plan_tables import plan_tables
-    from radiant_app.config.fields import plan_options, with_settings
     from radiant_app.report.progress import terminal_display
     from radiant_core.train.needs import Overrides
 
-    typed = {"plan.method": plan_method, "plan.raster_cell_m": raster_cell_m, "plan.file": None}
     asked, drone = HeightOptions(heights, height, min_height, max_height, geoid), DroneText(speed, battery, image_width, field_of_view)
     request = PlanRequest(
         source=source,
         out=out,
         system=system,
         method=plan_method,
-        paper=plan_options(with_settings(typed, settings or (), "plan.")).paper,
+        paper=_paper_of(plan_method, raster_cell_m, settings),
         seed=seed,
         compare=compare,
         slack=slack,
@@ -83,3 +83,10 @@ def plan(
     for table in [] if as_json else plan_tables(result):
         typer.echo(table)
     finish(result, as_json)
+
+
+def _paper_of(plan_method: PlanMethod, raster_cell_m: float | None, settings: list[str] | None) -> PaperConfig:
+    from radiant_app.config.fields import plan_options, with_settings
+
+    typed = {"plan.method": plan_method, "plan.raster_cell_m": raster_cell_m, "plan.file": None}
+    return plan_options(with_settings(typed, settings or (), "plan.")).paper

@@ -66,13 +66,12 @@ def train(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.train import TrainRequest
-        from radiant_app.commands.train import train as run_training
+        from radiant_app.commands import train as commands
 
-    typed = {"train.long_side_px": long_side_px, "train.num_steps": steps, "train.max_num_splats": gaussians}
-    given = {path: value for path, value in typed.items() if value is not None}
-    options = train_options({"train.preset": train_preset, **with_settings(given, settings or (), "train")})
-    request = TrainRequest(
+    numbers = {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}
+    typed = {f"train.{name}": value for name, value in numbers.items() if value is not None}
+    options = train_options({"train.preset": train_preset, **with_settings(typed, settings or (), "train")})
+    request = commands.TrainRequest(
         source=scene,
         out=out,
         preset=options.preset,
@@ -89,7 +88,7 @@ def train(
         checkpoint_every_s=seconds_of(checkpoint_every),
     )
     with terminal_display(with_decisions=verbose) as listen:
-        result = run_training(request, listen, resume=resume)
+        result = commands.train(request, listen, resume=resume)
     if as_json or "psnr_db" not in result:
         finish(result, as_json)
         return

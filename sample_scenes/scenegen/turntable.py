@@ -1,4 +1,4 @@
-"""An object on a turntable: camera, lamp and wall stand still, and a plate with a house on it turns.
+"""An object on a turntable: a house on a plate turns before a still camera, lamp and wall.
 
 In the object's frame, which is the scene's, cameras ring the house; the lamp goes with the camera,
 and the wall is the same picture behind every photograph of one camera height. Brightness that
