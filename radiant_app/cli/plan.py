@@ -85,7 +85,7 @@ def plan(
     finish(result, as_json)
 
 
-def _paper_of(plan_method: PlanMethod, raster_cell_m: float | None, settings: list[str] | None) -> PaperConfig:
+def _paper_of(plan_method: PlanMethod, raster_cell_m: float | None, settings: list[str] | None) -> PaperConfig | None:
     from radiant_app.config.fields import plan_options, with_settings
 
     typed = {"plan.method": plan_method, "plan.raster_cell_m": raster_cell_m, "plan.file": None}

@@ -99,7 +99,6 @@ def _require_inside(control: ControlPoints, sizes_wh: Mapping[str, tuple[int, in
             outside.append((name, pixel))
     if outside:
         (name, pixel), total = outside[0], len(control.mark_images)
-        pixel = pixel - FIRST_PIXEL  # as the list has it
         width, height = sizes_wh[name]
         column, row = pixel - FIRST_PIXEL  # as the list has it
         raise BadInput(
