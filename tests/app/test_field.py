@@ -345,7 +345,7 @@ def test_a_frame_counts_the_positions_that_it_is_from(hamlet: Path, tmp_path: Pa
     save_task(tmp_path, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
     _place(tmp_path, placing, reporter("devices/a", told.append))
     (frame,) = [event.decision for event in told if isinstance(event, Decided) and event.decision.topic == "frame"]
-    assert frame.reason.startswith("from 12 positions;")
+    assert frame.reason.startswith("12 of 12 positions count;")
 
 
 def test_copies_among_given_poses_are_told(hamlet: Path, tmp_path: Path) -> None:

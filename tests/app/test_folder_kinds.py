@@ -116,7 +116,7 @@ def test_a_command_that_wants_a_run_names_what_came(tmp_path: Path) -> None:
     for folder, told in ((photographs, "2 photographs"), (project, "12 photographs")):
         with pytest.raises(BadInput, match=f"{folder}, which has {told}, holds no plan.json: give the folder of a run"):
             require_run(folder)
-        with pytest.raises(BadInput, match=f"{folder}, which has {told}, holds no scene.ply: give the folder of a finished run"):
+        with pytest.raises(BadInput, match=f"{folder}, which has {told}, holds no scene.ply: give the folder of a run that went that far"):
             evaluate(EvaluateRequest(model=folder), None)  # pyright: ignore[reportArgumentType]
     write_model(tmp_path / "model", hamlet_model())
     assert named_folder(tmp_path / "model").endswith("model, a COLMAP model, which holds no photographs,")

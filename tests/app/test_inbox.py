@@ -23,7 +23,7 @@ from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame
 from radiant_core.hierarchy import joining
 from radiant_core.hierarchy.joining import Arrivals, admit, number_cameras
 from radiant_core.hierarchy.messages import EdgeTask
-from radiant_core.io.messages import NOTHING, sim3_of, sim3_record
+from radiant_core.io.messages import MAX_FRAME_BYTES, NOTHING, sim3_of, sim3_record
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.upload import save_upload
@@ -165,13 +165,13 @@ def test_an_uncertainty_that_is_none_refuses_its_sender_alone(tmp_path: Path, wr
     assert inbox.uncertainty is not None and asdict(inbox.uncertainty).keys() == SURE.keys()
 
 
-def test_what_is_said_of_a_frame_ends_at_4_kB(tmp_path: Path) -> None:
-    for name, length in (("a", 4096), ("b", 4097)):
+def test_what_is_said_of_a_frame_ends_where_the_longest_reason_does(tmp_path: Path) -> None:
+    for name, length in (("a", MAX_FRAME_BYTES), ("b", MAX_FRAME_BYTES + 1)):
         arrive(tmp_path, name, uncertainty={**SURE, "position_m": 1e6})
         path = tmp_path / "inbox" / name / "frame.json"
         path.write_text(path.read_text().ljust(length))
     inbox = read_inbox(tmp_path, ["a", "b"], "edges/north", lambda event: None)
-    assert inbox.senders == ("a",) and "expected at most 4096" in inbox.refused["b"]
+    assert inbox.senders == ("a",) and f"expected at most {MAX_FRAME_BYTES}" in inbox.refused["b"]
 
 
 def test_a_frame_to_be_refined_needs_cameras(tmp_path: Path) -> None:

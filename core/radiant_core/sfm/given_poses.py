@@ -80,8 +80,10 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
         raise BadInput(f"{source} has no poses beside its photographs (sparse/ or a Mill 19 folder): give a COLMAP model with --poses.")
     folder = model_folder or models[0].folder
     model, files = read_with_files(folder, photos, required=False)
-    _require_sizes(model, photos)
-    if where == "by device":
+    if where != "by device":
+        # A device looks at its photographs itself: no other process opens them.
+        _require_sizes(model, photos)
+    else:
         files, model = _below_devices(files), _named_below_devices(model, files)
     cameras = _cameras_of(model)
     if len(cameras) < 2:

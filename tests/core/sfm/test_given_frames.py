@@ -218,13 +218,17 @@ def test_one_device_of_many_with_poses_far_out_is_refused_before_it_trains(tmp_p
 
 
 @pytest.mark.parametrize(("where", "place_of"), WHERE)
-def test_poses_of_undistorted_photographs_are_not_given_to_devices_either(
+def test_poses_of_undistorted_photographs_are_told_of_by_whoever_has_the_photographs(
     where: Where, place_of: Callable[[str], str], tmp_path: Path
 ) -> None:
     write_photographs(tmp_path, named=place_of)
     model = hamlet_model()
     smaller = {number: replace(camera, size_wh=(319, 239)) for number, camera in model.cameras.items()}
     write_model(tmp_path / "sparse" / "0", replace(model, cameras=smaller))
+    if where == "by device":
+        # Each device compares its own: nobody else opens them (tests/app/test_field.py).
+        assert read_given_poses(tmp_path, None, where).cameras.sizes_wh.tolist() == [[319, 239]] * len(model.images)
+        return
     with pytest.raises(BadInput, match=r"has \(320, 240\) px and its camera \(319, 239\): the poses are of undistorted photographs"):
         read_given_poses(tmp_path, None, where)
 
