@@ -224,14 +224,14 @@ def test_measures_of_a_stranger_are_typed_whole(tmp_path: Path, change: dict[str
 
 def test_no_text_of_a_table_of_measures_is_a_formula(tmp_path: Path) -> None:
     (tmp_path / "survey").mkdir()
-    row = {**MEASURE, "crs": "@x", "figures": {"=1+1": {"value": -1.5, "sigma": 0.1, "unit": "+m"}}}
+    row = {**MEASURE, "crs": "@x", "scale": "-s", "figures": {"=1+1": {"value": -1.5, "sigma": 0.1, "unit": "+m"}}}
     (tmp_path / "survey/measures.json").write_text(json.dumps({"=cmd|x": row}))
     frame = map_frame_of(Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3), residual_m=None))
     export_measures(tmp_path / "a.csv", load_measures(tmp_path), frame)
     _, cells = csv.reader((tmp_path / "a.csv").read_text().splitlines())
-    assert cells == ["'=cmd|x", "area", "'=1+1", "-1.5", "0.1", "'+m", "'@x"]
+    assert cells == ["'=cmd|x", "area", "'=1+1", "-1.5", "0.1", "'+m", "'@x", "'-s"]
     # A file of an early version does not say its system.
-    del row["crs"]
+    del row["crs"], row["scale"]
     (tmp_path / "survey/measures.json").write_text(json.dumps({"a": row}))
     export_measures(tmp_path / "b.csv", load_measures(tmp_path), frame)
-    assert (tmp_path / "b.csv").read_text().splitlines()[1].endswith(",'+m,")
+    assert (tmp_path / "b.csv").read_text().splitlines()[1].endswith(",'+m,,")
