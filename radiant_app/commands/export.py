@@ -169,7 +169,11 @@ def _photographs_of(model: Path) -> dict[str, str]:
 
     if not has_scene(model):
         return {}
-    return {"photographs": f"{images_folder_of(model)} (those that the model is of; not others of the same names)"}
+    try:
+        photographs = images_folder_of(model)
+    except BadInput:
+        return {}  # nothing there names them, and the export needs none
+    return {"photographs": f"{photographs} (those that the model is of; not others of the same names)"}
 
 
 def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:

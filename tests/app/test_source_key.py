@@ -63,7 +63,7 @@ UNUSED: list[Callable[[RunConfig], object]] = [
     lambda config: (config.source / "notes.txt").write_text("windy"),
     lambda config: (config.source / "Thumbs.db").touch(),
     lambda config: (config.source / "clip.mp4").touch(),
-    lambda config: shutil.copytree(config.source, config.source / "sfm"),
+    lambda config: shutil.copytree(config.source, config.source / "depth"),
     lambda config: (masks_of(config) / "other.png").touch(),
     touch,
 ]
