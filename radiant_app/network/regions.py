@@ -22,14 +22,14 @@ from typing import Any
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from radiant_app.config.run_config import EvaluateOptions, RunConfig
-from radiant_app.events import Event
+from radiant_app.events import Event, Warned
 from radiant_app.executors.fold import Deadlines, RetryPolicy
 from radiant_app.executors.local import worker_command
 from radiant_app.executors.network import NetworkExecutor
 from radiant_app.executors.protocol import NodeTask, NodeTime
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import load_system
-from radiant_app.network.contents import check_count, check_frame, check_raster, check_summary
+from radiant_app.network.contents import MAX_REASON_CHARS, check_count, check_frame, check_raster, check_summary
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME
 from radiant_app.network.messages import (
@@ -357,6 +357,16 @@ class EdgeRun:
         scenes: dict[Version, Path] = {name: asked / (version_file(name) if index else SCENE_NAME) for index, name in enumerate(names)}
         config = RunConfig(source=self.folder, out=self.folder, frames=self.region.frames, evaluate=evaluate)
         scoring = Scoring(config=config, recipe=dealer.recipe, machines=machines, scenes=scenes)
-        folders = scoring.fold(self._executor(), self.emit)
+        reasons: dict[str, str] = {}
+
+        def listen(event: Event) -> None:
+            # The last warning of a device that is given up says why. What is said at the very end
+            # of a task may not be heard above; its report is.
+            if isinstance(event, Warned):
+                reasons[event.stage] = event.message[:MAX_REASON_CHARS]
+            self.emit(event)
+
+        folders = scoring.fold(self._executor(), listen)
         found = {folder.parent.name: read_scores(folder / SCORES_NAME).record for folder in folders}
-        return DevicesReport(found=found, missing={device: NOTHING_SENT for device in devices if device not in found})
+        said = {device: reasons.get(f"devices/{device}/score", NOTHING_SENT) for device in devices}
+        return DevicesReport(found=found, missing={device: reason for device, reason in said.items() if device not in found})

@@ -383,6 +383,8 @@ class CloudRun:
             admitted.update(admit_scores(dict(sorted(report.found.items())), claimable, warn))
             missing.clear()
             missing.update(report.missing)
+            for device, reason in report.missing.items():
+                warn(device, f"this device has no figures: {reason}")
             missing.update({device: "its figures are left out." for device in report.found if device not in admitted})
             scores = {}
             for device, own in admitted.items():
