@@ -6,6 +6,9 @@
 # WGS 84 to EPSG:27700 without the OSTN15 grid is 4.7 m off at Ordnance Survey's published test
 # point TP01. Only TransformerGroup tells (best_available, unavailable_operations with all grids).
 # Whoever places surveyed points relies on these two switches to be told. pyproj 3.7.2, PROJ 9.5.1.
+# Seen on 2026-11-29: "EPSG:27700, strict: no error, 4.74 m off the published place", "EPSG:7415, strict:
+# error: transform error: No operation matching criteria found for coordinate", "TransformerGroup: best
+# available False missing ['uk_os_OSTN15_NTv2_OSGBtoETRS.tif']".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -8,6 +8,7 @@
 # format have no field for it. A model that is converted PLY -> SPZ by one and read by the other stands
 # upside down, without a word from either.
 # Matters to whoever reads or writes SPZ: numbers of two readers that differ by (1, -1, -1) are no bug.
+# Seen on 2026-11-29: Open3D 0.20.0 reads [1, 2, 3], splat-transform 2.7.1 reads [1, -2, -3].
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

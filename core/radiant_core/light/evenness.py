@@ -6,9 +6,9 @@ An exposure is the same in all nine parts of a picture. Brightness that differs 
 turns away from a lamp, or because a cloud's shadow lies on half of the ground, is not: a gain per
 photograph then is a mean over what happens to be seen. Noise of single places and wrong matches
 hardly count, since parts are means of `MIN_OBSERVATIONS` and more. Measured at 384 px: 3.8 to 10.9
-where exposures differ (lewis, caliterra, brighton), 2.6 and 3.2 where they were planted on 0.07 of
-a generated orbit and street, 0.3 to 0.9 on the same with none planted, 0.5 of a house on a
-turntable (docs/experiments/light.md).
+where exposures differ (lewis, caliterra, brighton), 2.6 and 3.2 where they were planted with a
+spread of 7 % on a generated orbit and street, 0.5 of a house on a turntable
+(docs/experiments/light.md).
 """
 
 from __future__ import annotations
