@@ -557,32 +557,28 @@ def an_own_task(road: Road) -> None:
     road.task()
 
 
-def of_another_run(road: Road) -> None:
-    """What the same device made for an earlier run, with its signature."""
+def sign_again(road: Road, **changes: str) -> None:
+    """The list of a result with other values, signed by the device as its own."""
     home = open_home(road.folder / "d")
     envelope = packs.open_pack(road.disk, [home.key.public_key()]).envelope
-    earlier = replace(envelope, run="1" * 32, answers=hashlib.sha256(b"a task of then").hexdigest())
-    text, signature = carrying.sign_envelope(earlier, home.key)
+    text, signature = carrying.sign_envelope(replace(envelope, **changes), home.key)
     (road.disk / packs.LIST_NAME).write_bytes(text)
     (road.disk / packs.SIGNATURE_NAME).write_bytes(signature)
+
+
+def of_another_run(road: Road) -> None:
+    """What the same device made for an earlier run, with its signature."""
+    sign_again(road, run="1" * 32, answers=hashlib.sha256(b"a task of then").hexdigest())
 
 
 def of_another_stage(road: Road) -> None:
     """An honest list in which the stage is that of another round."""
-    home = open_home(road.folder / "d")
-    envelope = packs.open_pack(road.disk, [home.key.public_key()]).envelope
-    text, signature = carrying.sign_envelope(replace(envelope, kind="refine", stage="devices/d/refine2"), home.key)
-    (road.disk / packs.LIST_NAME).write_bytes(text)
-    (road.disk / packs.SIGNATURE_NAME).write_bytes(signature)
+    sign_again(road, kind="refine", stage="devices/d/refine2")
 
 
 def in_the_name_of_another(road: Road) -> None:
     """Signed by a member that joined, as the sender it is not."""
-    home = open_home(road.folder / "d")
-    envelope = packs.open_pack(road.disk, [home.key.public_key()]).envelope
-    text, signature = carrying.sign_envelope(replace(envelope, sender="devices/c", stage="devices/c"), home.key)
-    (road.disk / packs.LIST_NAME).write_bytes(text)
-    (road.disk / packs.SIGNATURE_NAME).write_bytes(signature)
+    sign_again(road, sender="devices/c", stage="devices/c")
 
 
 def files_of_another_pack(road: Road) -> None:
