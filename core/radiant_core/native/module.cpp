@@ -103,4 +103,5 @@ NB_MODULE(_native, module) {
   bind_matching(module);
   bind_plan(module);
   bind_training(module);
+  bind_rows(module);
 }

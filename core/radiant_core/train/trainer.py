@@ -17,12 +17,11 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.render.contract import Backend, SplatTensors
-from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
-from radiant_core.splats import SH_BASES, Splats
+from radiant_core.render.contract import Backend, RenderOutput, SplatTensors
+from radiant_core.render.rasterize import device_of, resolve_backend
+from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.density import AdaptiveDensity
 from radiant_core.train.densify.mcmc import RelocatedDensity
@@ -30,13 +29,14 @@ from radiant_core.train.densify.policies import Mcmc, NoDensification
 from radiant_core.train.drop import DroppedGaussians
 from radiant_core.train.extent import working_extent
 from radiant_core.train.held import HeldRows
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, StatisticsCache, target_loss
+from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainProgress, TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes
 from radiant_core.train.thin_surfaces import ThinSurfaces
 from radiant_core.train.validation import BestModel
+from radiant_core.train.view_loss import ViewLoss, view_of_step
 from radiant_core.train.views import TrainingViews
 
 STEPS_BETWEEN_LIMITS = 50
@@ -130,24 +130,23 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
     return training.result()
 
 
-class Training:
-    """One run of training, step by step."""
+class ModelFit:
+    """A model between two steps, its optimizer, its parts and its figures: what a training has, and
+    each replica of one that several machines share (`together/replica.py`)."""
 
-    def __init__(self, initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> None:
-        self._config, self._options = config, options
-        self._full, self._views = views, views
-        self._extent = working_extent(views.cameras, initial, config.max_extent_per_distance) if options.extent is None else options.extent
+    def __init__(self, initial: Splats, config: TrainConfig, options: FitOptions, extent: float) -> None:
+        """`extent` in world units."""
+        self._config, self._options, self._extent = config, options, extent
         self._device = device_of(resolve_backend(options.backend))
         self._splats = SplatTensors.from_splats(initial, device=self._device)
         self._optimizer, self._rates = self._new_optimizer()
-        self._parts = training_parts(self._splats, views, config, options, self._extent)
+        self._parts: tuple[Part, ...] = ()
         self._losses: list[float] = []
         self._num_rolled_back = self._failures_in_a_row = 0
         self._spent_s = 0.0
         self._begun_s = self._reported_s = options.clock()
         self._num_reported = 0
         self.step = 0
-        self._use_size(config.start_scale)
 
     @property
     def seconds(self) -> float:
@@ -164,46 +163,10 @@ class Training:
         """Whether steps or time are spent."""
         return self.progress >= 1
 
-    def take_step(self) -> None:
-        """Take the next step; one that ends in something not finite is undone and counted."""
-        moment = self._moment()
-        if self._scale < 1 and moment.progress >= self._config.full_size_from:
-            self._use_size(1.0)
-        if self.step % STEPS_BETWEEN_LIMITS == 0:
-            self._limit_shapes()
-        self._set_rates(moment.progress)
-        try:
-            loss = self._fit_view(moment)
-        except StageFailed as error:
-            self._roll_back(str(error))
-        else:
-            self._failures_in_a_row = 0
-            self._losses.append(loss)
-            for part in self._parts:
-                self._splats = part.after_update(moment, self._splats, self._optimizer)
-        self.step += 1
-        for part in self._parts:
-            part.after_step(self.step, self.progress, self._splats)
-        self._report()
-
-    def result(self) -> TrainResult:
-        """The model, the best by validation if any, and its figures. StageFailed without a step."""
-        if not self._losses:
-            raise StageFailed(f"training: none of {self.step} steps could be taken: check the photographs and the learning rates.")
-        shapes = self._limit_shapes()
-        tenth = max(1, len(self._losses) // 10)
-        result = TrainResult(
-            splats=self._splats.to_splats(),
-            num_steps=self.step,
-            first_loss=float(np.mean(self._losses[:tenth])),
-            last_loss=float(np.mean(self._losses[-tenth:])),
-            seconds=self.seconds,
-            shapes=shapes,
-            num_rolled_back=self._num_rolled_back,
-        )
-        for part in self._parts:
-            result = part.finish(result)
-        return result
+    @property
+    def num_splats(self) -> int:
+        """The Gaussians of the model."""
+        return len(self._splats)
 
     def state(self) -> TrainState:
         """A copy of all that changes from step to step."""
@@ -239,88 +202,55 @@ class Training:
             raise BadInput(f"the state is of another run ({error}): remove the checkpoint and train from the start.") from error
         self._begun_s = self._reported_s = self._options.clock()
         self._num_reported = len(self._losses)
-        self._use_size(self._config.start_scale if self.progress < self._config.full_size_from else 1.0)
+
+    def _result(self, shapes: ShapeCounts) -> TrainResult:
+        """The model, the best by validation if any, and its figures. StageFailed without a step."""
+        if not self._losses:
+            raise StageFailed(f"training: none of {self.step} steps could be taken: check the photographs and the learning rates.")
+        tenth = max(1, len(self._losses) // 10)
+        result = TrainResult(
+            splats=self._splats.to_splats(),
+            num_steps=self.step,
+            first_loss=float(np.mean(self._losses[:tenth])),
+            last_loss=float(np.mean(self._losses[-tenth:])),
+            seconds=self.seconds,
+            shapes=shapes,
+            num_rolled_back=self._num_rolled_back,
+        )
+        for part in self._parts:
+            result = part.finish(result)
+        return result
 
     def _new_optimizer(self) -> tuple[SelectiveAdam, dict[str, float]]:
         return _optimizer(self._splats, self._extent, self._config, self._options.steps)
-
-    def _use_size(self, scale: float) -> None:
-        self._scale = scale
-        self._views = self._full if scale == 1 else self._full.scaled(scale)
-        cameras = self._views.cameras
-        self._viewmats, self._Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
-        self._statistics = StatisticsCache(self._options.statistics_bytes, self._device)
 
     def _progress_after(self, num_steps: int) -> float:
         share = num_steps / self._config.num_steps
         return share if self._config.budget_s is None else max(share, self.seconds / self._config.budget_s)
 
-    def _moment(self) -> Moment:
-        return Moment(
-            step=self.step + 1,
-            view=view_of_step(self.step, len(self._full), self._config.seed),
-            progress=self.progress,
-            schedule_step=round(self._progress_after(self.step + 1) * self._config.schedule_steps, 6),
-        )
-
-    def _set_rates(self, progress: float) -> None:
+    def _set_rates(self, progress: float, settled_share: float) -> None:
+        """`settled_share` as by `settled_rate_share`."""
         config = self._config
-        factor = self._options.steps.end**progress * settled_rate_share(self.step, progress, len(self._full), config.settle_epochs)
+        factor = self._options.steps.end**progress * settled_share
         for name, rate in self._rates.items():
             self._optimizer.set_rate(name, rate * (config.means_lr_end**progress if name == "means" else factor))
 
-    def _fit_view(self, moment: Moment) -> float:
-        """Render, compare, step; the loss. StageFailed, with nothing changed, when not finite."""
-        config, view, parts = self._config, moment.view, self._parts
-        target = self._statistics.get(view, lambda: _target(self._views, view, self._device))
-        height, width = target.target.shape[:2]
-        rendered = self._splats
-        for part in parts:
-            rendered = part.before_render(moment, rendered)
-        output = rasterize(
-            rendered,
-            self._viewmats[view : view + 1],
-            self._Ks[view : view + 1],
-            width,
-            height,
-            sh_degree=self._sh_degree(moment),
-            background=_background(self.step, config),
-            absgrad=any(part.wants_absgrad(moment) for part in parts),
-            backend=self._options.backend,
-        )
-        image = output.images.view(height, width, 3)
-        weights = _weights(self._views, view)
-        try:
-            loss = target_loss(match_masked(image, target.target, weights), target, weights, config.ssim_weight)
-        except BadInput as error:
-            raise StageFailed(str(error)) from error
-        value = float(loss.detach())
-        if not np.isfinite(value):
-            raise StageFailed(f"the loss became {value}")
-        if loss.requires_grad:
-            self._optimizer.zero_grad()
-            for part in parts:
-                part.before_backward(moment, output)
-            loss.backward()
-            for part in parts:
-                part.after_backward(self._splats)
-            self._optimizer.step(output.visible if config.adam == "visible" else None)
-            self._hold()
-        return value
+    def _count_loss(self, moment: Moment, loss: float) -> None:
+        """A step was taken: its loss counts, and parts may edit the model."""
+        self._failures_in_a_row = 0
+        self._losses.append(loss)
+        for part in self._parts:
+            self._splats = part.after_update(moment, self._splats, self._optimizer)
 
-    def _limit_shapes(self) -> ShapeCounts:
-        counts = limit_shapes(self._splats, self._full.cameras.centers, self._config)
-        self._hold()
-        return counts
+    def _end_step(self) -> None:
+        self.step += 1
+        for part in self._parts:
+            part.after_step(self.step, self.progress, self._splats)
+        self._report()
 
     def _hold(self) -> None:
         for part in self._parts:
             part.hold(self._splats)
-
-    def _sh_degree(self, moment: Moment) -> int:
-        config = self._config
-        allowed = int(moment.schedule_step // config.sh_degree_every) if config.sh_degree_every else config.sh_degree
-        return min(config.sh_degree, SH_BASES.index(self._splats.shN.shape[1] + 1), allowed)
 
     def _roll_back(self, reason: str) -> None:
         # What was not finite is refused before Adam and the parts write anything.
@@ -339,6 +269,70 @@ class Training:
             num_steps = max(self.step, min(self._config.num_steps, round(self.step / max(self.progress, 1e-9))))
             self._options.report(TrainProgress(step=self.step, num_steps=num_steps, loss=float(np.mean(losses))))
             self._reported_s, self._num_reported = now_s, len(self._losses)
+
+
+class Training(ModelFit):
+    """One run of training on one machine, step by step."""
+
+    def __init__(self, initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> None:
+        extent = working_extent(views.cameras, initial, config.max_extent_per_distance) if options.extent is None else options.extent
+        super().__init__(initial, config, options, extent)
+        self._views = views
+        self._parts = training_parts(self._splats, views, config, options, extent)
+        self._view_loss = ViewLoss(views, config, options.backend, options.statistics_bytes)
+
+    def take_step(self) -> None:
+        """Take the next step; one that ends in something not finite is undone and counted."""
+        moment = self._moment()
+        if self._view_loss.scale < 1 and moment.progress >= self._config.full_size_from:
+            self._view_loss.use_size(1.0)
+        if self.step % STEPS_BETWEEN_LIMITS == 0:
+            self._limit_shapes()
+        self._set_rates(moment.progress, settled_rate_share(self.step, moment.progress, len(self._views), self._config.settle_epochs))
+        try:
+            loss = self._fit_view(moment)
+        except StageFailed as error:
+            self._roll_back(str(error))
+        else:
+            self._count_loss(moment, loss)
+        self._end_step()
+
+    def result(self) -> TrainResult:
+        """The model, the best by validation if any, and its figures. StageFailed without a step."""
+        return self._result(self._limit_shapes())
+
+    def restore(self, state: TrainState) -> None:
+        """Go on from `state`; BadInput where it is of other inputs or configuration."""
+        super().restore(state)
+        self._view_loss.use_size(self._config.start_scale if self.progress < self._config.full_size_from else 1.0)
+
+    def _moment(self) -> Moment:
+        return Moment(
+            step=self.step + 1,
+            view=view_of_step(self.step, len(self._views), self._config.seed),
+            progress=self.progress,
+            schedule_step=round(self._progress_after(self.step + 1) * self._config.schedule_steps, 6),
+        )
+
+    def _fit_view(self, moment: Moment) -> float:
+        """Render, compare, step; the loss. StageFailed, with nothing changed, when not finite."""
+        self._optimizer.zero_grad()
+        loss, visible = self._view_loss.backward(self._splats, moment, self._parts, self._watch)
+        if visible is not None:
+            for part in self._parts:
+                part.after_backward(self._splats)
+            self._optimizer.step(visible if self._config.adam == "visible" else None)
+            self._hold()
+        return loss
+
+    def _watch(self, moment: Moment, output: RenderOutput) -> None:
+        for part in self._parts:
+            part.before_backward(moment, output)
+
+    def _limit_shapes(self) -> ShapeCounts:
+        counts = limit_shapes(self._splats, self._views.cameras.centers, self._config)
+        self._hold()
+        return counts
 
 
 def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConfig, options: FitOptions, extent: float) -> tuple[Part, ...]:
@@ -373,19 +367,6 @@ def settled_rate_share(step: int, progress: float, num_views: int, settle_epochs
     return min(1.0, max(MIN_SETTLED_SHARE, max(MIN_STEADY_STEPS, settle_epochs * num_views) / (step * min(1.0, progress))))
 
 
-def view_of_step(step: int, num_views: int, seed: int) -> int:
-    """View of step `step` (from 0): every view once per epoch, each epoch in a new order."""
-    epoch, place = divmod(step, num_views)
-    return int(np.random.default_rng((seed, epoch)).permutation(num_views)[place])
-
-
-def _background(step: int, config: TrainConfig) -> Tensor | None:
-    """Linear colour (3,) behind the Gaussians at a step (from 0); None for black."""
-    if config.background == "black":
-        return None
-    return torch.from_numpy(np.random.default_rng((config.seed, step, 1)).random(3, np.float32))
-
-
 def _arrays_of(part: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return {name.removeprefix(f"{part}."): array for name, array in arrays.items() if name.startswith(f"{part}.")}
 
@@ -403,21 +384,3 @@ def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: 
     moving = {name: rate for name, rate in moving.items() if rate > 0}
     tensors = {name: tensor for name, tensor in splats.tensors().items() if name in moving}
     return SelectiveAdam(tensors, moving), moving
-
-
-def _target(views: TrainingViews, view: int, device: str) -> Tensor:
-    if device == "cpu":  # by numpy: see `render/finite.py`
-        return torch.from_numpy(views.images[view].astype(np.float32) / 255)
-    # As bytes to the GPU, a quarter of the way's load.
-    return torch.tensor(views.images[view], device=device).float() / 255
-
-
-def match_masked(image: Tensor, target: Tensor, weights: Tensor | None) -> Tensor:
-    """The image with the target's pixels at weight 0, else SSIM's window carries masked errors."""
-    if weights is None or weights.all():
-        return image
-    return torch.where((weights > 0).to(image.device)[..., None], image, target.to(image))
-
-
-def _weights(views: TrainingViews, view: int) -> Tensor | None:
-    return None if views.weights is None else torch.from_numpy(views.weights[view].astype(np.float32) / 255)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.trainer import view_of_step
+from radiant_core.train.view_loss import view_of_step
 
 
 def training_pixels(cameras: Cameras, config: TrainConfig, num_steps: int) -> int:

@@ -17,7 +17,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.train import trainer
+from radiant_core.train import view_loss
 from radiant_core.train.config import train_preset
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.trainer import FitOptions, fit_splats
@@ -238,13 +238,13 @@ class TestTrainingPixels:
             train_preset("draft"), num_steps=23, start_scale=start_scale, full_size_from=full_size_from, density=NoDensification()
         )
         rendered: list[int] = []
-        rasterize: Callable[..., Any] = trainer.rasterize
+        rasterize: Callable[..., Any] = view_loss.rasterize
 
         def counting(splats: Any, viewmats: Any, Ks: Any, width: int, height: int, **options: Any) -> Any:
             rendered.append(width * height)
             return rasterize(splats, viewmats, Ks, width, height, **options)
 
-        monkeypatch.setattr(trainer, "rasterize", counting)
+        monkeypatch.setattr(view_loss, "rasterize", counting)
         fit_splats(ground_splats(50), TrainingViews(cameras=cameras, images=images), config, FitOptions())
         assert training_pixels(cameras, config, 23) == sum(rendered) and len(rendered) == 23
 

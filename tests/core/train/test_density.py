@@ -198,9 +198,9 @@ class TestSchedule:
             seen += output.radii_px[0].numpy() > 0
             widest = np.maximum(widest, output.radii_px[0].numpy())
         assert seen.min() < 3 <= seen.max() and sums.max() > 0
-        np.testing.assert_allclose(policy._sums, sums, rtol=1e-5, atol=1e-12)
-        np.testing.assert_array_equal(policy._seen, seen)
-        np.testing.assert_array_equal(policy._radii_px, widest.astype(np.float32))
+        np.testing.assert_allclose(policy.statistics.sums, sums, rtol=1e-5, atol=1e-12)
+        np.testing.assert_array_equal(policy.statistics.seen, seen)
+        np.testing.assert_array_equal(policy.statistics.radii_px, widest.astype(np.float32))
 
     def test_absolute_statistics_are_those_of_the_pixels_and_poison_is_not_remembered(self) -> None:
         splats = SplatTensors.from_splats(ground_splats(40))
@@ -220,7 +220,7 @@ class TestSchedule:
             if factor < math.inf:
                 sums += np.linalg.norm(output.absgrad[0].numpy() * [24.0, 18.0], axis=1)
         assert sums.max() > 0
-        np.testing.assert_allclose(policy._sums, sums, rtol=1e-5, atol=1e-12)
+        np.testing.assert_allclose(policy.statistics.sums, sums, rtol=1e-5, atol=1e-12)
 
     def test_on_a_gpu_poison_is_not_remembered_either(self) -> None:
         lengths = [1.0, math.nan, 2.0, math.inf, 0.0]

@@ -69,7 +69,7 @@ def test_cameras_reach_the_renderer_as_they_are_stored(monkeypatch: pytest.Monke
         dtypes.extend((viewmats.dtype, Ks.dtype))
         return rasterize(splats, viewmats, Ks, *sizes, **options)
 
-    monkeypatch.setattr("radiant_core.train.trainer.rasterize", spy)
+    monkeypatch.setattr("radiant_core.train.view_loss.rasterize", spy)
     fit_splats(grey_start(), photographs(), replace(CONFIG, num_steps=1))
     assert dtypes == [torch.float64, torch.float64]
 

@@ -23,9 +23,9 @@ from radiant_core.train.trainer import (
     Training,
     fit_splats,
     settled_rate_share,
-    view_of_step,
 )
 from radiant_core.train.validation import validation_psnr_db
+from radiant_core.train.view_loss import view_of_step
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -169,7 +169,7 @@ def test_training_begins_with_small_images_and_ends_with_whole_ones(monkeypatch:
         sizes.append((width, height))
         return rasterize(splats, viewmats, Ks, width, height, **options)
 
-    monkeypatch.setattr("radiant_core.train.trainer.rasterize", spy)
+    monkeypatch.setattr("radiant_core.train.view_loss.rasterize", spy)
     fit_splats(start(), photographs(), replace(CONFIG, num_steps=10))
     assert sizes == [(24, 18)] * 4 + [(48, 36)] * 6
 
@@ -185,7 +185,7 @@ def test_a_step_that_is_not_finite_is_not_taken_and_counted(monkeypatch: pytest.
         # An infinite gradient in one step, an infinite loss in another.
         return loss * torch.tensor({3: float("inf"), 5: 0.0}.get(len(calls), 1.0)) + (torch.inf if len(calls) == 5 else 0)
 
-    monkeypatch.setattr("radiant_core.train.trainer.target_loss", poisoned)
+    monkeypatch.setattr("radiant_core.train.view_loss.target_loss", poisoned)
     training = Training(start(), photographs(), replace(CONFIG, num_steps=8, density=replace(GROWING, kind="adc")), FitOptions())
     for _ in range(2):
         training.take_step()
@@ -202,7 +202,7 @@ def test_a_step_that_is_not_finite_is_not_taken_and_counted(monkeypatch: pytest.
 
 
 def test_training_gives_up_after_many_steps_that_are_not_finite(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("radiant_core.train.trainer.target_loss", lambda image, *rest: image.sum() * torch.inf)
+    monkeypatch.setattr("radiant_core.train.view_loss.target_loss", lambda image, *rest: image.sum() * torch.inf)
     with pytest.raises(StageFailed, match=f"{MAX_FAILURES} steps in a row could not be taken.*the loss became"):
         fit_splats(start(), photographs(), replace(CONFIG, num_steps=100))
 
@@ -227,6 +227,6 @@ def test_every_view_comes_once_per_epoch_in_new_orders() -> None:
 
 
 def test_a_short_run_of_which_no_step_could_be_taken_fails_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("radiant_core.train.trainer.target_loss", lambda image, *rest: image.sum() * torch.inf)
+    monkeypatch.setattr("radiant_core.train.view_loss.target_loss", lambda image, *rest: image.sum() * torch.inf)
     with pytest.raises(StageFailed, match="none of 5 steps could be taken"):
         fit_splats(start(), photographs(), replace(CONFIG, num_steps=5))

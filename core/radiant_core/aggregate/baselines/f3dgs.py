@@ -32,7 +32,8 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.native_loss import StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.results import TrainProgress
-from radiant_core.train.trainer import FitOptions, view_of_step
+from radiant_core.train.trainer import FitOptions
+from radiant_core.train.view_loss import view_of_step
 from radiant_core.train.views import TrainingViews
 
 ATTRIBUTES = ("quats", "log_scales", "logit_opacities", "sh0", "shN")

@@ -46,7 +46,8 @@ from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.native_loss import StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.results import TrainProgress
-from radiant_core.train.trainer import FitOptions, view_of_step
+from radiant_core.train.trainer import FitOptions
+from radiant_core.train.view_loss import view_of_step
 from radiant_core.train.views import TrainingViews
 
 

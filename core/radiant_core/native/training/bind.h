@@ -4,3 +4,6 @@
 #include <nanobind/nanobind.h>
 
 void bind_training(nanobind::module_& module);
+
+// Of the rows that machines exchange which train together.
+void bind_rows(nanobind::module_& module);

@@ -155,6 +155,43 @@ def select_prunable(
     return transparent, large & rules.prune_large
 
 
+class DensityStatistics:
+    """What renderings say of N Gaussians: sums (N,) float32 of the lengths of their gradients,
+    seen (N,) int32 in how many, radii_px (N,) float32 the largest. numpy arrays on the CPU, tensors
+    elsewhere."""
+
+    def __init__(self, count: int, device: torch.device) -> None:
+        self.sums, self.radii_px = (_as_plain(torch.zeros(count, dtype=torch.float32, device=device)) for _ in range(2))
+        self.seen = _as_plain(torch.zeros(count, dtype=torch.int32, device=device))
+
+    def add_gradient(self, visible: Any, size_wh: tuple[int, int], absgrad: Tensor | None, gradient: Tensor) -> None:
+        """Add the gradient (1,N,2) of a rendering's projected centres, or its `absgrad`."""
+        # numpy on the CPU, torch on a GPU: torch's threads would spin on after each (libgomp).
+        taken = _as_plain(gradient if absgrad is None else absgrad)
+        across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
+        with np.errstate(over="ignore", invalid="ignore"):
+            length = (across * across + down * down) ** 0.5
+            # A step whose gradient is not finite is not taken nor counted in the statistics.
+            _zero_not_finite(length)
+            self.sums += length
+        self.seen += visible
+
+    def add_rows(self, rows: NDArray[np.int64], sums: NDArray[np.float32], seen: NDArray[np.integer], radii_px: NDArray | None) -> None:
+        """Add what was gathered elsewhere of some rows (R,), each once."""
+        if isinstance(self.sums, np.ndarray):
+            self.sums[rows] += sums
+            self.seen[rows] += seen.astype(np.int32)
+            if radii_px is not None:
+                self.radii_px[rows] = np.maximum(self.radii_px[rows], radii_px)
+            return
+        device = self.sums.device
+        at = torch.from_numpy(rows).to(device)
+        self.sums[at] += torch.from_numpy(sums).to(device)
+        self.seen[at] += torch.from_numpy(seen.astype(np.int32)).to(device)
+        if radii_px is not None:
+            self.radii_px[at] = torch.maximum(self.radii_px[at], torch.from_numpy(radii_px).to(device))
+
+
 class AdaptiveDensity(Part):
     """Gathers the gradients of a training and edits its model on schedule, with `counts` of it."""
 
@@ -168,7 +205,8 @@ class AdaptiveDensity(Part):
         self._last_reset = 0
         self._absolute = policy.gradient == "absolute"
         self.counts = DensityCounts()
-        self._reset_statistics(splats)
+        self.statistics = DensityStatistics(len(splats), splats.means.device)
+        """What was gathered since the last edit."""
 
     def wants_absgrad(self, moment: Moment) -> bool:
         """Whether `before_backward` will look at `RenderOutput.absgrad`."""
@@ -176,15 +214,24 @@ class AdaptiveDensity(Part):
 
     def before_backward(self, moment: Moment, output: RenderOutput) -> None:
         """Add the gradients of a rendering of one camera to the statistics in its backward pass."""
+        self.watch(moment, output, self.statistics)
+
+    def watch(self, moment: Moment, output: RenderOutput, statistics: DensityStatistics) -> None:
+        """The same, into `statistics` of as many rows."""
         if moment.schedule_step >= self._policy.until_step or not output.means2d.requires_grad:
             return
         height, width = output.images.shape[1:3]
-        visible = _as_plain(output.visible)
-        if self._policy.prune_radius_px is not None:
-            self._radii_px = _elementwise_maximum(self._radii_px, _as_plain(output.radii_px)[0])
+        if self.measures_radii:
+            statistics.radii_px = _elementwise_maximum(statistics.radii_px, _as_plain(output.radii_px)[0])
         if self._absolute and output.absgrad is None:
             raise ValueError("density control by absolute gradients needs a rendering with absgrad=True")
-        output.means2d.register_hook(partial(self._add, visible, (width, height), output.absgrad if self._absolute else None))
+        taken = output.absgrad if self._absolute else None
+        output.means2d.register_hook(partial(statistics.add_gradient, _as_plain(output.visible), (width, height), taken))
+
+    @property
+    def measures_radii(self) -> bool:
+        """Whether Gaussians are pruned by their radii on screen."""
+        return self._policy.prune_radius_px is not None
 
     def after_update(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
         """The model, cloned, split and pruned where an edit is due, its opacities reset
@@ -208,7 +255,8 @@ class AdaptiveDensity(Part):
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Copies of the sums since the last edit, and what was at the start."""
-        sums = {"sums": self._sums, "seen": self._seen, "radii_px": self._radii_px}
+        gathered = self.statistics
+        sums = {"sums": gathered.sums, "seen": gathered.seen, "radii_px": gathered.radii_px}
         since = {"num_first": np.array(self._num_first), "last_reset": np.array(self._last_reset)}
         return {**{name: _to_numpy(array).copy() for name, array in sums.items()}, **since}
 
@@ -220,21 +268,10 @@ class AdaptiveDensity(Part):
         """Go on from sums and counts of a run whose model is now `splats`."""
         self.counts = DensityCounts(**numbers)
         self._num_first, self._last_reset = int(arrays["num_first"]), int(arrays["last_reset"])
-        self._reset_statistics(splats)
+        self.statistics = DensityStatistics(len(splats), splats.means.device)
         for name in ("sums", "seen", "radii_px"):
-            own = getattr(self, f"_{name}")
-            own[:] = arrays[name] if isinstance(own, np.ndarray) else torch.from_numpy(arrays[name]).to(own.device)
-
-    def _add(self, visible: Any, size_wh: tuple[int, int], absgrad: Tensor | None, gradient: Tensor) -> None:
-        # numpy on the CPU, torch on a GPU: torch's threads would spin on after each (libgomp).
-        taken = _as_plain(gradient if absgrad is None else absgrad)
-        across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
-        with np.errstate(over="ignore", invalid="ignore"):
-            length = (across * across + down * down) ** 0.5
-            # A step whose gradient is not finite is not taken nor counted in the statistics.
-            _zero_not_finite(length)
-            self._sums += length
-        self._seen += visible
+            array = getattr(self.statistics, name)
+            array[:] = arrays[name] if isinstance(array, np.ndarray) else torch.from_numpy(arrays[name]).to(array.device)
 
     def _limit(self, schedule_step: float) -> int:
         """How many Gaussians there may be: all from the start, or planned growth on a line."""
@@ -255,8 +292,9 @@ class AdaptiveDensity(Part):
         )
         tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}
         model = {name: tensors[name].cpu().numpy() for name in ("means", "quats", "log_scales", "logit_opacities")}
-        gradients = _to_numpy(self._sums) / np.maximum(_to_numpy(self._seen), 1)
-        edit = density_edit(model, gradients, _to_numpy(self._radii_px), rules, np.random.default_rng((self._config.seed, moment.step)))
+        gathered = self.statistics
+        gradients = _to_numpy(gathered.sums) / np.maximum(_to_numpy(gathered.seen), 1)
+        edit = density_edit(model, gradients, _to_numpy(gathered.radii_px), rules, np.random.default_rng((self._config.seed, moment.step)))
         self.counts += edit.counts
         device = splats.means.device
         rows, fresh = (torch.from_numpy(array).to(device) for array in (edit.rows, edit.fresh))
@@ -266,13 +304,8 @@ class AdaptiveDensity(Part):
             **{name: torch.from_numpy(moved[name]).to(device) if name in moved else tensor[rows] for name, tensor in tensors.items()},
         )
         optimizer.select_rows(edited.tensors(), rows, fresh)
-        self._reset_statistics(edited)
+        self.statistics = DensityStatistics(len(edited), device)
         return edited
-
-    def _reset_statistics(self, splats: SplatTensors) -> None:
-        count, device = len(splats), splats.means.device
-        self._sums, self._radii_px = (_as_plain(torch.zeros(count, dtype=torch.float32, device=device)) for _ in range(2))
-        self._seen = _as_plain(torch.zeros(count, dtype=torch.int32, device=device))
 
 
 def finish_density(result: TrainResult, counts: DensityCounts) -> TrainResult:

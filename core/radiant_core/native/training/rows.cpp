@@ -1,0 +1,53 @@
+#include "training/rows.h"
+
+#include <cstring>
+
+namespace radiant {
+
+void gather_rows(const float* source, std::int64_t width, const std::int64_t* rows, std::int64_t count, float* target, std::int64_t columns,
+                 std::int64_t first) {
+  for (std::int64_t i = 0; i < count; ++i) {
+    const float* from = source + rows[i] * width;
+    float* to = target + i * columns + first;
+    for (std::int64_t column = 0; column < width; ++column) to[column] = from[column];
+  }
+}
+
+void add_rows(float* target, const std::int64_t* at, std::int64_t count, const float* values, std::int64_t columns) {
+  for (std::int64_t i = 0; i < count; ++i) {
+    float* to = target + at[i] * columns;
+    const float* from = values + i * columns;
+    for (std::int64_t column = 0; column < columns; ++column) to[column] += from[column];
+  }
+}
+
+void spread_rows(const float* values, std::int64_t columns, std::int64_t first, const std::int64_t* rows, std::int64_t count, float scale,
+                 float* target, std::int64_t num_target, std::int64_t width) {
+  std::int64_t written = 0;
+  for (std::int64_t i = 0; i < count; ++i) {
+    const float* from = values + i * columns + first;
+    float* to = target + rows[i] * width;
+    std::memset(target + written * width, 0, (rows[i] - written) * width * sizeof(float));
+    for (std::int64_t column = 0; column < width; ++column) to[column] = scale * from[column];
+    written = rows[i] + 1;
+  }
+  std::memset(target + written * width, 0, (num_target - written) * width * sizeof(float));
+}
+
+void to_bfloat16(const float* values, std::int64_t count, std::uint16_t* target) {
+  for (std::int64_t i = 0; i < count; ++i) {
+    std::uint32_t bits;
+    std::memcpy(&bits, values + i, sizeof bits);
+    const std::uint32_t is_nan = (bits & 0x7fffffffu) > 0x7f800000u;
+    target[i] = static_cast<std::uint16_t>(is_nan ? (bits >> 16) | 0x40u : (bits + 0x7fffu + ((bits >> 16) & 1u)) >> 16);
+  }
+}
+
+void from_bfloat16(const std::uint16_t* values, std::int64_t count, float* target) {
+  for (std::int64_t i = 0; i < count; ++i) {
+    const std::uint32_t bits = static_cast<std::uint32_t>(values[i]) << 16;
+    std::memcpy(target + i, &bits, sizeof bits);
+  }
+}
+
+}  // namespace radiant

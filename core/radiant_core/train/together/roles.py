@@ -1,0 +1,123 @@
+"""What each machine of a group does in a step, message by message: nothing here knows of processes.
+
+Holder    contribute ─→ message up      total ─→ take          has photographs and a replica
+Relay     messages of its holders ─→ message up                an edge below the root
+Root      messages ─→ total, which it takes                    keeps the model and checkpoints
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.train.results import TrainResult
+from radiant_core.train.together.codec import ErrorFeedback, decode_gradients, decode_limits, encode_limits, peek_gradients
+from radiant_core.train.together.gradients import Layout, StepGradients, sum_gradients
+from radiant_core.train.together.replica import Group, Replica
+
+
+class Holder:
+    """A machine that has photographs of a group."""
+
+    def __init__(self, replica: Replica, group: Group) -> None:
+        self.replica, self._group = replica, group
+        self.feedback = ErrorFeedback()
+        self.num_sent = replica.step
+        """Steps that it has contributed to."""
+
+    @property
+    def waits_for_total(self) -> bool:
+        """Whether the total of the step before must be taken before the next contribution."""
+        behind = self.num_sent > self.replica.step
+        return behind and (not self._group.overlaps or self.num_sent > self.replica.step + 1 or self.replica.next_step_edits)
+
+    def message(self) -> bytes:
+        """The gradients of its views of the next step that it has not contributed to."""
+        replica = self.replica
+        gradients = replica.contribute(self.num_sent)
+        message = self.feedback.encode(gradients, self.num_sent, replica.num_splats, replica.layout, self._group.form)
+        self.num_sent += 1
+        return message
+
+    def take(self, total: bytes | memoryview) -> None:
+        """Take the next step by the message of the root. BadInput where it is damaged."""
+        replica, count = self.replica, self.replica.num_splats
+        limits, at = decode_limits(total, count)
+        gradients = decode_gradients(memoryview(total)[at:], replica.step, count, replica.layout, self._group.views_per_step, checks=False)
+        replica.take(gradients, limits)
+
+
+@dataclass(kw_only=True)
+class Inbox:
+    """What a sum counts of its senders, and of whom it refused how many messages, and why."""
+
+    most_views: Mapping[str, int]
+    """Views of a step that each sender has at most."""
+    refused: dict[str, list[str]] = field(default_factory=dict)
+
+    def read(self, messages: Mapping[str, bytes], step: int, num_splats: int, layout: Layout) -> list[StepGradients]:
+        """The gradients that can be used, in the order of the senders."""
+        usable = []
+        for name in self.most_views:
+            if name not in messages:
+                continue
+            try:
+                usable.append(decode_gradients(messages[name], step, num_splats, layout, self.most_views[name]))
+            except BadInput as error:
+                self.refused.setdefault(name, []).append(f"step {step + 1}: {error}")
+        return usable
+
+
+class Relay:
+    """An edge that sums what its holders send, for a root above it."""
+
+    def __init__(self, most_views: Mapping[str, int], layout: Layout, group: Group) -> None:
+        self.inbox = Inbox(most_views=most_views)
+        self._layout, self._group = layout, group
+        self.feedback = ErrorFeedback()
+        self.num_sent = 0
+
+    def message(self, messages: Mapping[str, bytes]) -> bytes:
+        """The sum of a step: of the step and the model that most of the messages are of."""
+        heads = [head for message in messages.values() if (head := peek_gradients(message)) is not None]
+        heads = [(step, count) for step, count in heads if count <= self._group.config.max_num_splats]
+        step, count = max(set(heads), key=heads.count) if heads else (self.num_sent, 0)
+        total = sum_gradients(self.inbox.read(messages, step, count, self._layout), count, self._layout)
+        message = self.feedback.encode(total, step, count, self._layout, self._group.form)
+        self.num_sent = step + 1
+        return message
+
+
+class Root:
+    """The machine at which all gradients of a group arrive, which has its model."""
+
+    def __init__(self, replica: Replica, most_views: Mapping[str, int], camera_centers: FloatArray, group: Group) -> None:
+        """`camera_centers` (C,3) of all photographs; `most_views` of a step by sender."""
+        self.replica, self.inbox = replica, Inbox(most_views=most_views)
+        self._centers, self._group = camera_centers, group
+        self.feedback = ErrorFeedback()
+
+    @property
+    def senders(self) -> Sequence[str]:
+        """Whose messages are summed, in this order."""
+        return tuple(self.inbox.most_views)
+
+    def total(self, messages: Mapping[str, bytes]) -> tuple[bytes, StepGradients]:
+        """The message of a step for all holders, and the gradients in it; `take_total` takes it."""
+        replica, count, layout = self.replica, self.replica.num_splats, self.replica.layout
+        self._limits = replica.limits(self._centers)
+        total = sum_gradients(self.inbox.read(messages, replica.step, count, layout), count, layout)
+        message = self.feedback.encode(total, replica.step, count, layout, self._group.form)
+        # What it takes is what it says, rounded.
+        said = decode_gradients(message, replica.step, count, layout, self._group.views_per_step, checks=False)
+        return encode_limits(self._limits, count) + message, said
+
+    def take(self, total: StepGradients) -> None:
+        """Take the step of `total`, whose message is on its way."""
+        self.replica.take(total, self._limits)
+
+    def result(self) -> TrainResult:
+        """The model of the group."""
+        return self.replica.result(self._centers)
