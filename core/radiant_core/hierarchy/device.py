@@ -144,6 +144,16 @@ def prepare_training(
     return PreparedTraining(task=task, scene=scene, views=views, config=config, initial=initial, options=options)
 
 
+def choose_filling(
+    task: DeviceTask, scene: SfmScene, views: TrainingViews, reporter: Reporter, machine: Machine, statistics_bytes: int
+) -> tuple[TrainConfig, Sequence[Decision]]:
+    """The settings of the task with points filled in or not, by trials on these photographs, which
+    are in one light and worth training."""
+    trials = _Trials(task=task, scene=scene, views=views, reporter=reporter, machine=machine, statistics_bytes=statistics_bytes)
+    choice = choose_fill_in(task.train, scene, views, trials.score)
+    return choice.config, choice.decisions
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Trials:
     """Trainings of a task without some of its views, which are in one light, scored on these."""

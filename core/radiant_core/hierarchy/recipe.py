@@ -4,13 +4,14 @@ follows from it. Once per run."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig, Trainings
 from radiant_core.choices import StepPolicy
+from radiant_core.hierarchy.groups import GroupPlan
 from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudTask, DeviceSettings, EdgeTask, RefineTask, Renderer
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -60,6 +61,8 @@ class Recipe:
     step_policy: StepPolicy = "per_photograph"
     num_photographs: int | None = None
     """Planned ones of the whole run, where the plans are those of some edges alone."""
+    groups: Mapping[str, GroupPlan] = field(default_factory=dict)
+    """Root → who trains as one model below it; others train alone and are joined."""
 
     def with_plan(self, cloud_plan: CloudPlan, edge_plans: tuple[EdgePlan, ...]) -> Recipe:
         """The same settings, and steps per photograph, by another plan."""

@@ -51,6 +51,15 @@ class Lights:
         if self.known.shape != (count,) or (count and not 0 <= self.camera_of.min() <= self.camera_of.max() < len(self.vignettings)):
             raise BadInput(f"lights of {count} photographs name cameras or flags that are not there: give one of each per photograph.")
 
+    @staticmethod
+    def canonical(cameras: Cameras) -> Lights:
+        """Those of V photographs that are in the canonical light as they were taken."""
+        camera_of, num_cameras = cameras_alike(cameras)
+        vignettings = np.zeros((num_cameras, NUM_TERMS, 3))
+        return Lights(
+            log_gains=np.zeros((len(cameras), 3)), camera_of=camera_of, vignettings=vignettings, known=np.zeros(len(cameras), bool)
+        )
+
     def __len__(self) -> int:
         return len(self.log_gains)
 

@@ -77,7 +77,7 @@ def lights_from_tracks(scene: SfmScene, views: TrainingViews) -> Lights:
     sizes = cameras.sizes_wh[view].astype(np.float64)
     squared = 4 * ((pixels + 0.5 - cameras.Ks[view, :2, 2]) ** 2).sum(axis=1) / (sizes**2).sum(axis=1)
     part = parts_of(pixels, cameras.sizes_wh[view])
-    return solve_lights(Observations(view=view, squared_radii=squared, logs=_log(colors), place=place, part=part), cameras)
+    return solve_lights(Observations(view=view, squared_radii=squared, logs=log_of_colors(colors), place=place, part=part), cameras)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +102,9 @@ def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "a
             used &= cv2.resize(np.asarray(views.weights[index]), size, interpolation=cv2.INTER_AREA) > 127
         rows = np.flatnonzero(used)
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(SAMPLES, len(rows))).astype(np.int64))] if len(rows) else rows
-        logs = _log(image.reshape(-1, 3)[rows].astype(np.float64)) - _log(255 * render.image.reshape(-1, 3)[rows].astype(np.float64))
+        logs = log_of_colors(image.reshape(-1, 3)[rows].astype(np.float64)) - log_of_colors(
+            255 * render.image.reshape(-1, 3)[rows].astype(np.float64)
+        )
         part = parts_of(np.column_stack([rows % size[0], rows // size[0]]), cameras.sizes_wh[index])
         found.append((np.full(len(rows), index), squared_radii(cameras, index).ravel()[rows], logs, part))
         places.append(_places(cameras, index, render.depth, rows[:: max(1, len(rows) // NUM_PLACES)]))
@@ -161,7 +163,7 @@ def _left(observed: Observations, lights: Lights) -> FloatArray:
     return np.where(counts[observed.place] > 1, left - sums[observed.place] / np.maximum(counts[observed.place], 1), np.nan)
 
 
-def _log(colors: FloatArray) -> FloatArray:
+def log_of_colors(colors: FloatArray) -> FloatArray:
     """Log of colours of 255, NaN where too dark, too bright, or no number."""
     with np.errstate(invalid="ignore"):
         usable = (colors >= DARKEST) & (colors <= BRIGHTEST)

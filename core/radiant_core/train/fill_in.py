@@ -51,6 +51,9 @@ class AddedPoints:
         return replace(self, points=self.points[kept], colors=self.colors[kept])
 
 
+NO_POINTS = AddedPoints(points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
+
+
 def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
     """One point per empty image cell, apart from the scene's and from those of images before,
     that no image sees through. `views.cameras` are the scene's in the same order, at any

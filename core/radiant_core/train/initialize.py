@@ -16,7 +16,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_BASES, SH_C0, Splats, concatenate_splats, morton_order
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.dense.fuse import DensePoints
-from radiant_core.train.fill_in import fill_in_points
+from radiant_core.train.fill_in import NO_POINTS, AddedPoints, fill_in_points
 from radiant_core.train.thin_surfaces import lie_flat
 from radiant_core.train.views import TrainingViews
 
@@ -101,26 +101,41 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig, den
         The Gaussians, and how many points were filled in: at most what the limit leaves or a
         quarter of it, whichever is more.
     """
+    fill = fill_in_points(scene, views) if config.fill_in else NO_POINTS
+    fill = fill.thin(room_to_fill(config.max_num_splats, len(scene.points)))
+    initial = initial_gaussians(scene.points, scene.colors, fill, views.cameras, config, sky_rgb_of(views))
+    if dense is not None and len(dense) >= 4:
+        initial = with_dense_points(initial, dense, config.max_num_splats)
+    return initial, len(fill.points)
+
+
+def room_to_fill(limit: int, num_points: int) -> int:
+    """How many points may be filled in beside so many sparse ones."""
+    return max(limit - num_points, limit // 4)
+
+
+def initial_gaussians(
+    points: FloatArray, colors: NDArray[np.uint8], fill: AddedPoints, cameras: Cameras, config: TrainConfig, sky_rgb: FloatArray
+) -> Splats:
+    """The Gaussians of sparse points (P,3) and of those filled in, thinned out to the limit, and a
+    sky of one colour (3,), that of no photograph where it is NaN, by the settings of training."""
     limit = config.max_num_splats
-    fill = fill_in_points(scene, views).thin(max(limit - len(scene.points), limit // 4) if config.fill_in else 0)
-    kept = np.linspace(0, len(scene.points) - 1, min(len(scene.points), max(1, limit - len(fill.points)))).astype(np.int64)
+    kept = np.linspace(0, len(points) - 1, min(len(points), max(1, limit - len(fill.points)))).astype(np.int64)
+    seen = sky_rgb if np.isfinite(sky_rgb).all() else np.array(SKY_RGB)
     initial = initial_splats(
-        np.concatenate([scene.points[kept], fill.points]),
-        np.concatenate([scene.colors[kept], fill.colors]),
-        views.cameras,
+        np.concatenate([points[kept], fill.points]),
+        np.concatenate([colors[kept], fill.colors]),
+        cameras,
         max_num_splats=limit,
         sh_degree=config.sh_degree,
-        sky_rgb=_sky_rgb(views) if config.sky else None,
+        sky_rgb=seen if config.sky else None,
     )
     # The sky, last and almost opaque, keeps what it has.
     on_ground = initial.logit_opacities < 0
     logit = np.float32(np.log(config.initial_opacity / (1 - config.initial_opacity)))
     logits = np.where(on_ground, logit, initial.logit_opacities)
     initial = replace(initial, antialiased=config.antialiased, logit_opacities=logits)
-    initial = lie_flat(initial, int(on_ground.sum()), config.initial_thickness)
-    if dense is not None and len(dense) >= 4:
-        initial = with_dense_points(initial, dense, limit)
-    return initial, len(fill.points)
+    return lie_flat(initial, int(on_ground.sum()), config.initial_thickness)
 
 
 def with_dense_points(initial: Splats, dense: DensePoints, max_num_splats: int) -> Splats:
@@ -169,16 +184,16 @@ def _above_horizon(cameras: Cameras) -> tuple[FloatArray, NDArray[np.bool_]]:
     return pixels, np.einsum("ci,cpi->cp", cameras.cam_from_world[:, :3, 2], in_camera) > 0
 
 
-def _sky_rgb(views: TrainingViews) -> FloatArray:
-    """Median colour (3,) in 0..1 of the pixels above the horizon, of a 9×9 grid per photograph;
-    `SKY_RGB` without any."""
+def sky_rgb_of(views: TrainingViews) -> FloatArray:
+    """Median colour (3,) in 0..1 of the pixels above the horizon, of a 9×9 grid per photograph; NaN
+    without any."""
     pixels, above = _above_horizon(views.cameras)
     found = np.zeros((0, 3), np.uint8)
     for index, (image, grid, up) in enumerate(zip(views.images, pixels.astype(np.int64), above, strict=True)):
         columns, rows = grid[up].T
         counts = np.ones(len(rows), bool) if views.weights is None else views.weights[index][rows, columns] > 0
         found = np.concatenate([found, image[rows[counts], columns[counts]]])
-    return np.median(found, axis=0) / 255 if len(found) else np.array(SKY_RGB)
+    return np.median(found, axis=0) / 255 if len(found) else np.full(3, np.nan)
 
 
 def _neighbour_distance(points: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.plan.profiles.step_law import StepLaw
 from radiant_core.train.config import TrainConfig, with_settings
@@ -115,18 +116,23 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
 
 def fit_to_views(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """What is "auto", decided by the photographs that are trained on."""
-    config, dropping = fit_dropping(config, len(views))
-    config, size = _fit_size(config, views)
-    config, length = _fit_length(config, len(views))
+    return fit_to_cameras(config, views.cameras)
+
+
+def fit_to_cameras(config: TrainConfig, cameras: Cameras) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """The same by the cameras of the photographs, at the size that is trained on."""
+    config, dropping = fit_dropping(config, len(cameras))
+    config, size = _fit_size(config, cameras)
+    config, length = _fit_length(config, len(cameras))
     return config, (*size, *length, *dropping)
 
 
-def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
+def _fit_size(config: TrainConfig, cameras: Cameras) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """Where growth has a limit to reach, at most one Gaussian per `pixels_per_splat` pixels."""
-    per_splat, most = pixels_per_splat(config, len(views)), most_splats(config, views)
+    per_splat, most = pixels_per_splat(config, len(cameras)), _most_splats(config, cameras)
     if most >= config.max_num_splats:
         return config, ()
-    num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
+    num_pixels = int(cameras.sizes_wh.prod(axis=1).sum())
     decision = Decision(
         stage="train",
         topic="number of Gaussians",
@@ -161,10 +167,14 @@ def pixels_per_splat(config: TrainConfig, num_views: int) -> int | None:
 
 def most_splats(config: TrainConfig, views: TrainingViews) -> int:
     """How many Gaussians growth may reach with these photographs."""
-    per_splat = pixels_per_splat(config, len(views))
+    return _most_splats(config, views.cameras)
+
+
+def _most_splats(config: TrainConfig, cameras: Cameras) -> int:
+    per_splat = pixels_per_splat(config, len(cameras))
     if per_splat is None:
         return config.max_num_splats
-    num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
+    num_pixels = int(cameras.sizes_wh.prod(axis=1).sum())
     return min(config.max_num_splats, max(MIN_PLANNED, num_pixels // per_splat))
 
 

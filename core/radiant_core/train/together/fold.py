@@ -15,7 +15,7 @@ import numpy as np
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_core.train.results import TrainResult
-from radiant_core.train.together.replica import Group, Replica, Share
+from radiant_core.train.together.replica import Group, Replica
 from radiant_core.train.together.roles import Holder, Relay, Root
 from radiant_core.train.trainer import FitOptions
 
@@ -35,22 +35,15 @@ class GroupCost:
     bytes_down: list[int] = field(default_factory=list)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GroupMembers:
-    """The machines of a group: shares of holders, and the holders of each edge, which sums for them
-    where there are several."""
+    """The machines of a group."""
 
-    shares: Mapping[str, Share]
-    edges: Mapping[str, Sequence[str]]
-
-    @property
-    def has_relays(self) -> bool:
-        """Whether edges sum for a root above them."""
-        return len(self.edges) > 1
-
-    def most_views(self, names: Sequence[str]) -> dict[str, int]:
-        """Views of a step that each of some holders gives."""
-        return {name: self.shares[name].num_views for name in names}
+    holders: Mapping[str, Holder]
+    edges: Mapping[str, Mapping[str, int]]
+    """Edge → holder → its views of a step."""
+    has_relays: bool
+    """Whether edges sum for a root above them."""
 
 
 def fit_in_process(
@@ -66,7 +59,7 @@ def fit_in_process(
     Args:
         initial: the first Gaussians.
         group: settings of the training.
-        members: its machines.
+        members: its machines; holders end as they are after the last step but one.
         camera_centers: (C,3) of all photographs.
         options: renderer and progress.
         clock: seconds, by which steps are timed.
@@ -74,11 +67,10 @@ def fit_in_process(
     Returns:
         The result, and what its steps took.
     """
-    holders = {name: Holder(Replica(initial, group, options, share), group) for name, share in members.shares.items()}
-    top = Replica(initial, group, options)
-    by_edge = {edge: members.most_views(names) for edge, names in members.edges.items()}
-    relays = {edge: Relay(views, top.layout, group) for edge, views in by_edge.items()}
-    of_root = {edge: sum(views.values()) for edge, views in by_edge.items()} if members.has_relays else next(iter(by_edge.values()))
+    holders, top = members.holders, Replica(initial, group, options)
+    relays = {edge: Relay(views, top.layout, group) for edge, views in members.edges.items()}
+    of_edges = {edge: sum(views.values()) for edge, views in members.edges.items()}
+    of_root = of_edges if members.has_relays else {name: views for each in members.edges.values() for name, views in each.items()}
     root = Root(top, of_root, camera_centers, group)
     cost, waiting = GroupCost(), list[bytes]()
 

@@ -1,0 +1,55 @@
+"""`GroupPlan`: which machines train as one model, and how. Once per run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from radiant_core.errors import BadInput
+from radiant_core.train.together.gradients import StepFormat
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupPlan:
+    """Devices that train as one model below a root, "cloud" or "edges/NAME", which has it."""
+
+    root: str
+    views: Mapping[str, Mapping[str, int]]
+    """Edge → device → views that it gives to each step, in the order in which they are summed."""
+    num_steps: int
+    """Views that are shown in all, as steps of one machine."""
+    overlaps: bool = False
+    """As of a `Group`."""
+    form: StepFormat = "bfloat16"
+
+    def __post_init__(self) -> None:
+        if self.root != "cloud" and [self.root] != [f"edges/{edge}" for edge in self.views]:
+            raise BadInput(f"the group of {self.root} has edges {', '.join(self.views)}: only the cloud sums for several edges.")
+        if not self.of_devices or min(self.of_devices.values()) < 1:
+            raise BadInput(f"the group of {self.root} has a device without views: give each device one or more.")
+
+    @cached_property
+    def of_devices(self) -> dict[str, int]:
+        """Views of a step by device."""
+        return {device: views for devices in self.views.values() for device, views in devices.items()}
+
+    @property
+    def views_per_step(self) -> int:
+        """Those of all devices."""
+        return sum(self.of_devices.values())
+
+    @property
+    def has_relays(self) -> bool:
+        """Whether edges sum for a root above them."""
+        return self.root == "cloud"
+
+    @property
+    def of_senders(self) -> dict[str, int]:
+        """Views of a step by each sender to the root: edges, or the devices of its one edge."""
+        return {edge: sum(devices.values()) for edge, devices in self.views.items()} if self.has_relays else self.of_devices
+
+    def first_view(self, device: str) -> int:
+        """As which view of a step the first of a device counts."""
+        names = list(self.of_devices)
+        return sum(self.of_devices[name] for name in names[: names.index(device)])
