@@ -5,6 +5,11 @@ a receive of `FIRST_BYTES` posted, so a message leaves at once and costs one way
 what is longer follows in a second part, which costs a round trip more. A receive is posted again when
 its message was read: a second message waits at its sender until then.
 
+A byte of its own (`_END`) follows every part, and it is what the receiver waits for: gloo tells of a
+lost connection to every receive but the one whose bytes it is just reading, which would wait for the
+whole limit after the sender was killed (`findings/gloo_half_a_message.sh`). A connection keeps the
+order of its messages, so the part is there when the byte is.
+
 gloo closes a connection for good when somebody waits in vain, or when the other process ends. Then the
 link is lost (`LinkLost`), and the two ends make a new one (`meeting`).
 """
@@ -31,7 +36,7 @@ PADDED = sys.platform != "linux"
 only messages of the posted length, that of Linux shorter ones too. It ends the process at longer ones."""
 
 _HEADER = struct.Struct("<QqQ")
-_FIRST, _REST = 0, 1  # tags
+_FIRST, _REST, _END = 0, 1, 2  # tags
 
 
 class LinkLost(StageFailed):
@@ -121,8 +126,8 @@ class Wire:
         self._inbox = torch.empty(FIRST_BYTES, dtype=torch.uint8)
         self._outbox = torch.empty(FIRST_BYTES if PADDED else 0, dtype=torch.uint8)
         self._rest = torch.empty(0, dtype=torch.uint8)
-        self._coming: Any = None
-        self._coming_rest: Any = None
+        self._end_in, self._end_out = torch.zeros(1, dtype=torch.uint8), torch.zeros(1, dtype=torch.uint8)
+        self._coming: list[Any] = []
         self._going: list[Any] = []
         self._free_at = 0.0
         self._lost = ""
@@ -142,9 +147,10 @@ class Wire:
         view[_HEADER.size : total] = body
         first = FIRST_BYTES if PADDED else min(total, FIRST_BYTES)
         with self._loss(0.0):
-            self._going = [self._group.send([self._outbox[:first]], self._other, _FIRST)]
+            self._going = []
+            self._put(self._outbox[:first], _FIRST)
             if total > first:
-                self._going.append(self._group.send([self._outbox[first:total]], self._other, _REST))
+                self._put(self._outbox[first:total], _REST)
         self.traffic.sent_bytes += total
         self.traffic.sent_messages += 1
 
@@ -158,29 +164,27 @@ class Wire:
     def open(self, deadline: float) -> None:
         """Wait for the first part of the next message, check its length and post the rest's receive."""
         self._check()
-        with self._loss(deadline):
-            self._coming.wait(_left(deadline))
+        self._arrive(deadline)
         length, _, _ = self._header()
         if length > self.rules.most_bytes:
             raise self.lose(f"it announced a message of {length} bytes; at most {self.rules.most_bytes} are taken")
         rest = _HEADER.size + length - FIRST_BYTES
         if rest > 0:
             self._rest = torch.empty(rest, dtype=torch.uint8)
-            with self._loss(deadline):
-                self._coming_rest = self._group.recv([self._rest], self._other, _REST)
+            with self._loss(0.0):
+                self._expect(self._rest, _REST)
 
     def read(self, deadline: float) -> Message:
         """The message that `open` began, when it is due. A second part has `limit_s` of its own."""
         length, step, due_ns = self._header()
-        if self._coming_rest is not None:
+        if len(self._rest):
             deadline = max(deadline, time.monotonic() + self.rules.limit_s)
-            with self._loss(deadline):
-                self._coming_rest.wait(_left(deadline))
+            self._arrive(deadline)
         self._hold(due_ns / 1e9, deadline)
         payload = bytes(_view(self._inbox)[_HEADER.size : min(_HEADER.size + length, FIRST_BYTES)])
-        if self._coming_rest is not None:
+        if len(self._rest):
             payload += self._rest.numpy().tobytes()
-            self._coming_rest, self._rest = None, self._rest[:0].clone()
+            self._rest = torch.empty(0, dtype=torch.uint8)
         self.traffic.received_bytes += _HEADER.size + length
         self.traffic.received_messages += 1
         self._post()
@@ -189,16 +193,31 @@ class Wire:
     def lose(self, reason: str) -> LinkLost:
         """Close this end for `reason`; the other end sees that at once. The error to raise."""
         self._lost = self._lost or reason
-        self._going = []
-        self._coming = self._coming_rest = self._group = None
+        self._going, self._coming, self._group = [], [], None
         return LinkLost(self.peer, self._lost)
 
     def _post(self) -> None:
         """Post the receive of the next message; that the link is gone shows when it is waited for."""
         try:
-            self._coming = self._group.recv([self._inbox], self._other, _FIRST)
+            self._expect(self._inbox, _FIRST)
         except RuntimeError as error:
             self.lose(_reason(str(error), self.rules.limit_s))
+
+    def _put(self, part: torch.Tensor, tag: int) -> None:
+        """Send a part and the byte after it."""
+        self._going.append(self._group.send([part], self._other, tag))
+        self._going.append(self._group.send([self._end_out], self._other, _END))
+
+    def _expect(self, part: torch.Tensor, tag: int) -> None:
+        """Post the receives of a part and of the byte after it, in the order in which they are sent."""
+        self._coming = [self._group.recv([part], self._other, tag)]
+        self._coming.append(self._group.recv([self._end_in], self._other, _END))
+
+    def _arrive(self, deadline: float) -> None:
+        """Wait for the byte after a part, then for the part, which is there."""
+        with self._loss(deadline):
+            for work in reversed(self._coming):
+                work.wait(_left(deadline))
 
     def _header(self) -> tuple[int, int, int]:
         return _HEADER.unpack_from(_view(self._inbox))
