@@ -47,7 +47,7 @@ def train_group(
     reporter = reporter_of(plan.root)
     start = begin_group({device: each.start for device, each in prepared.items()}, plan, recipe.train, reporter)
     members = GroupMembers(
-        holders={device: hold_share(each, device, start, plan) for device, each in prepared.items()},
+        holders={device: hold_share(each, device, start, plan.seat_of(device)) for device, each in prepared.items()},
         edges=plan.views,
         has_relays=plan.has_relays,
     )

@@ -5,9 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
+
+from pydantic import Field
 
 from radiant_core.errors import BadInput
 from radiant_core.train.together.gradients import StepFormat
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seat:
+    """What a device gives to each step of a training that it shares with others."""
+
+    parent: str
+    """Node that it sends its gradients to."""
+    num_views: Annotated[int, Field(ge=1)]
+    first: Annotated[int, Field(ge=0)]
+    """As which view of a step its first one counts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +62,11 @@ class GroupPlan:
     def of_senders(self) -> dict[str, int]:
         """Views of a step by each sender to the root: edges, or the devices of its one edge."""
         return {edge: sum(devices.values()) for edge, devices in self.views.items()} if self.has_relays else self.of_devices
+
+    def seat_of(self, device: str) -> Seat:
+        """What a device gives to each step, and where."""
+        edge = next(edge for edge, devices in self.views.items() if device in devices)
+        return Seat(parent=f"edges/{edge}", num_views=self.of_devices[device], first=self.first_view(device))
 
     def first_view(self, device: str) -> int:
         """As which view of a step the first of a device counts."""

@@ -13,7 +13,7 @@ follow in `train/together`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.decisions import sky_decision
 from radiant_core.hierarchy.device import choose_filling
-from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.hierarchy.groups import GroupPlan, Seat
 from radiant_core.hierarchy.joining import number_cameras
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
@@ -32,7 +32,7 @@ from radiant_core.light.lights import Lights, in_canonical_light
 from radiant_core.light.offsets import PointLogs, light_offsets, point_logs
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.splats import Splats
+from radiant_core.splats import TENSORS, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.extent import extent_decision, working_extent
 from radiant_core.train.fill_in import NO_POINTS, AddedPoints, fill_in_points
@@ -40,6 +40,8 @@ from radiant_core.train.initialize import initial_gaussians, room_to_fill, sky_r
 from radiant_core.train.memory import memory_plan
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.needs import fit_to_cameras
+from radiant_core.train.results import TrainState
+from radiant_core.train.together.gradients import Layout
 from radiant_core.train.together.replica import Group, Replica, Share, require_shareable
 from radiant_core.train.together.roles import Holder
 from radiant_core.train.trainer import FitOptions
@@ -91,6 +93,33 @@ class GroupStart:
     """(C,3) of all photographs; it stays at the root."""
     offsets: Mapping[str, FloatArray]
     """Log brightness (3,) of each device's light above that of all; empty where they agree."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Begun:
+    """Where a training stands that a device is to join."""
+
+    group: Group
+    state: TrainState
+    offsets: Mapping[str, FloatArray] = field(default_factory=dict)
+    """As of a `GroupStart`."""
+    antialiased: bool = False
+
+    @property
+    def splats(self) -> Splats:
+        """The model as it stands."""
+        arrays = {name: self.state.arrays[f"splats.{name}"] for name in TENSORS}
+        return Splats(**arrays, antialiased=self.antialiased)
+
+    @property
+    def step(self) -> int:
+        """Steps that were taken."""
+        return int(self.state.numbers["step"])
+
+    @property
+    def layout(self) -> Layout:
+        """The columns of its gradients."""
+        return Replica(self.splats, self.group, FitOptions()).layout
 
 
 def prepare_share(task: DeviceTask, views: TrainingViews, reporter: Reporter, machine: Machine = Machine()) -> PreparedShare:
@@ -166,11 +195,21 @@ def begin_group(starts: Mapping[str, ShareStart], plan: GroupPlan, train: TrainC
     return GroupStart(initial=initial, group=group, camera_centers=cameras.centers, offsets=offsets)
 
 
-def hold_share(prepared: PreparedShare, device: str, start: GroupStart, plan: GroupPlan) -> Holder:
-    """The device as a member of the group, its photographs in the light of all."""
-    views = shared_light(prepared, start.offsets.get(device))
-    share = Share(views=views, num_views=plan.of_devices[device], first=plan.first_view(device))
+def hold_share(prepared: PreparedShare, device: str, start: GroupStart, seat: Seat) -> Holder:
+    """The device as a member of the group from its first step on."""
+    share = _share(prepared, start.offsets.get(device), seat)
     return Holder(Replica(start.initial, start.group, prepared.options, share), start.group)
+
+
+def join_share(prepared: PreparedShare, device: str, begin: Begun, seat: Seat) -> Holder:
+    """The device as a member of a group where it stands."""
+    replica = Replica(begin.splats, begin.group, prepared.options, _share(prepared, begin.offsets.get(device), seat))
+    replica.restore(begin.state)
+    return Holder(replica, begin.group)
+
+
+def _share(prepared: PreparedShare, offset: FloatArray | None, seat: Seat) -> Share:
+    return Share(views=shared_light(prepared, offset), num_views=seat.num_views, first=seat.first)
 
 
 def shared_light(prepared: PreparedShare, offset: FloatArray | None) -> TrainingViews:

@@ -62,7 +62,7 @@ def load_cameras(path: Path) -> Cameras:
     a name that leads out of a folder, or a camera larger than any photograph."""
     arrays, about = load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
     with name_file_in_errors(path):
-        return _cameras(about["names"], arrays)
+        return cameras_of_arrays(about["names"], arrays)
 
 
 def save_scene(path: Path, scene: SfmScene) -> None:
@@ -99,7 +99,7 @@ def load_scene(path: Path) -> SfmScene:
     with name_file_in_errors(path):
         residual_m = about["frame_residual_m"]
         return SfmScene(
-            cameras=_cameras(about["names"], arrays),
+            cameras=cameras_of_arrays(about["names"], arrays),
             points=arrays["points"],
             colors=arrays["colors"],
             observations=arrays["observations"],
@@ -209,7 +209,7 @@ def _texts(values: Any) -> tuple[str, ...]:
     return tuple(values)
 
 
-def _cameras(names: Any, arrays: Mapping[str, NDArray]) -> Cameras:
+def cameras_of_arrays(names: Any, arrays: Mapping[str, NDArray]) -> Cameras:
     """The cameras of a file: names are paths inside a folder, sizes those of photographs."""
     cameras = Cameras(names=_texts(names), **{name: arrays[name] for name in CAMERAS_DTYPES})
     outside = next((name for name in cameras.names if not is_image_name(name)), None)

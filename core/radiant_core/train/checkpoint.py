@@ -125,6 +125,11 @@ class CheckpointFolder:
         ended_s = self._clock()
         self._due_s = ended_s + max(self._every_s, (ended_s - begun_s) * (1 / MAX_SHARE - 1))
 
+    def save(self, step: int, state: Callable[[], TrainState]) -> None:
+        """Save the state after `step` steps now; a failure to write is a warning."""
+        self._due_s = self._clock()
+        self.offer(step, state)
+
     def remove(self) -> None:
         """Remove all checkpoints: the run is finished."""
         for saved in self._list_saved():

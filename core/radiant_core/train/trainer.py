@@ -75,6 +75,10 @@ class Checkpoints(Protocol):
         """Called after each step: save `state()` where one is due."""
         return
 
+    def save(self, step: int, state: Callable[[], TrainState]) -> None:
+        """Save `state()` after `step` steps, due or not."""
+        return
+
 
 class NoCheckpoints(Checkpoints):
     """An interrupted run begins anew."""

@@ -265,6 +265,10 @@ class Replica(ModelFit):
         """The model and its figures, within the limits of cameras at (C,3)."""
         return self._result(self._limit_shapes(camera_centers))
 
+    def outcome(self) -> TrainResult:
+        """The model as this replica has it, and its figures."""
+        return self._result(ShapeCounts())
+
     def restore(self, state: TrainState) -> None:
         """Go on from `state`; BadInput where it is of other inputs or configuration."""
         super().restore(state)

@@ -28,6 +28,11 @@ class Holder:
         """Steps that it has contributed to."""
 
     @property
+    def num_steps(self) -> int:
+        """Those of the whole training."""
+        return self._group.stepping.num_steps
+
+    @property
     def waits_for_total(self) -> bool:
         """Whether the total of the step before must be taken before the next contribution."""
         behind = self.num_sent > self.replica.step

@@ -1,0 +1,196 @@
+"""What travels over a link, and a parent's view of its children. Once per message.
+
+    up      START      of a device, or of all devices below an edge: their files, by name
+            GRADIENTS  of the next step
+            DONE       what a machine has to write is written
+    down    BEGIN      where the training stands, for devices that sent a start
+            TOTAL      of a step
+            END        there is no further step
+
+A child that is linked sends START first, whenever that is: at the beginning, or where it comes back.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from radiant_app.together.links import LinkLost, ParentLinks
+from radiant_core.errors import BadInput, StageFailed
+
+START, GRADIENTS, DONE, BEGIN, TOTAL, END = b"S", b"G", b"D", b"B", b"T", b"E"
+LATE_S = 60.0
+"""A machine that is linked and says nothing for so long is left out until it comes back."""
+GONE_S = 300.0
+"""One whose link is lost is waited for so long: its process may be started again."""
+_COUNT, _PART = struct.Struct("<I"), struct.Struct("<HQ")
+_MOST_PARTS = 10_000
+
+
+def pack(kind: bytes, parts: Mapping[str, bytes]) -> bytes:
+    """A message of named files."""
+    chunks = [kind, _COUNT.pack(len(parts))]
+    for name, data in parts.items():
+        encoded = name.encode()
+        chunks += [_PART.pack(len(encoded), len(data)), encoded, data]
+    return b"".join(chunks)
+
+
+def unpack(payload: bytes) -> dict[str, bytes]:
+    """The files of a message, whatever its kind; BadInput where it has none."""
+    try:
+        (count,), at = _COUNT.unpack_from(payload, 1), 1 + _COUNT.size
+        parts: dict[str, bytes] = {}
+        for _ in range(min(count, _MOST_PARTS)):
+            num_name, num_data = _PART.unpack_from(payload, at)
+            at += _PART.size
+            if at + num_name + num_data > len(payload):
+                raise BadInput("a message ends before its files do: its sender has another version.")
+            parts[payload[at : at + num_name].decode()] = payload[at + num_name : at + num_name + num_data]
+            at += num_name + num_data
+    except (struct.error, UnicodeDecodeError) as error:
+        raise BadInput(f"a message holds no files ({error}): its sender has another version.") from error
+    if len(parts) != count or at != len(payload):
+        raise BadInput(f"a message holds {len(parts)} files, expected {count}: its sender has another version.")
+    return parts
+
+
+def meeting_of(folder: Path, parent: str) -> Path:
+    """Where the machine in the folder of a node of a run, such as RUN/devices/north-1, meets its
+    parent, such as "edges/north"."""
+    run = folder.parent if folder.name == "cloud" else folder.parent.parent
+    return run / "together" / parent.replace("/", "_")
+
+
+def mark_gone(meeting: Path, child: str) -> None:
+    """Say that a child will not come, or not again."""
+    meeting.mkdir(parents=True, exist_ok=True)
+    (meeting / f"{child}.gone").touch()
+
+
+Answer = Callable[[str, Mapping[str, bytes]], bytes]
+"""Makes BEGIN for a child of what it sent in START; BadInput where that cannot be used."""
+
+
+@dataclass(kw_only=True)
+class Children:
+    """The children of a parent: who takes part in a step, who is waited for, who is left out."""
+
+    links: ParentLinks
+    names: Sequence[str]
+    meeting: Path
+    warn: Callable[[str], None]
+    clock: Callable[[], float] = time.monotonic
+    late_s: float = LATE_S
+    gone_s: float = GONE_S
+    present: set[str] = field(default_factory=set)
+    """They have the model of the step."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Child → why steps go on without it."""
+    num_missed: dict[str, int] = field(default_factory=dict)
+    """Child → steps without it."""
+    _lost_s: dict[str, float] = field(default_factory=dict)
+
+    def starts(self) -> dict[str, dict[str, bytes]]:
+        """What each child begins with; without those that are gone. StageFailed without any."""
+        begun_s, sent = self.clock(), dict[str, dict[str, bytes]]()
+        while missing := [name for name in self.names if name not in sent and name not in self.left_out]:
+            self.links.poll()
+            for name, kind, payload in self._receive([name for name in missing if name in self.links.linked]):
+                if kind == START:
+                    sent[name] = unpack(payload)
+                else:
+                    self._lose(name, "it did not begin with a start")
+            self._leave_out([name for name in missing if name not in self.links.linked], begun_s, patient=not sent)
+            time.sleep(0.01)
+        if not sent:
+            raise StageFailed(f"none of {', '.join(self.names)} came to train: look at their messages above.")
+        return sent
+
+    def begin(self, answers: Mapping[str, bytes]) -> None:
+        """Send BEGIN to children, which take part from now on."""
+        self.links.send_all(answers)
+        self.present |= set(answers)
+
+    def gradients(self, answer: Answer) -> dict[str, bytes]:
+        """What all children send for a step; one that comes back is answered first."""
+        begun_s, got = self.clock(), dict[str, bytes]()
+        while True:
+            self.links.poll()
+            waiting = [name for name in self.names if name not in got and name in self.links.linked]
+            for name, kind, payload in self._receive(waiting):
+                if kind == START:
+                    self._answer(name, payload, answer)
+                elif kind == GRADIENTS and name in self.present:
+                    got[name] = payload[1:]
+                else:
+                    self._lose(name, "it sent what was not asked for")
+            missing = [name for name in self.names if name not in got and name not in self.left_out]
+            if not missing:
+                break
+            if not waiting:
+                self._leave_out([name for name in missing if name not in self.links.linked], begun_s)
+                time.sleep(0.005)
+        if not got:
+            raise StageFailed(f"none of {', '.join(self.names)} sends gradients any more: look at their messages above.")
+        for name in self.left_out:
+            self.num_missed[name] = self.num_missed.get(name, 0) + 1
+        return got
+
+    def send(self, kind: bytes, payload: bytes = b"") -> None:
+        """Send a message to all that take part."""
+        message = kind + payload
+        for name, lost in self.links.send_all({name: message for name in self.names if name in self.present}).items():
+            self._lose(name, lost.reason)
+
+    def wait_until_done(self, wait_s: float) -> None:
+        """Wait until all that take part have written what they have to, or are gone."""
+        deadline_s = self.clock() + wait_s
+        while (
+            waiting := [name for name in self.names if name in self.present and name in self.links.linked]
+        ) and self.clock() < deadline_s:
+            for name, _, _ in self._receive(waiting):
+                self.present.discard(name)
+
+    def _receive(self, names: Sequence[str]) -> list[tuple[str, bytes, bytes]]:
+        """Child, kind and payload of a message of each child; lost ones are noted."""
+        arrived = []
+        for name, message in (self.links.receive_all(names) if names else {}).items():
+            if isinstance(message, LinkLost):
+                self._lose(name, message.reason)
+            else:
+                arrived.append((name, message.payload[:1], message.payload))
+        return arrived
+
+    def _answer(self, name: str, payload: bytes, answer: Answer) -> None:
+        try:
+            reply = answer(name, unpack(payload))
+        except BadInput as error:
+            self._lose(name, str(error))
+            self.left_out[name] = str(error)
+            return
+        self.links.send_all({name: reply})
+        self.present.add(name)
+        if self._lost_s.pop(name, None) is not None or name in self.left_out:
+            self.warn(f"{name} is back and takes part again.")
+        self.left_out.pop(name, None)
+
+    def _lose(self, name: str, reason: str) -> None:
+        self.links.drop(name, reason)
+        self.present.discard(name)
+        if name not in self._lost_s:
+            self._lost_s[name] = self.clock()
+            self.warn(f"the link to {name} is lost ({reason}); it is waited for up to {self.gone_s:.0f} s.")
+
+    def _leave_out(self, names: Sequence[str], begun_s: float, *, patient: bool = False) -> None:
+        """Leave out who is gone, or was waited for long enough; at the start the first to come is
+        waited for without a limit."""
+        for name in names:
+            gone = (self.meeting / f"{name}.gone").is_file()
+            waited_s = self.clock() - max(begun_s, self._lost_s.get(name, begun_s))
+            if gone or (not patient and waited_s > self.gone_s):
+                self.left_out[name] = "it has ended" if gone else f"it did not come back within {self.gone_s:.0f} s"
+                self.warn(f"steps go on without {name}: {self.left_out[name]}. Its photographs are missing in what is trained from now on.")

@@ -1,0 +1,123 @@
+"""A device that trains together with others: its process, once per run.
+
+    photographs ─ prepare ─ START ─→ BEGIN ─ ( GRADIENTS ─→ TOTAL ─ step )… ─ END ─ its model
+
+Where the link to its edge is lost it asks for another one, sends START again and goes on from where
+the others stand.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from radiant_app.together.exchange import BEGIN, DONE, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, meeting_of, pack, unpack
+from radiant_app.together.links import ChildLink, LinkLost, LinkRules, Traffic, connect
+from radiant_app.workers.reporting import EventReporter
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.hierarchy.device import training_summary
+from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, Seat
+from radiant_core.hierarchy.reporter import Machine
+from radiant_core.hierarchy.together import PreparedShare, join_share, prepare_share
+from radiant_core.io.group_messages import load_begin, save_start
+from radiant_core.train.together.roles import Holder
+from radiant_core.train.views import TrainingViews
+
+GROUP_FOLDER = "group"
+"""Folder of a node for what it says and hears before the first step."""
+CONNECT_S = 600.0
+"""So long a device waits for its edge, which may be waiting for others."""
+
+
+def hold(folder: Path, task: DeviceTask, views: TrainingViews, reporter: EventReporter, machine: Machine) -> DeviceModel:
+    """Train together with the devices that meet at the same edge.
+
+    Args:
+        folder: the device's folder in its run.
+        task: with a seat.
+        views: its photographs.
+        reporter: hears decisions, warnings and progress.
+        machine: memory and clock.
+
+    Returns:
+        The model of all, as this device has it after the last step.
+
+    Raises:
+        StageFailed: no edge answers.
+    """
+    seat = task.seat
+    assert seat is not None
+    prepared = prepare_share(task, views, reporter, machine)
+    place = folder / GROUP_FOLDER
+    place.mkdir(exist_ok=True)
+    save_start(place / "start.safetensors", prepared.start)
+    start = pack(START, {folder.name: (place / "start.safetensors").read_bytes()})
+    member = _Member(folder=folder, seat=seat, prepared=prepared, start=start, reporter=reporter)
+    holder = member.run()
+    result = holder.replica.outcome()
+    summary = {**training_summary(result), "num_photographs": len(prepared.views), "num_points": len(prepared.scene.points)}
+    summary |= {"sent_bytes": member.traffic.sent_bytes, "received_bytes": member.traffic.received_bytes}
+    return DeviceModel(splats=result.splats, cameras=task.scene.cameras, initial=member.initial, summary=summary)
+
+
+class _Member:
+    def __init__(self, *, folder: Path, seat: Seat, prepared: PreparedShare, start: bytes, reporter: EventReporter) -> None:
+        self._folder, self._seat, self._prepared, self._start, self._reporter = folder, seat, prepared, start, reporter
+        # A parent waits for others before it answers.
+        self._rules = LinkRules(limit_s=GONE_S + 2 * LATE_S)
+        self.traffic = Traffic()
+        self.initial = None
+        self.link: ChildLink | None = None
+
+    def run(self) -> Holder:
+        """Take all steps, over as many links as it takes."""
+        lost_s: float | None = None
+        while True:
+            try:
+                link = connect(meeting_of(self._folder, self._seat.parent), self._folder.name, CONNECT_S, self._rules, self.traffic)
+                holder = self._steps(link)
+            except LinkLost as lost:
+                now_s = time.monotonic()
+                if lost_s is not None and now_s - lost_s < 1.0:
+                    time.sleep(1.0)
+                if "no parent took" in lost.reason:
+                    raise StageFailed(f"{self._seat.parent} does not answer: {lost.reason}.") from lost
+                self._reporter.warn(f"{lost} It asks for another one.")
+                lost_s = now_s
+            else:
+                link.send(DONE)
+                link.close()
+                return holder
+
+    def _steps(self, link: ChildLink) -> Holder:
+        link.send(self._start)
+        kind, payload = _received(link)
+        if kind != BEGIN:
+            raise BadInput(f"{self._seat.parent} answered a start with {kind!r}, expected the state of a training: give both one version.")
+        place = self._folder / GROUP_FOLDER / "begin.safetensors"
+        place.write_bytes(unpack(payload)["begin"])
+        begin = load_begin(place)
+        if self.initial is None:
+            self.initial = begin.splats
+        holder = join_share(self._prepared, self._folder.name, begin, self._seat)
+        num_steps = holder.num_steps
+        while holder.replica.step < num_steps:
+            if holder.num_sent < num_steps and not holder.waits_for_total:
+                link.send(GRADIENTS + holder.message())
+                if begin.group.overlaps and not holder.waits_for_total:
+                    continue
+            holder.take(_expect(link, TOTAL))
+        _expect(link, END)
+        return holder
+
+
+def _received(link: ChildLink) -> tuple[bytes, bytes]:
+    payload = link.receive().payload
+    return payload[:1], payload
+
+
+def _expect(link: ChildLink, kind: bytes) -> memoryview:
+    got, payload = _received(link)
+    if got != kind:
+        raise LinkLost("its edge", f"it sent {got!r} where {kind!r} was due")
+    return memoryview(payload)[1:]

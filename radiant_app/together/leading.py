@@ -1,0 +1,165 @@
+"""The root of machines that train together: its process, once per run.
+
+    START of all ─ begin ─→ BEGIN ─ ( GRADIENTS of all ─ sum ─→ TOTAL ─ step )… ─ END ─ the model
+
+It alone saves checkpoints: a machine that comes back is sent its state, and so are all where the
+root itself was started again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from radiant_app.together.exchange import BEGIN, END, TOTAL, Children, meeting_of, pack
+from radiant_app.together.links import LinkRules, ParentLinks
+from radiant_app.workers.reporting import EventReporter
+from radiant_core import __version__
+from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.errors import BadInput, RadiantError
+from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.hierarchy.messages import Training
+from radiant_core.hierarchy.reporter import Machine, fit_options
+from radiant_core.hierarchy.together import Begun, GroupStart, ShareStart, begin_group, check_start
+from radiant_core.io.group_messages import load_start, save_begin
+from radiant_core.io.run_store import content_key
+from radiant_core.train.results import TrainResult
+from radiant_core.train.together.replica import Replica
+from radiant_core.train.together.roles import Root
+from radiant_core.train.trainer import Checkpoints
+
+DONE_WAIT_S = 120.0
+"""So long the root waits for the devices to have written their models."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Led:
+    """The model of a group, the cameras (C) of all photographs, whose starts were refused and why,
+    and who took no part in how many steps."""
+
+    result: TrainResult
+    cameras: Cameras
+    devices: tuple[str, ...]
+    refused: Mapping[str, str]
+    summary: Mapping[str, float | int]
+
+
+def lead(
+    folder: Path, plan: GroupPlan, task: Training, num_dealt: Mapping[str, int], reporter: EventReporter, machine: Machine
+) -> Led:
+    """Train the model of a group with all devices that come.
+
+    Args:
+        folder: the root's folder in its run.
+        plan: the group.
+        task: settings of training.
+        num_dealt: photographs of each device, at most as many cameras may it send.
+        reporter: hears decisions, warnings and progress.
+        machine: checkpoints and clock.
+
+    Returns:
+        The model.
+
+    Raises:
+        StageFailed: no device comes, or none is left.
+    """
+    meeting = meeting_of(folder, plan.root)
+    meeting.mkdir(parents=True, exist_ok=True)
+    links = ParentLinks(meeting, list(plan.of_senders), LinkRules())
+    children = Children(links=links, names=list(plan.of_senders), meeting=meeting, warn=reporter.warn)
+    leader = _Leader(folder=folder, plan=plan, task=task, num_dealt=num_dealt, reporter=reporter, children=children)
+    try:
+        return leader.run(machine)
+    finally:
+        links.close()
+
+
+class _Leader:
+    def __init__(
+        self,
+        *,
+        folder: Path,
+        plan: GroupPlan,
+        task: Training,
+        num_dealt: Mapping[str, int],
+        reporter: EventReporter,
+        children: Children,
+    ) -> None:
+        self._place, self._plan, self._task, self._num_dealt = folder / "group", plan, task, num_dealt
+        self._reporter, self._children = reporter, children
+        self._place.mkdir(exist_ok=True)
+        self.refused: dict[str, str] = {}
+
+    def run(self, machine: Machine) -> Led:
+        sent = self._children.starts()
+        starts = self._admitted({device: data for parts in sent.values() for device, data in parts.items()})
+        start = begin_group(starts, self._plan, self._task.train, self._reporter)
+        options = fit_options(self._task.backend, self._reporter, machine, lambda: "")
+        replica = Replica(start.initial, start.group, options)
+        checkpoints: Checkpoints = machine.checkpoints(lambda: self._key(start))
+        if (state := checkpoints.load()) is not None:
+            replica.restore(state)
+        root = Root(replica, self._plan.of_senders, start.camera_centers, start.group)
+        self._children.begin({name: self._begin(start, replica, parts) for name, parts in sent.items()})
+        self._take_steps(root, start, checkpoints)
+        self._children.send(END)
+        self._children.wait_until_done(DONE_WAIT_S)
+        for name, reasons in root.inbox.refused.items():
+            self._reporter.warn(f"{len(reasons)} messages of {name} were refused, the first: {reasons[0]}")
+        traffic = self._children.links.traffic.values()
+        summary = {
+            "received_bytes": sum(each.received_bytes for each in traffic),
+            "sent_bytes": sum(each.sent_bytes for each in traffic),
+            "num_refused": sum(map(len, root.inbox.refused.values())),
+        }
+        names = [name for name in self._plan.of_devices if name in starts]
+        cameras = concatenate_cameras([starts[name].cameras for name in names])
+        return Led(result=root.result(), cameras=cameras, devices=tuple(names), refused=self.refused, summary=summary)
+
+    def _take_steps(self, root: Root, start: GroupStart, checkpoints: Checkpoints) -> None:
+        replica = root.replica
+
+        def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
+            strangers = [device for device in self._admitted(parts) if device in self._plan.of_devices]
+            if not strangers:
+                raise BadInput(f"{name} has nothing to train with")
+            return self._begin(start, replica, parts)
+
+        while not replica.is_done:
+            messages = self._children.gradients(answer)
+            message, total = root.total(messages)
+            self._children.send(TOTAL, message)
+            root.take(total)
+            checkpoints.offer(replica.step, replica.state)
+        # What is done is done, whatever becomes of this process before its folder is sealed.
+        checkpoints.save(replica.step, replica.state)
+
+    def _admitted(self, parts: Mapping[str, bytes]) -> dict[str, ShareStart]:
+        """The starts that can be used; others are refused by name."""
+        usable: dict[str, ShareStart] = {}
+        for device in self._plan.of_devices:
+            if device not in parts:
+                continue
+            path = self._place / f"{device}.safetensors"
+            path.write_bytes(parts[device])
+            try:
+                start = load_start(path)
+                problem = check_start(start, self._num_dealt.get(device, 0))
+            except RadiantError as error:
+                start, problem = None, str(error)
+            if start is None or problem is not None:
+                self.refused[device] = problem or ""
+                self._reporter.warn(f"what {device} begins with is refused: {problem}")
+            else:
+                usable[device] = start
+        return usable
+
+    def _begin(self, start: GroupStart, replica: Replica, devices: Mapping[str, bytes]) -> bytes:
+        offsets = {device: offset for device, offset in start.offsets.items() if device in devices}
+        path = self._place / "begin.safetensors"
+        save_begin(path, Begun(group=start.group, state=replica.state(), offsets=offsets, antialiased=start.initial.antialiased))
+        return pack(BEGIN, {"begin": path.read_bytes()})
+
+    def _key(self, start: GroupStart) -> str:
+        return content_key(__version__, start.group, start.initial.arrays(), start.camera_centers, dict(self._plan.of_devices))

@@ -1,0 +1,123 @@
+"""An edge between devices that train together and the root above: its process, once per run.
+
+    START of its devices ─→ up      BEGIN ─→ down
+    GRADIENTS of its devices ─ sum ─→ up      TOTAL ─→ down
+
+It has no model: a link that is lost to the root is made anew, and its devices begin anew from where
+the root stands.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from radiant_app.together.exchange import BEGIN, DONE, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, Children, meeting_of, pack, unpack
+from radiant_app.together.holding import CONNECT_S
+from radiant_app.together.links import ChildLink, LinkLost, LinkRules, ParentLinks, Traffic, connect
+from radiant_app.workers.reporting import EventReporter
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.io.group_messages import load_begin
+from radiant_core.train.together.roles import Relay
+
+
+def relay(folder: Path, plan: GroupPlan, reporter: EventReporter) -> Mapping[str, float | int]:
+    """Sum the gradients of this edge's devices in every step.
+
+    Args:
+        folder: the edge's folder in its run.
+        plan: the group below the cloud, of this edge's devices alone.
+        reporter: hears warnings.
+
+    Returns:
+        What it summed, in figures.
+
+    Raises:
+        StageFailed: the root does not answer, or no device is left.
+    """
+    names = list(plan.of_devices)
+    meeting = meeting_of(folder, f"edges/{folder.name}")
+    meeting.mkdir(parents=True, exist_ok=True)
+    links = ParentLinks(meeting, names, LinkRules())
+    relaying = _Relaying(folder=folder, plan=plan, links=links, reporter=reporter)
+    try:
+        return relaying.run()
+    finally:
+        links.close()
+
+
+class _Relaying:
+    def __init__(self, *, folder: Path, plan: GroupPlan, links: ParentLinks, reporter: EventReporter) -> None:
+        self._folder, self._plan, self._links, self._reporter = folder, plan, links, reporter
+        self._children = self._new_children()
+        self._traffic = Traffic()
+        self._num_refused = 0
+
+    def _new_children(self) -> Children:
+        names, meeting = list(self._plan.of_devices), meeting_of(self._folder, f"edges/{self._folder.name}")
+        return Children(links=self._links, names=names, meeting=meeting, warn=self._reporter.warn)
+
+    def run(self) -> Mapping[str, float | int]:
+        """Steps until the root ends them, over as many links as it takes."""
+        while True:
+            starts = self._children.starts()
+            try:
+                rules = LinkRules(limit_s=GONE_S + LATE_S)
+                up = connect(meeting_of(self._folder, self._plan.root), self._folder.name, CONNECT_S, rules, self._traffic)
+                self._steps(up, starts)
+            except LinkLost as lost:
+                if "no parent took" in lost.reason:
+                    raise StageFailed(f"{self._plan.root} does not answer: {lost.reason}.") from lost
+                self._reporter.warn(f"{lost} It asks for another one, and its devices begin anew.")
+                for name in list(self._links.linked):
+                    self._links.drop(name, f"the link to {self._plan.root} was lost")
+                self._children = self._new_children()
+                time.sleep(0.2)
+            else:
+                traffic = [self._traffic, *self._links.traffic.values()]
+                return {
+                    "sent_bytes": sum(each.sent_bytes for each in traffic),
+                    "received_bytes": sum(each.received_bytes for each in traffic),
+                    "num_refused": self._num_refused,
+                }
+
+    def _steps(self, up: ChildLink, starts: Mapping[str, Mapping[str, bytes]]) -> None:
+        begin = self._ask(up, {device: data for parts in starts.values() for device, data in parts.items()})
+        place = self._folder / "group"
+        place.mkdir(exist_ok=True)
+        (place / "begin.safetensors").write_bytes(unpack(begin)["begin"])
+        stands = load_begin(place / "begin.safetensors")
+        relay = Relay(self._plan.of_devices, stands.layout, stands.group)
+        self._children.begin(dict.fromkeys(starts, begin))
+
+        def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
+            return self._ask(up, {name: parts[name]} if name in parts else {})
+
+        num_steps = stands.group.stepping.num_steps
+        for step in range(stands.step, num_steps):
+            up.send(GRADIENTS + relay.message(self._children.gradients(answer)))
+            payload = up.receive().payload
+            if payload[:1] != TOTAL:
+                raise LinkLost(self._plan.root, f"it sent {payload[:1]!r} at step {step + 1} where a sum was due")
+            self._children.send(TOTAL, payload[1:])
+        if up.receive().payload[:1] != END:
+            raise LinkLost(self._plan.root, "it did not end the training after the last step")
+        self._children.send(END)
+        self._children.wait_until_done(LATE_S)
+        for name, reasons in relay.inbox.refused.items():
+            self._reporter.warn(f"{len(reasons)} messages of {name} were refused, the first: {reasons[0]}")
+            self._num_refused += len(reasons)
+        up.send(DONE)
+        up.close()
+
+    def _ask(self, up: ChildLink, starts: Mapping[str, bytes]) -> bytes:
+        """BEGIN for devices that sent these starts."""
+        if not starts:
+            raise BadInput("a device sent another one's start")
+        up.send(pack(START, starts))
+        payload = up.receive().payload
+        if payload[:1] != BEGIN:
+            raise LinkLost(self._plan.root, f"it answered a start with {payload[:1]!r}")
+        return payload
