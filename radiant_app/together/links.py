@@ -5,11 +5,10 @@ link is a gloo process group of two ranks, so a child that dies breaks its own l
 that comes back makes a new one. How the ends find each other: `meeting`; what a link carries:
 `wire`.
 
-    child      link = connect(meeting, "device 3", wait_s)      parent   links =
-    ParentLinks(meeting, names)
-               link.send(gradient, step)          ──→                    links.receive_all(names,
-               step) link.receive(step)                 ←──
-               links.send_all({name: sum}, step)
+    child:   link = connect(meeting, "device 3", wait_s)
+             link.send(gradient, step); total = link.receive(step)
+    parent:  links = ParentLinks(meeting, names); links.wait_for(names, wait_s)
+             links.receive_all(names, step); links.send_all({name: total}, step); links.poll()
 
 A step costs one message each way per child. The two ends trust each other: gloo has neither keys
 nor encryption here, and a peer that speaks nonsense can end the process.
@@ -226,7 +225,8 @@ class ParentLinks:
                 raise LinkLost(name, "it has not been made, or not again")
             return work(wire)
         except LinkLost as error:
-            lost[name] = LinkLost(error.peer, error.reason)  # without the traceback, which holds what it passed
+            # A new error, since a traceback holds what it passed.
+            lost[name] = LinkLost(error.peer, error.reason)
             self.drop(name)
         return None
 
