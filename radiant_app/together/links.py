@@ -1,17 +1,20 @@
 """The links over which machines that train together exchange messages in every optimiser step.
 
-A star: a parent (an edge, or the cloud) has one link to each child (a device, or an edge). Each link is
-a gloo process group of two ranks, so a child that dies breaks its own link alone, and one that comes
-back makes a new one. How the ends find each other: `meeting`; what a link carries: `wire`.
+A star: a parent (an edge, or the cloud) has one link to each child (a device, or an edge). Each
+link is a gloo process group of two ranks, so a child that dies breaks its own link alone, and one
+that comes back makes a new one. How the ends find each other: `meeting`; what a link carries:
+`wire`.
 
-    child      link = connect(meeting, "device 3", wait_s)      parent   links = ParentLinks(meeting, names)
-               link.send(gradient, step)          ──→                    links.receive_all(names, step)
-               link.receive(step)                 ←──                    links.send_all({name: sum}, step)
+    child:   link = connect(meeting, "device 3", wait_s)
+             link.send(gradient, step); total = link.receive(step)
+    parent:  links = ParentLinks(meeting, names); links.wait_for(names, wait_s)
+             links.receive_all(names, step); links.send_all({name: total}, step); links.poll()
 
-A step costs one message each way per child. The two ends trust each other: gloo has neither keys nor
-encryption here, and a peer that speaks nonsense can end the process.
+A step costs one message each way per child. The two ends trust each other: gloo has neither keys
+nor encryption here, and a peer that speaks nonsense can end the process.
 """
 
+import contextlib
 import queue
 import threading
 import time
@@ -30,7 +33,8 @@ T = TypeVar("T")
 
 
 class ChildLink:
-    """A child's link to its parent, made by `connect`. A child whose link is lost connects again."""
+    """A child's link to its parent, made by `connect`. A child whose link is lost connects
+    again."""
 
     def __init__(self, wire: Wire, meeting: Path, name: str) -> None:
         self._wire, self._meeting, self._name = wire, meeting, name
@@ -41,23 +45,26 @@ class ChildLink:
         return self._wire.traffic
 
     def send(self, payload: bytes | memoryview, step: int = 0) -> None:
-        """Send one message of `step`.
+        """Send one message of `step`; return while it travels.
 
-        Raises `LinkLost` when the link is gone, or when the message before this one was not received
-        within `limit_s`; `ValueError` for more than `most_bytes`.
+        Raises `LinkLost` when the link is gone, or when the message before this one was not
+        received within `limit_s`; `ValueError` for more than `most_bytes`.
         """
-        self._wire.start_send(payload, step)
-        self._wire.finish_send(self._deadline())
+        self._wire.send(payload, step, self._deadline())
 
     def receive(self, step: int | None = None) -> Message:
-        """The next message of `step`, or the very next where `step` is `None`; former steps are left out.
+        """The next message of `step`, or the very next where `step` is `None`; former steps are
+        left out.
 
-        Raises `LinkLost` when the link is gone, nothing came within `limit_s`, or a later step came.
+        Raises `LinkLost` when the link is gone, nothing came within `limit_s`, or a later step
+        came.
         """
         return _receive(self._wire, step, self._deadline())
 
     def close(self) -> None:
-        """Close the link. What the parent has not received by then may be lost."""
+        """Close the link, once the parent has read the last message; at most `limit_s`."""
+        with contextlib.suppress(LinkLost):
+            self._wire.flush(self._deadline())
         self._wire.lose("it was closed here")
         meeting_place.withdraw(self._meeting, self._name)
 
@@ -113,8 +120,8 @@ class ParentLinks:
     def poll(self) -> list[str]:
         """Take up the children that ask, without waiting for any; those linked since the last call.
 
-        A child may ask at any time, at the start or in the middle of a run. Its new link replaces the
-        one before it, and its first message decides what it is sent to catch up.
+        A child may ask at any time, at the start or in the middle of a run. Its new link replaces
+        the one before it, and its first message decides what it is sent to catch up.
         """
         for name in self._traffic:
             for attempt in meeting_place.attempts(self._meeting, name):
@@ -146,9 +153,9 @@ class ParentLinks:
     def receive_all(self, names: Collection[str], step: int | None = None) -> dict[str, Message | LinkLost]:
         """The next message of each child, or why its link was lost; in the order of `names`.
 
-        All are awaited at once, `limit_s` in all; the link of a child that is late is dropped. `step`
-        as in `ChildLink.receive`. Only a message of more than `wire.FIRST_BYTES` that arrives
-        beside a late one takes longer.
+        All are awaited at once, `limit_s` in all; the link of a child that is late is dropped.
+        `step` as in `ChildLink.receive`. Only a message of more than `wire.FIRST_BYTES` that
+        arrives beside a late one takes longer.
         """
         deadline = time.monotonic() + self._rules.limit_s
         lost: dict[str, LinkLost] = {}
@@ -161,7 +168,10 @@ class ParentLinks:
         return messages
 
     def send_all(self, messages: Mapping[str, bytes | memoryview], step: int = 0) -> dict[str, LinkLost]:
-        """Send each child its message, all at once, `limit_s` in all; the children that were lost.
+        """Send each child its message and return while they travel; the children that were lost.
+
+        Only a child that has not yet received the message before is waited for, `limit_s` in all;
+        whoever is lost on the way is reported by the next call.
 
         Raises `ValueError`, before anything was sent, for a message of more than `most_bytes`.
         """
@@ -172,20 +182,23 @@ class ParentLinks:
         deadline = time.monotonic() + self._rules.limit_s
         lost: dict[str, LinkLost] = {}
         for name, payload in messages.items():
-            self._try(name, lost, lambda wire, payload=payload: wire.start_send(payload, step))
-        for name in messages:
-            if name not in lost:
-                self._try(name, lost, lambda wire: wire.finish_send(deadline))
+            self._try(name, lost, lambda wire, payload=payload: wire.send(payload, step, deadline))
         return lost
 
     def drop(self, name: str, reason: str = "it was dropped here") -> None:
-        """Close the link to a child, if there is one; the child sees that at once and may ask again."""
+        """Close the link to a child, if there is one; the child sees that at once and may ask
+        again."""
         wire = self._wires.pop(name, None)
         if wire is not None:
             wire.lose(reason)
 
     def close(self) -> None:
-        """Close all links; wait for the threads that join, at most a few seconds."""
+        """Close all links once their children have read the last message, at most `limit_s` in
+        all."""
+        deadline = time.monotonic() + self._rules.limit_s
+        for wire in self._wires.values():
+            with contextlib.suppress(LinkLost):
+                wire.flush(deadline)
         for thread in self._joining:
             thread.join()
         while not self._joined.empty():
@@ -194,7 +207,8 @@ class ParentLinks:
             self.drop(name, "it was closed here")
 
     def _join(self, name: str, attempt: Attempt) -> None:
-        """Join an attempt in a thread of its own: a child that died meanwhile would hold up all others."""
+        """Join an attempt in a thread of its own: a child that died meanwhile would hold up all
+        others."""
         try:
             group = meeting_place.join(attempt, PARENT, self._device, ANSWER_S)
         except (OSError, RuntimeError):
@@ -211,7 +225,8 @@ class ParentLinks:
                 raise LinkLost(name, "it has not been made, or not again")
             return work(wire)
         except LinkLost as error:
-            lost[name] = LinkLost(error.peer, error.reason)  # without the traceback, which holds what it passed
+            # A new error, since a traceback holds what it passed.
+            lost[name] = LinkLost(error.peer, error.reason)
             self.drop(name)
         return None
 

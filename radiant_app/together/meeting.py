@@ -1,4 +1,5 @@
-"""Where the two ends of a link find each other: a folder that both see, and gloo's handshake over it.
+"""Where the two ends of a link find each other: a folder that both see, and gloo's handshake over
+it.
 
 A child asks for a link by an *attempt*, a folder of its own in `MEETING/to-NAME`:
 
@@ -8,9 +9,9 @@ A child asks for a link by an *attempt*, a folder of its own in `MEETING/to-NAME
 An attempt is taken by one parent and never again, so a restarted parent leaves alone what its dead
 predecessor took; whoever waits in vain for the other end makes a new attempt. Runs once per link.
 
-The keys lie in small files and not in torch's `FileStore`: one whose writer was killed before the last
-of the four writes of an entry holds every later reader for ever, in its constructor, with the file
-locked (torch 2.13: reading at the end of the file is tried again without end).
+The keys lie in small files and not in torch's `FileStore`: one whose writer was killed before the
+last of the four writes of an entry holds every later reader for ever, in its constructor, with
+the file locked (torch 2.13: reading at the end of the file is tried again without end).
 """
 
 import contextlib
@@ -31,7 +32,8 @@ CHILD, PARENT = 0, 1
 """Ranks of the two ends in the process group of a link."""
 
 ANSWER_S = 5.0
-"""Seconds that an end whose attempt was taken waits for the other before it gives that attempt up."""
+"""Seconds that an end whose attempt was taken waits for the other before it gives that attempt
+up."""
 
 _Gloo: Any = dist.ProcessGroupGloo  # its options and devices are not in torch's stubs
 _GLOO_CONNECTS = 5  # gloo waits this many times its timeout for a connection that the other end opens
@@ -57,7 +59,8 @@ class Attempt:
 
 
 class _Store(Store):
-    """torch's interface to a store over the files of one attempt, until `deadline` (monotonic, s)."""
+    """torch's interface to a store over the files of one attempt, until `deadline` (monotonic,
+    s)."""
 
     def __init__(self, attempt: Attempt, deadline: float) -> None:
         super().__init__()
@@ -81,9 +84,11 @@ class _Store(Store):
         return all(self._file(key).exists() for key in keys)
 
     def wait(self, keys: Sequence[str], timeout: timedelta | None = None) -> None:
-        """Wait for `keys`; `TimeoutError` at the deadline, and `ANSWER_S` after the attempt was taken.
+        """Wait for `keys`; `TimeoutError` at the deadline, and `ANSWER_S` after the attempt was
+        taken.
 
-        gloo's own `timeout` is not heeded: a child may wait for its parent longer than for a connection.
+        gloo's own `timeout` is not heeded: a child may wait for its parent longer than for a
+        connection.
         """
         deadline, taken, pause_s = self._deadline, False, 0.001
         while not self.check(keys):
@@ -133,10 +138,12 @@ def join(attempt: Attempt, rank: int, device: Any, wait_s: float) -> Any:
 
 
 def device_at(address: str) -> Any:
-    """gloo's device: an address to listen at and the thread that carries the bytes of all its links.
+    """gloo's device: an address to listen at and the thread that carries the bytes of all its
+    links.
 
-    `address` is an IP address or name of this machine. Where it is empty it is that of the interface
-    which `GLOO_SOCKET_IFNAME` names, else that to which the name of this machine resolves, else loopback.
+    `address` is an IP address or name of this machine. Where it is empty it is that of the
+    interface which `GLOO_SOCKET_IFNAME` names, else that to which the name of this machine
+    resolves, else loopback.
     """
     interface = os.environ.get("GLOO_SOCKET_IFNAME", "").split(",")[0]
     if address:

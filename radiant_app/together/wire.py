@@ -1,17 +1,19 @@
 """One link: messages of any length between two processes over a gloo process group of two ranks.
 
-A message is a header of 24 bytes (payload bytes, step, when it is due) and its payload. Every end keeps
-a receive of `FIRST_BYTES` posted, so a message leaves at once and costs one way of the link, not three;
-what is longer follows in a second part, which costs a round trip more. A receive is posted again when
-its message was read: a second message waits at its sender until then.
+A message is a header of 24 bytes (payload bytes, step, when it is due) and its payload. Every end
+keeps a receive of `FIRST_BYTES` posted, so a message leaves at once and costs one way of the
+link, not three; what is longer follows in a second part, which costs a round trip more. A receive
+is posted again when its message was read: a second message waits at its sender until then.
 
-A byte of its own (`_END`) follows every part, and it is what the receiver waits for: gloo tells of a
-lost connection to every receive but the one whose bytes it is just reading, which would wait for the
-whole limit after the sender was killed (`findings/gloo_half_a_message.sh`). A connection keeps the
-order of its messages, so the part is there when the byte is.
+A byte of its own (`_END`) follows every part, and it is what the receiver waits for: gloo tells
+of a lost connection to every receive but the one whose bytes it is just reading, which would wait
+for the whole limit after the sender was killed (`findings/gloo_half_a_message.sh`). A connection
+keeps the order of its messages, so the part is there when the byte is. For the same reason nobody
+waits for a send: its receiver answers with a byte (`_READ`), for which the sender waits before
+its next message.
 
-gloo closes a connection for good when somebody waits in vain, or when the other process ends. Then the
-link is lost (`LinkLost`), and the two ends make a new one (`meeting`).
+gloo closes a connection for good when somebody waits in vain, or when the other process ends.
+Then the link is lost (`LinkLost`), and the two ends make a new one (`meeting`).
 """
 
 import math
@@ -32,11 +34,12 @@ FIRST_BYTES = 32 << 20 if sys.platform == "linux" else 4 << 10
 """Bytes that a posted receive has room for. Pages that no message touches take no memory."""
 
 PADDED = sys.platform != "linux"
-"""Whether first parts are filled up to `FIRST_BYTES`: gloo's transport over libuv (macOS, Windows) takes
-only messages of the posted length, that of Linux shorter ones too. It ends the process at longer ones."""
+"""Whether first parts are filled up to `FIRST_BYTES`: gloo's transport over libuv (macOS,
+Windows) takes only messages of the posted length, that of Linux shorter ones too. It ends the
+process at longer ones."""
 
 _HEADER = struct.Struct("<QqQ")
-_FIRST, _REST, _END = 0, 1, 2  # tags
+_FIRST, _REST, _END, _READ = 0, 1, 2, 3  # tags
 
 
 class LinkLost(StageFailed):
@@ -128,17 +131,20 @@ class Wire:
         self._rest = torch.empty(0, dtype=torch.uint8)
         self._end_in, self._end_out = torch.zeros(1, dtype=torch.uint8), torch.zeros(1, dtype=torch.uint8)
         self._coming: list[Any] = []
-        self._going: list[Any] = []
+        self._read_in, self._read_out = torch.zeros(1, dtype=torch.uint8), torch.zeros(1, dtype=torch.uint8)
+        self._going: list[Any] = []  # first the receive of `_READ`
+        self._answer: Any = None
         self._free_at = 0.0
         self._lost = ""
         self._post()
 
-    def start_send(self, payload: bytes | memoryview, step: int) -> None:
-        """Hand a message to gloo; `finish_send` waits until it has left. `ValueError`: it is too long."""
+    def send(self, payload: bytes | memoryview, step: int, deadline: float) -> None:
+        """Hand a message to gloo, once the one before it was read. `ValueError`: it is too long."""
         body = memoryview(payload).cast("B")
         if len(body) > self.rules.most_bytes:
             raise ValueError(f"A message of {len(body)} bytes is too long for a link of at most {self.rules.most_bytes} bytes a message.")
         self._check()
+        self.flush(deadline)
         total = _HEADER.size + len(body)
         if len(self._outbox) < total:
             self._outbox = torch.empty(total, dtype=torch.uint8)
@@ -147,22 +153,23 @@ class Wire:
         view[_HEADER.size : total] = body
         first = FIRST_BYTES if PADDED else min(total, FIRST_BYTES)
         with self._loss(0.0):
-            self._going = []
+            self._going = [self._group.recv([self._read_in], self._other, _READ)]
             self._put(self._outbox[:first], _FIRST)
             if total > first:
                 self._put(self._outbox[first:total], _REST)
         self.traffic.sent_bytes += total
         self.traffic.sent_messages += 1
 
-    def finish_send(self, deadline: float) -> None:
-        """Wait until the message that `start_send` began has left this process."""
-        while self._going:
-            with self._loss(deadline):
-                self._going[0].wait(_left(deadline))
-            del self._going[0]
+    def flush(self, deadline: float) -> None:
+        """Wait until the peer has read the last message of `send`."""
+        with self._loss(deadline):
+            for work in self._going:
+                work.wait(_left(deadline))
+        self._going = []
 
     def open(self, deadline: float) -> None:
-        """Wait for the first part of the next message, check its length and post the rest's receive."""
+        """Wait for the first part of the next message, check its length and post the rest's
+        receive."""
         self._check()
         self._arrive(deadline)
         length, _, _ = self._header()
@@ -188,20 +195,31 @@ class Wire:
         self.traffic.received_bytes += _HEADER.size + length
         self.traffic.received_messages += 1
         self._post()
+        self._answer_read()
         return Message(step, payload)
 
     def lose(self, reason: str) -> LinkLost:
         """Close this end for `reason`; the other end sees that at once. The error to raise."""
         self._lost = self._lost or reason
-        self._going, self._coming, self._group = [], [], None
+        self._going, self._coming, self._answer, self._group = [], [], None, None
         return LinkLost(self.peer, self._lost)
 
     def _post(self) -> None:
-        """Post the receive of the next message; that the link is gone shows when it is waited for."""
+        """Post the receive of the next message; that the link is gone shows when it is waited
+        for."""
         try:
             self._expect(self._inbox, _FIRST)
         except RuntimeError as error:
             self.lose(_reason(str(error), self.rules.limit_s))
+
+    def _answer_read(self) -> None:
+        """Say that a message was read; the peer waits for that before its next, so the last has
+        left."""
+        if self._group is not None:
+            try:
+                self._answer = self._group.send([self._read_out], self._other, _READ)
+            except RuntimeError as error:
+                self.lose(_reason(str(error), self.rules.limit_s))
 
     def _put(self, part: torch.Tensor, tag: int) -> None:
         """Send a part and the byte after it."""
@@ -209,7 +227,8 @@ class Wire:
         self._going.append(self._group.send([self._end_out], self._other, _END))
 
     def _expect(self, part: torch.Tensor, tag: int) -> None:
-        """Post the receives of a part and of the byte after it, in the order in which they are sent."""
+        """Post the receives of a part and of the byte after it, in the order in which they are
+        sent."""
         self._coming = [self._group.recv([part], self._other, tag)]
         self._coming.append(self._group.recv([self._end_in], self._other, _END))
 
@@ -227,7 +246,8 @@ class Wire:
             raise LinkLost(self.peer, self._lost)
 
     def _due_ns(self, num_bytes: int) -> int:
-        """When an emulated link would have carried a message, in ns of the monotonic clock; 0: at once."""
+        """When an emulated link would have carried a message, in ns of the monotonic clock; 0: at
+        once."""
         pace = self.rules.pace
         if pace.bytes_per_s is None and pace.latency_s == 0:
             return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from pathlib import Path
@@ -17,6 +16,7 @@ def echo(link: ChildLink) -> None:
     """Give back every message, until an empty one."""
     while (message := link.receive()).payload:
         link.send(message.payload, message.step)
+    link.close()
 
 
 def echo_and_reconnect(meeting: Path, name: str, rules: LinkRules) -> None:
@@ -58,7 +58,7 @@ def main() -> None:
             link.send(b"x" * BIG_BYTES)
     elif work == "send and end":
         link.send(b"the last word", 7)
-        os._exit(0)
+        link.close()
     elif work == "idle":
         before = time.process_time()
         link.receive()

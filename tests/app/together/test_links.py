@@ -15,7 +15,7 @@ import pytest
 
 from radiant_app.together import meeting as meeting_place
 from radiant_app.together import wire
-from radiant_app.together.links import LinkLost, LinkRules, Message, Pace, ParentLinks, connect
+from radiant_app.together.links import ChildLink, LinkLost, LinkRules, Message, Pace, ParentLinks, connect
 
 ROOT = Path(__file__).parents[3]
 RULES = LinkRules(limit_s=10, address="127.0.0.1")
@@ -62,6 +62,11 @@ def in_thread(work: Callable[[], object]) -> threading.Thread:
     return thread
 
 
+def say(link: ChildLink, payload: bytes, step: int = 0) -> None:
+    link.send(payload, step)
+    link.close()
+
+
 def echo_once(links: ParentLinks, names: list[str], payload: bytes, step: int = 0) -> dict[str, Message | LinkLost]:
     links.send_all(dict.fromkeys(names, payload), step)
     return links.receive_all(names, step)
@@ -104,6 +109,7 @@ def test_first_parts_that_are_filled_up_carry_the_same(
         for payload in payloads:
             received.append(link.receive())
             link.send(payload, 3)
+        link.close()
 
     thread = in_thread(child)
     links = linked(["device"])
@@ -195,7 +201,7 @@ def test_a_parent_leaves_alone_what_its_dead_predecessor_took(tmp_path: Path, li
     assert parent.poll() == [] and parent.wait_for(["device"], 0.3) == ["device"]
     with pytest.raises(TimeoutError, match="did not come"):
         meeting_place.join(dead, meeting_place.CHILD, device, 0.2)
-    thread = in_thread(lambda: connect(tmp_path, "device", 20, RULES).send(b"here", 1))
+    thread = in_thread(lambda: say(connect(tmp_path, "device", 20, RULES), b"here", 1))
     assert parent.wait_for(["device"], 20) == []
     assert parent.receive_all(["device"]) == {"device": Message(1, b"here")}
     thread.join()
@@ -258,10 +264,9 @@ def test_steps_are_held_apart_and_lengths_are_bounded(tmp_path: Path, linked: Ca
 
 
 def test_the_last_word_of_a_child_that_ends_is_heard(start: Start, linked: Callable[..., ParentLinks]) -> None:
-    child = start("send and end", "device")
+    start("send and end", "device")
     links = linked(["device"])
-    child.wait()
-    time.sleep(0.1)
+    time.sleep(0.3)
     assert links.receive_all(["device"]) == {"device": Message(7, b"the last word")}
     assert isinstance(links.receive_all(["device"])["device"], LinkLost)
 
@@ -321,6 +326,7 @@ def test_a_hundred_new_links_leave_no_thread_and_no_descriptor(tmp_path: Path, l
     def child() -> None:
         for _ in range(101):
             link = connect(tmp_path, "device", 20, RULES)
+            link.send(b"here")
             with pytest.raises(LinkLost):
                 link.receive()
 
@@ -329,6 +335,7 @@ def test_a_hundred_new_links_leave_no_thread_and_no_descriptor(tmp_path: Path, l
     counts = []
     for _ in range(101):
         assert links.wait_for(["device"], 20) == []
+        assert links.receive_all(["device"]) == {"device": Message(0, b"here")}
         counts.append((open_descriptors(), threads_of_this_process()))
         links.drop("device")
     thread.join()
@@ -355,7 +362,7 @@ def test_the_interface_is_that_of_the_environment_where_no_address_is_given(
     tmp_path: Path, linked: Callable[..., ParentLinks], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("GLOO_SOCKET_IFNAME", "lo")
-    thread = in_thread(lambda: connect(tmp_path, "device", 20).send(b"over lo"))
+    thread = in_thread(lambda: say(connect(tmp_path, "device", 20), b"over lo"))
     assert linked(["device"], LinkRules(limit_s=10)).receive_all(["device"]) == {"device": Message(0, b"over lo")}
     thread.join()
     monkeypatch.setenv("GLOO_SOCKET_IFNAME", "no such one")
