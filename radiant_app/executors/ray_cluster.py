@@ -152,19 +152,14 @@ class _Cluster:
 
     def open_gang(self, gang: str, members: Sequence[tuple[Tree, NodeTask]]) -> None:
         """Reserve the places of all members at once."""
-        some_compute = any(node.tier == "device" for node, _ in members)
-        self._send(
-            open=gang,
-            members=[
-                {
-                    "node": node.id,
-                    "place": resource_of(node),
-                    "gpu": _needs_gpu(task),
-                    "computes": node.tier == "device" or not some_compute,
-                }
-                for node, task in members
-            ],
-        )
+        devices = [node.id for node, _ in members if node.tier == "device"]
+        computing = devices or [node.id for node, _ in members]
+
+        def record(node: Tree, task: NodeTask) -> dict[str, Any]:
+            near = next((below.id for below in node if below.id in computing), computing[0])
+            return {"node": node.id, "place": resource_of(node), "gpu": _needs_gpu(task), "computes": node.id in computing, "near": near}
+
+        self._send(open=gang, members=[record(node, task) for node, task in members])
 
     def close_gang(self, gang: str) -> None:
         """Free them."""

@@ -1,8 +1,8 @@
 """The process connected to a Ray cluster, started by `RayExecutor`: submits tasks, forwards output.
 
     in    {"leaves": [place…], "edges": [place…]} once, {"start": node, command, folder…},
-          {"stop": node}; {"open": gang, "members": [{"node", "place", "gpu", "computes"}…]} before
-          those are started, {"close": gang} when all have ended; ends with it
+          {"stop": node}; {"open": gang, "members": [{"node", "place", "gpu", "computes",
+          "near"}…]} before those are started, {"close": gang} when all have ended; ends with it
     out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code"}
 
 A task is a generator: its first item says where it runs, then come the lines of the node's worker
@@ -155,8 +155,12 @@ class _Driver:
         for node, task in waiting.items():
             if node not in self.tasks:
                 continue
-            broken = task.gang is not None and task.gang.is_broken()
-            if not broken and any(offers(machine, task.wanted()) for machine in machines):
+            if task.gang is not None and task.gang.is_gone(node):
+                # Its gang waits for it, so it does not wait until Ray has another machine for it.
+                ray.cancel(task.items, force=True)
+                del self.tasks[node]
+                self._start(task.message)
+            elif any(offers(machine, task.wanted()) for machine in machines):
                 task.unplaceable_since_s = None
             elif task.unplaceable_since_s is None:
                 task.unplaceable_since_s = time.monotonic()

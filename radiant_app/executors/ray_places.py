@@ -6,10 +6,9 @@ group: a bundle for each, spread over the machines.
     devices   the threads that a device has anyhow; where its machines have fewer CPUs than devices
               of the gang, an even part of a CPU, so that the gang fits in
     others    mostly wait for the devices, so they reserve no CPU: only their machine, where one is
-              named as their place, else they join the first device
-    again     a member that is started again takes its bundle. Where a machine of the group is gone
-              and Ray finds no other for its bundles, it reserves nothing and starts anywhere, since
-              its gang waits for it
+              named as their place, else they join their first device
+    again     a member that is started again takes its bundle. Where the machine of that is gone and
+              Ray has found no other, it reserves nothing and starts anywhere: its gang waits for it
 """
 
 from __future__ import annotations
@@ -67,6 +66,8 @@ class Gang:
 
     bundles: Mapping[str, Mapping[str, float]]
     """Node → what is reserved for it; empty for one that joins another's place."""
+    indices: Mapping[str, int]
+    """Node → its bundle, or that which it joins."""
     group: PlacementGroup | None
     """None: no more, or no machine could run any member."""
     began: bool = False
@@ -74,33 +75,35 @@ class Gang:
 
     @classmethod
     def open(cls, members: Sequence[Mapping[str, Any]], leaves: Sequence[str]) -> Gang:
-        """Reserve the places of `members`: node, place, gpu, and whether it computes; `leaves` are
-        the places of all leaves of the tree. Tasks of a group wait until it is placed."""
+        """Reserve the places of members: node, place, gpu, whether it computes, and else near which
+        member it belongs. `leaves` are the places of all leaves of the tree. Tasks of a group wait
+        until it is placed."""
         places = [member["place"] for member in members if member["computes"]]
         bundles = {member["node"]: _bundle_of(member, places, leaves) for member in members}
         # Those that only one machine can take come first.
-        bundles = dict(sorted(bundles.items(), key=lambda item: bundles[item[0]].keys() <= AMOUNTS))
-        reserved = [dict(bundle) for bundle in bundles.values() if bundle]
-        return cls(bundles=bundles, group=placement_group(reserved, strategy="SPREAD") if reserved else None)
+        reserved = sorted((node for node, bundle in bundles.items() if bundle), key=lambda node: bundles[node].keys() <= AMOUNTS)
+        index = {node: number for number, node in enumerate(reserved)}
+        indices = {member["node"]: index.get(member["node"], index.get(member["near"], 0)) for member in members}
+        group = placement_group([dict(bundles[node]) for node in reserved], strategy="SPREAD") if reserved else None
+        return cls(bundles=bundles, indices=indices, group=group)
 
     def place(self, node: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """Amounts that a member's task takes, and the options that place it into its bundle; none
-        where the group is of no use."""
+        where that is gone."""
         bundle = self.bundles[node]
-        if self.group is None or self.is_broken():
+        if self.group is None or self.is_gone(node):
             return {"cpus": 0, "gpus": bundle.get("GPU", 0)}, {}
-        amounts: dict[str, Any] = {"cpus": bundle.get("CPU", 0), "gpus": bundle.get("GPU", 0)}
-        amounts["resources"] = {name: amount for name, amount in bundle.items() if name not in AMOUNTS}
-        reserved = [name for name, reserved in self.bundles.items() if reserved]
-        index = reserved.index(node) if node in reserved else 0
-        return amounts, {"scheduling_strategy": PlacementGroupSchedulingStrategy(self.group, placement_group_bundle_index=index)}
+        resources = {name: amount for name, amount in bundle.items() if name not in AMOUNTS}
+        strategy = PlacementGroupSchedulingStrategy(self.group, placement_group_bundle_index=self.indices[node])
+        return {"cpus": bundle.get("CPU", 0), "gpus": bundle.get("GPU", 0), "resources": resources}, {"scheduling_strategy": strategy}
 
-    def is_broken(self) -> bool:
-        """Whether the group was placed and is no more: a machine of it is gone."""
+    def is_gone(self, node: str) -> bool:
+        """Whether the bundle of a member was placed on a machine that is lost, and has no other."""
         if self.group is None or not self.began:
             return False
         table: Any = placement_group_table(self.group)
-        return table["state"] != "CREATED"
+        machine = table["bundles_to_node_id"].get(self.indices[node])
+        return all(living["NodeID"] != machine for living in living_machines())
 
     def close(self) -> None:
         """Free the places; nothing where that is done."""
