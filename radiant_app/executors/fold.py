@@ -8,6 +8,13 @@ and the cloud wait for them. Runs once per run.
     overdue      by `Deadlines`: given up if the run can do without the node, else a warning
     failed       reported its error: a warning if the run can do without the node, else its end
 
+Nodes of a gang (`Tree.gang`) run at the same time and talk to each other. They are prepared one
+after another once every child outside the gang is done, then started in one go: those of them that
+have work and are not sealed. A member that crashes is started again by itself while the others go
+on. Members below one that is given up would wait for it without end: they are stopped and given up
+with it. The node above waits for all members. Nodes that are ready may overtake a gang that waits
+for room.
+
 Time counts against a node only while the fold itself runs and can receive messages, so that a run
 that is suspended (SIGSTOP, a frozen container) loses no node. Messages that have arrived are
 handled before any deadline is checked, and a sealed node is done.
@@ -16,13 +23,13 @@ handled before any deadline is checked, and a sealed node is done.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from radiant_app.events import Event, Listener, StageDone, StageSkipped, StageStarted, Warned
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
-from radiant_core.aggregate.tree import Tree
+from radiant_core.aggregate.tree import Tree, require_gangs
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import disk_is_full, is_sealed
 
@@ -62,8 +69,17 @@ MayFail = Callable[[Tree, BadInput | StageFailed], bool]
 class Runner(Protocol):
     """Starts, observes and stops the processes of nodes."""
 
-    def has_room(self) -> bool:
-        """Whether another node may be started now."""
+    def has_room(self, num_nodes: int = 1) -> bool:
+        """Whether so many nodes more may be started now, to run at the same time; where nothing
+        runs, any number may."""
+        ...
+
+    def open_gang(self, gang: str, members: Sequence[tuple[Tree, NodeTask]]) -> None:
+        """Told before the members of a gang that have something to do are started."""
+        ...
+
+    def close_gang(self, gang: str) -> None:
+        """Told when all members of a gang have ended, and none is started again."""
         ...
 
     def start(self, node: Tree, task: NodeTask) -> bool:
@@ -113,6 +129,10 @@ class RetryPolicy:
     """Called with a node that the run goes on without, and ids of nodes that run or are done."""
 
 
+Unit = tuple[Tree, ...]
+"""Nodes that start in one go: a node by itself, or all members of a gang."""
+
+
 @dataclass(kw_only=True)
 class _Running:
     node: Tree
@@ -129,6 +149,8 @@ class _Running:
     warned: bool = False
     given_up: NodeEnded | None = None
     """Why it was stopped before it was done."""
+    is_orphan: bool = False
+    """Whether that is because a member of its gang failed that it waits for."""
 
 
 @dataclass(kw_only=True)
@@ -142,20 +164,23 @@ class Fold:
     retry_policy: RetryPolicy
     running: dict[str, _Running] = field(default_factory=dict)
     times: dict[str, NodeTime] = field(default_factory=dict)
+    gangs: dict[str, Unit] = field(default_factory=dict)
     num_tries: dict[str, int] = field(default_factory=dict)
     origin_s: float = 0.0
     checked_s: float = 0.0
     """When deadlines were last checked, by the system's clock."""
 
     def run(self, tree: Tree) -> Mapping[str, NodeTime]:
-        """Run every node; see `Executor.fold`."""
-        waiting = sorted(tree, key=lambda node: URGENCY[node.tier])
+        """Run every node; see `Executor.fold`. BadInput for gangs that `require_gangs` refuses."""
+        require_gangs(tree)
+        waiting = _units(tree)
+        self.gangs = {unit[0].gang: unit for unit in waiting if unit[0].gang is not None}
         self.origin_s, self.checked_s = self.clock(), time.monotonic()
         try:
             while waiting or self.running:
-                while (node := self._next(waiting)) is not None:
-                    waiting.remove(node)
-                    self._begin(node)
+                while (unit := self._next(waiting)) is not None:
+                    waiting.remove(unit)
+                    self._begin(unit)
                 if self.running and self._handle_messages():
                     self._check_deadlines()
         finally:
@@ -185,25 +210,39 @@ class Fold:
         if self.retry_policy.deadlines is not None:
             self.retry_policy.deadlines.exclude_pause([running.node.id for running in started], seconds)
 
-    def _next(self, waiting: list[Tree]) -> Tree | None:
+    def _next(self, waiting: list[Unit]) -> Unit | None:
         if not self.runner.has_room():
             return None
-        return next((node for node in waiting if all(child.id in self.times for child in node.children)), None)
+        return next((unit for unit in waiting if all(map(self._is_ready, unit)) and self.runner.has_room(len(unit))), None)
+
+    def _is_ready(self, node: Tree) -> bool:
+        return all(self._has_ended(child) or (node.gang is not None and child.gang == node.gang) for child in node.children)
+
+    def _has_ended(self, node: Tree) -> bool:
+        """Whether a node has ended, and with it all of its gang."""
+        return all(member.id in self.times for member in ((node,) if node.gang is None else self.gangs[node.gang]))
 
     def _now_s(self) -> float:
         return self.clock() - self.origin_s
 
-    def _begin(self, node: Tree) -> None:
+    def _begin(self, unit: Unit) -> None:
+        members = [(node, task) for node in unit if (task := self._prepare(node)) is not None]
+        gang = unit[0].gang
+        if members and gang is not None:
+            self.runner.open_gang(gang, members)
+        for node, task in members:
+            self._start(node, task, self._now_s())
+
+    def _prepare(self, node: Tree) -> NodeTask | None:
+        """The task of a node that has something to do; else it is done."""
         task = self.prepare(node)
+        if task is not None and not is_sealed(task.folder, task.key):
+            return task
         now_s = self._now_s()
-        if task is None:
-            self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
-            return
-        if is_sealed(task.folder, task.key):
-            self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
+        self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
+        if task is not None:
             self.listen(StageSkipped(stage=task.stage))
-            return
-        self._start(node, task, now_s)
+        return None
 
     def _start(self, node: Tree, task: NodeTask, now_s: float, note: str = "") -> None:
         self.num_tries[node.id] = self.num_tries.get(node.id, 0) + 1
@@ -239,14 +278,29 @@ class Fold:
                 note = " ".join([running.note, f"{_reason(task, error)} It is tried again from its last checkpoint."]).strip()
                 self._start(running.node, task, self._now_s(), note)
                 return
-            if full or not self.retry_policy.may_fail(running.node, error):
+            if full or not (running.is_orphan or self.retry_policy.may_fail(running.node, error)):
                 raise error
             self.listen(Warned(stage=task.stage, message=_reason(task, error)))
             self.retry_policy.on_given_up(running.node, {*self.times, *self.running})
+            self._give_up_below(running.node)
         now_s = self._now_s()
         self.times[running.node.id] = NodeTime(started_s=running.started_s, ended_s=now_s)
         if error is None and running.is_started:
             self.listen(StageDone(stage=task.stage, seconds=now_s - running.started_s))
+        if running.node.gang is not None and self._has_ended(running.node):
+            self.runner.close_gang(running.node.gang)
+
+    def _give_up_below(self, failed: Tree) -> None:
+        """Stop the members of a gang that wait for one that has failed."""
+        below = [self.running[node.id] for node in failed if node.gang == failed.gang and node.id in self.running]
+        for running in below if failed.gang is not None else ():
+            if running.is_orphan:
+                continue
+            message = f"{running.task.stage}: it was stopped and given up, since {failed.id} failed, with which it ran together."
+            ended = NodeEnded(error=StageFailed(message))
+            self._give_up(running, ended)
+            # Also where it was stopped to be started again.
+            running.given_up, running.is_orphan = ended, True
 
     def _check_deadlines(self) -> None:
         now_s = time.monotonic()
@@ -277,6 +331,14 @@ class Fold:
         if running.given_up is None:
             running.given_up = ended
             self.runner.stop(running.node.id)
+
+
+def _units(tree: Tree) -> list[Unit]:
+    """Every node once, the most urgent first; a gang stands where its most urgent member does."""
+    units: dict[tuple[str, str], list[Tree]] = {}
+    for node in sorted(tree, key=lambda node: URGENCY[node.tier]):
+        units.setdefault(("node", node.id) if node.gang is None else ("gang", node.gang), []).append(node)
+    return [tuple(unit) for unit in units.values()]
 
 
 def _reason(task: NodeTask, error: Exception) -> str:

@@ -3,6 +3,10 @@
 Each process gets max(1, cores // workers) threads unless another number is asked for: 4 × 2 threads
 on 4 cores did 52 units of work where 4 × 1 did 79. Where there are several nodes, processes are
 forks of one that has imported their libraries (`fork_server.py`).
+
+A gang starts where all its members fit in, or where nothing else runs: by itself it may exceed
+`num_workers`, since its processes mostly wait for each other. Its processes divide the cores among
+its devices and what may run beside them.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -84,12 +88,34 @@ class LocalExecutor:
         """See `Executor.fold`."""
         width = max(1, sum(1 for node in tree if not node.children))
         threads = self.num_threads or max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, width)))
-        edges_at_once = min(self.num_workers, sum(node.tier == "edge" for node in tree))
-        runner = Processes(num_workers=self.num_workers, command=self.command, num_threads=threads, edges_at_once=edges_at_once)
+        runner = Processes(
+            num_workers=self.num_workers,
+            command=self.command,
+            num_threads=threads,
+            gang_threads={} if self.num_threads else _gang_threads(tree, self.num_workers),
+            edges_at_once=_edges_at_once(tree, self.num_workers),
+        )
         if self.command is worker_command and sum(1 for _ in tree) >= LEAST_FORKED:
             runner.server = partial(open_server, IMPORTED, worker_environment(threads))
         fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
         return fold.run(tree)
+
+
+def _gang_threads(tree: Tree, num_workers: int) -> dict[str | None, int]:
+    """Threads of each process of a gang: max(1, cores // D), D its devices and those beside it."""
+    cores, threads = os.cpu_count() or 1, dict[str | None, int]()
+    for gang in {node.gang for node in tree} - {None}:
+        members = [node for node in tree if node.gang == gang]
+        devices = sum(node.tier == "device" for node in members) or len(members)
+        others = sum(not node.children and node.gang != gang for node in tree)
+        threads[gang] = max(1, cores // (devices + min(others, max(0, num_workers - len(members)))))
+    return threads
+
+
+def _edges_at_once(tree: Tree, num_workers: int) -> int:
+    """The most edges that may run at once: as many as workers, or all of a gang."""
+    gangs = [node.gang for node in tree if node.tier == "edge"]
+    return max([min(num_workers, len(gangs)), *(gangs.count(gang) for gang in gangs if gang is not None)])
 
 
 def run_task(task: NodeTask, listen: Listener, clock: Callable[[], float] = time.monotonic) -> NodeTime:
@@ -113,6 +139,8 @@ class Processes:
     num_workers: int
     command: Callable[[NodeTask], list[str]]
     num_threads: int
+    gang_threads: Mapping[str | None, int] = field(default_factory=dict)
+    """Gang → threads of its processes, where it has other ones."""
     edges_at_once: int = 1
     """Edges that may join side by side, which divide what memory is free."""
     server: Callable[[], ForkServer | None] = lambda: None
@@ -120,14 +148,20 @@ class Processes:
     lines: queue.Queue[tuple[str, str | None]] = field(default_factory=queue.Queue)
     running: dict[str, _Running] = field(default_factory=dict)
 
-    def has_room(self) -> bool:
-        return len(self.running) < self.num_workers
+    def has_room(self, num_nodes: int = 1) -> bool:
+        return not self.running or len(self.running) + num_nodes <= self.num_workers
+
+    def open_gang(self, gang: str, members: Sequence[tuple[Tree, NodeTask]]) -> None:
+        """Nothing: processes of one machine need no places."""
+
+    def close_gang(self, gang: str) -> None:
+        """Nothing, as `open_gang`."""
 
     def start(self, node: Tree, task: NodeTask) -> bool:
         # It may still be importing, which an interrupt need not wait for.
         server = self.server()
         with defer_interrupts():
-            process = self._spawn(task, server)
+            process = self._spawn(node, task, server)
             reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
             self.running[node.id] = _Running(task=task, process=process, reader=reader)
             reader.start()
@@ -165,8 +199,9 @@ class Processes:
                     running.process.wait()
                 running.reader.join()
 
-    def _spawn(self, task: NodeTask, server: ForkServer | None) -> Process:
-        command, environment = self.command(task), worker_environment(self.num_threads, self.edges_at_once)
+    def _spawn(self, node: Tree, task: NodeTask, server: ForkServer | None) -> Process:
+        threads = self.gang_threads.get(node.gang, self.num_threads)
+        command, environment = self.command(task), worker_environment(threads, self.edges_at_once)
         with log_path(task.folder).open("w") as log:
             if server is not None and command[:2] == [sys.executable, "-m"]:
                 # It may have been killed.

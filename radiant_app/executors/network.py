@@ -16,7 +16,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, get_args
 
@@ -132,9 +132,15 @@ class _Machines:
     looked_s: float = 0.0
     """When results were looked for last that came by another carrier."""
 
-    def has_room(self) -> bool:
+    def has_room(self, num_nodes: int = 1) -> bool:
         """Far nodes are machines of their own."""
         return True
+
+    def open_gang(self, gang: str, members: Sequence[tuple[Tree, NodeTask]]) -> None:
+        """Nothing: nodes of others are where they are."""
+
+    def close_gang(self, gang: str) -> None:
+        """Nothing, as `open_gang`."""
 
     def start(self, node: Tree, task: NodeTask) -> bool:
         if not self.executor.is_far(node):

@@ -1,4 +1,7 @@
-"""The interface of executors: fold a tree, one process and folder per node, children first."""
+"""The interface of executors: fold a tree, one process and folder per node, children first.
+
+Nodes of one gang (`Tree.gang`) run at the same time.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,8 @@ class NodeTime:
 
 
 Prepare = Callable[[Tree], NodeTask | None]
-"""Called when all children of a node are done: fills its folder. None: the node has no work."""
+"""Called when all children of a node outside its gang are done, and for every member of a gang
+before any of them starts: fills its folder. None: the node has no work."""
 
 
 class Executor(Protocol):
@@ -43,6 +47,9 @@ class Executor(Protocol):
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """Run every node once its children are done and return the times by node id.
+
+        Members of a gang start together once their children outside it are done; a node whose
+        child is in a gang waits for all of that gang.
 
         A node whose folder is sealed with the task's key is skipped. Raises StageFailed (or
         BadInput, as the worker said) with the node's reason after the other running nodes were

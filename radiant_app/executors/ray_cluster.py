@@ -9,6 +9,7 @@ that is the driver, and the run can say what to do.
     files     the run's folder lies on a file system that all machines see under the same path. A
               node reads its photographs there itself; through Ray go only its command, its events,
               and in the end the hash of its seal, which is compared with the file's
+    gangs     nodes that run at the same time have one placement group (`ray_places.py`)
     faults    Ray retries nothing (max_retries 0): what a lost machine leaves unfinished is started
               again by `Fold`, elsewhere if need be, from its last checkpoint. A lock in the node's
               folder keeps a lost process that still lives from writing beside it
@@ -25,7 +26,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -94,6 +95,10 @@ def resource_of(node: Tree) -> str:
     return f"{parts[0].removesuffix('s')}:{parts[1]}"
 
 
+def _needs_gpu(task: NodeTask) -> bool:
+    return task_setting(task.folder, "backend") == "gsplat"
+
+
 @dataclass(kw_only=True)
 class _Cluster:
     """The driver process and the nodes it runs; see `Runner`."""
@@ -141,9 +146,24 @@ class _Cluster:
                 self.process.kill()
                 self.process.wait()
 
-    def has_room(self) -> bool:
+    def has_room(self, num_nodes: int = 1) -> bool:
         """Ray queues tasks that find no free machine."""
         return True
+
+    def open_gang(self, gang: str, members: Sequence[tuple[Tree, NodeTask]]) -> None:
+        """Reserve the places of all members at once."""
+        devices = [node.id for node, _ in members if node.tier == "device"]
+        computing = devices or [node.id for node, _ in members]
+
+        def record(node: Tree, task: NodeTask) -> dict[str, Any]:
+            near = next((below.id for below in node if below.id in computing), computing[0])
+            return {"node": node.id, "place": resource_of(node), "gpu": _needs_gpu(task), "computes": node.id in computing, "near": near}
+
+        self._send(open=gang, members=[record(node, task) for node, task in members])
+
+    def close_gang(self, gang: str) -> None:
+        """Free them."""
+        self._send(close=gang)
 
     def start(self, node: Tree, task: NodeTask) -> bool:
         self.running[node.id] = task
@@ -156,7 +176,8 @@ class _Cluster:
             folder=str(task.folder.resolve()),
             task_sha256=file_sha256(record) if record.is_file() else None,
             place=resource_of(node),
-            gpu=task_setting(task.folder, "backend") == "gsplat",
+            gpu=_needs_gpu(task),
+            gang=node.gang,
         )
         return False
 

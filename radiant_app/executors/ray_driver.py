@@ -1,19 +1,20 @@
 """The process connected to a Ray cluster, started by `RayExecutor`: submits tasks, forwards output.
 
     in    {"leaves": [place…], "edges": [place…]} once, {"start": node, command, folder…},
-          {"stop": node}; ends with it
+          {"stop": node}; {"open": gang, "members": [{"node", "place", "gpu", "computes",
+          "near"}…]} before those are started, {"close": gang} when all have ended; ends with it
     out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code"}
 
 A task is a generator: its first item says where it runs, then come the lines of the node's worker
 process, of which one comes every few seconds at least, and its code with the hash of its seal. It
-reserves `num_cpus` of its machine and gives its process as many threads.
+reserves `num_cpus` of its machine and gives its process as many threads. A member of a gang takes
+its part of the gang's placement group (`ray_places.Gang`).
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
-import math
 import os
 import queue
 import socket
@@ -37,6 +38,7 @@ from ray.exceptions import RayError
 
 from radiant_app.events import Failed, encode
 from radiant_app.executors.local import worker_environment
+from radiant_app.executors.ray_places import PLACE_SHARE, Gang, find_machines, living_machines, num_at, num_threads, offers
 from radiant_core.errors import RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
@@ -50,8 +52,6 @@ SEEN_S = 20.0
 LOCAL_STORE_BYTES = 100 * 2**20
 """Ray's least object store is 75 MB; no model ever lies in it."""
 LOCK_NAME = ".worker"
-PLACE_SHARE = 0.001
-"""Amount of its machine's resource that a task takes: it only places the task, CPUs limit it."""
 _OUT = sys.stdout
 """The stream of messages."""
 
@@ -61,7 +61,13 @@ class _Task:
     message: dict[str, Any]
     items: Any
     began: bool = False
+    gang: Gang | None = None
+    """The gang in whose group it waits or runs."""
     unplaceable_since_s: float | None = None
+
+    def wanted(self) -> dict[str, float]:
+        """What it takes of one machine."""
+        return {"CPU": self.message["cpus"], "GPU": self.message["gpus"], **self.message["resources"]}
 
 
 @dataclass
@@ -70,6 +76,7 @@ class _Driver:
     tasks: dict[str, _Task] = field(default_factory=dict)
     leaves: Sequence[str] = ()
     edges: Sequence[str] = ()
+    gangs: dict[str, Gang] = field(default_factory=dict)
     checked_s: float = 0.0
 
     def run(self) -> None:
@@ -95,24 +102,32 @@ class _Driver:
     def _execute(self, command: dict[str, Any]) -> None:
         if "leaves" in command:
             self.leaves, self.edges = command["leaves"], command["edges"]
+        elif "open" in command:
+            self.gangs[command["open"]] = Gang.open(command["members"], self.leaves)
+        elif "close" in command:
+            self.gangs.pop(command["close"]).close()
         elif "start" in command:
             self._start(command)
         elif command["stop"] in self.tasks:
             ray.cancel(self.tasks[command["stop"]].items, force=True)
 
     def _start(self, message: dict[str, Any]) -> None:
-        fit = _find_machines(message["place"], message["gpu"])
+        fit = find_machines(message["place"], message["gpu"])
         if not fit:
             kind = "a GPU and a free CPU" if message["gpu"] else "a CPU"
             _send(node=message["start"], lost=f"no living machine of the cluster has {kind}.")
             return
+        node, threads = message["start"], num_threads(fit, self.leaves)
         pinned = message["place"] in fit[0]["Resources"]
-        message["threads"] = threads = _num_threads(fit, self.leaves)
-        message["resources"] = {message["place"]: PLACE_SHARE} if pinned else {}
-        task = _run_node.options(num_cpus=threads, num_gpus=int(message["gpu"]), resources=message["resources"])
-        at_once = min(_num_at(fit, self.edges), max(int(machine["Resources"]["CPU"]) // threads for machine in fit))
+        message |= {"cpus": threads, "gpus": int(message["gpu"]), "resources": {message["place"]: PLACE_SHARE} if pinned else {}}
+        gang, options = self.gangs.get(message["gang"]), dict[str, Any]()
+        if gang is not None:
+            amounts, options = gang.place(node)
+            message |= amounts
+        task = _run_node.options(num_cpus=message["cpus"], num_gpus=message["gpus"], resources=message["resources"], **options)
+        at_once = min(num_at(fit, self.edges), max(int(machine["Resources"]["CPU"]) // threads for machine in fit))
         items = task.remote(message["command"], message["folder"], message["stage"], message["task_sha256"], threads, at_once)
-        self.tasks[message["start"]] = _Task(message=message, items=items)
+        self.tasks[node] = _Task(message=message, items=items, gang=gang if options else None)
 
     def _forward_items(self) -> None:
         ready, _ = ray.wait([task.items for task in self.tasks.values()], timeout=0.1)
@@ -125,6 +140,8 @@ class _Driver:
                 _send(node=node, lost=f"its machine or Ray's worker is gone ({type(error).__name__}).")
                 continue
             task.began = True
+            if task.gang is not None:
+                task.gang.began = True
             _send(node=node, **item)
             if "code" in item:
                 del self.tasks[node]
@@ -134,17 +151,33 @@ class _Driver:
 
     def _drop_unplaceable(self) -> None:
         waiting = {node: task for node, task in self.tasks.items() if not task.began}
-        machines = _machines() if waiting else []
+        machines = living_machines() if waiting else []
         for node, task in waiting.items():
-            wanted = {"CPU": task.message["threads"], "GPU": int(task.message["gpu"]), **task.message["resources"]}
-            if any(_offers(machine, wanted) for machine in machines):
+            if node not in self.tasks:
+                continue
+            if task.gang is not None and task.gang.is_gone(node):
+                # Its gang waits for it, so it does not wait until Ray has another machine for it.
+                ray.cancel(task.items, force=True)
+                del self.tasks[node]
+                self._start(task.message)
+            elif any(offers(machine, task.wanted()) for machine in machines):
                 task.unplaceable_since_s = None
             elif task.unplaceable_since_s is None:
                 task.unplaceable_since_s = time.monotonic()
             elif time.monotonic() - task.unplaceable_since_s > GONE_S:
-                ray.cancel(task.items, force=True)
-                del self.tasks[node]
-                _send(node=node, lost="the machine that it waited for is gone.")
+                self._drop(node, task)
+
+    def _drop(self, node: str, task: _Task) -> None:
+        """Report a waiting task as lost, and with it all members that wait for the same group: it
+        will never be placed, and each is started again without it."""
+        dropped = {node: task}
+        if task.gang is not None and not task.gang.began:
+            task.gang.close()
+            dropped = {each: other for each, other in self.tasks.items() if other.gang is task.gang}
+        for each, other in dropped.items():
+            ray.cancel(other.items, force=True)
+            del self.tasks[each]
+            _send(node=each, lost="the machine that it waited for is gone.")
 
 
 @ray.remote(max_retries=0, num_returns="streaming")
@@ -213,35 +246,6 @@ def _lock_folder(folder: Path) -> int:
         else:
             os.set_inheritable(descriptor, True)
             return descriptor
-
-
-def _machines() -> list[dict[str, Any]]:
-    return [machine for machine in ray.nodes() if machine["Alive"]]
-
-
-def _find_machines(place: str, gpu: bool) -> list[dict[str, Any]]:
-    """Living machines that can run a node: those named as its place, or all where none is."""
-    able = [machine for machine in _machines() if _offers(machine, {"CPU": 1, "GPU": int(gpu)})]
-    return [machine for machine in able if _offers(machine, {place: PLACE_SHARE})] or able
-
-
-def _offers(machine: dict[str, Any], wanted: dict[str, float]) -> bool:
-    return all(machine["Resources"].get(name, 0) >= amount for name, amount in wanted.items())
-
-
-def _num_threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
-    """Threads of a node on any of these machines: its CPUs over the leaves that may run there."""
-    return max(1, int(min((machine["Resources"]["CPU"] // _num_at([machine], leaves) for machine in fit), default=1)))
-
-
-def _num_at(fit: Sequence[dict[str, Any]], places: Sequence[str]) -> int:
-    """The most nodes of these places that may run on one of the machines: those of its own place,
-    and an even part of those whose place no machine has; at least 1."""
-    machines = _machines()
-    named = {name for machine in machines for name in machine["Resources"]}
-    anywhere = sum(place not in named for place in places) / max(1, len(machines))
-    counts = [math.ceil(anywhere + sum(place in machine["Resources"] for place in places)) for machine in fit]
-    return max([1, *counts])
 
 
 def _connect(address: str, temporary: Path) -> str | None:

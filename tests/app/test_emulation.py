@@ -24,7 +24,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.report.html import timeline_of_emulation
-from radiant_core.aggregate.tree import Tree, refined_at
+from radiant_core.aggregate.tree import Tree, refined_at, with_gangs
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, seal
 from radiant_core.plan.system import System
@@ -96,6 +96,16 @@ def test_a_quarter_of_the_speed_takes_four_times_as_long(tmp_path: Path) -> None
         assert a_s > 0.12 / 0.12, "more than the work alone: the start of Python is its own CPU time too"
         assert time.monotonic() - begun_s < a_s + b_s, "they run side by side"
     assert ratios[-1] == pytest.approx(4.0, rel=0.15), ratios
+
+
+def test_an_emulated_gang_runs_at_once_whatever_the_speeds(tmp_path: Path) -> None:
+    meet = "import pathlib, time\npathlib.Path('alive').touch()\n"
+    meet += f"while not all(pathlib.Path({str(tmp_path)!r}, name, 'alive').exists() for name in ('edges/e', 'devices/a', 'devices/b')):\n"
+    scripts = dict.fromkeys(("edges/e", "devices/a", "devices/b"), f"{meet}    time.sleep(0.01)\n{FINISH}")
+    tree = with_gangs(TREE, lambda node_id: None if node_id == "cloud" else "e")
+    times = executor(system(tmp_path, (0.5, 0.1)), scripts).fold(tree, preparer(tmp_path), lambda event: None)
+    ended = [times[node_id].ended_s for node_id in scripts]
+    assert max(times[node_id].started_s for node_id in scripts) < min(ended) and times["cloud"].started_s >= max(ended)
 
 
 def test_a_model_arrives_when_its_last_byte_would_and_the_edge_waits_for_it(tmp_path: Path) -> None:

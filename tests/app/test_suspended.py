@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -131,8 +131,14 @@ class Sleeper:
     def __init__(self, run: Path, pause_s: float) -> None:
         self.run, self.pause_s, self.ends = run, pause_s, list[str]()
 
-    def has_room(self) -> bool:
+    def has_room(self, num_nodes: int = 1) -> bool:
         return True
+
+    def open_gang(self, gang: str, members: Sequence[tuple[Tree, NodeTask]]) -> None:
+        raise AssertionError("its tree has no gang")
+
+    def close_gang(self, gang: str) -> None:
+        raise AssertionError("its tree has no gang")
 
     def start(self, node: Tree, task: NodeTask) -> bool:
         self.ends.append(node.id)

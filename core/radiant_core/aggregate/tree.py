@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
+from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
 Result = TypeVar("Result")
@@ -22,6 +23,9 @@ class Tree:
     id: str
     tier: Tier
     children: tuple[Tree, ...] = ()
+    gang: str | None = None
+    """Name of the nodes that run at the same time and talk to each other, this one among them;
+    None: the node runs alone, once its children are done."""
 
     def __iter__(self) -> Iterator[Tree]:
         """All nodes, every child before its parent."""
@@ -41,6 +45,37 @@ class Tree:
     def map_ids(self, rename: Callable[[str], str]) -> Tree:
         """The same tree with renamed nodes."""
         return replace(self, id=rename(self.id), children=tuple(child.map_ids(rename) for child in self.children))
+
+
+def with_gangs(tree: Tree, gang_of: Callable[[str], str | None]) -> Tree:
+    """The same tree whose nodes have the gangs `gang_of(id)`; see `require_gangs` for what is
+    refused."""
+
+    def ganged(node: Tree) -> Tree:
+        return replace(node, gang=gang_of(node.id), children=tuple(ganged(child) for child in node.children))
+
+    marked = ganged(tree)
+    require_gangs(marked)
+    return marked
+
+
+def require_gangs(tree: Tree) -> None:
+    """Raise BadInput where members of a gang would wait for each other without end.
+
+    The members whose parents are no members must have one parent, or be the root: then a tree is
+    left where every gang is drawn together to one node. Else a member may wait for a node outside
+    that waits for another member.
+    """
+    above: dict[str, str] = {}
+    stack = [(tree, "", None)]
+    while stack:
+        node, parent, gang = stack.pop()
+        if node.gang is not None and node.gang != gang and above.setdefault(node.gang, parent) != parent:
+            raise BadInput(
+                f"gang {node.gang!r} has members below {above[node.gang] or 'no node'} and below {parent or 'no node'}, which are not of "
+                "it: let the members of a gang be neighbours in the tree, such as an edge and its devices."
+            )
+        stack += [(child, node.id, node.gang) for child in node.children]
 
 
 def refined_at(node_id: str, number: int = 1) -> str:
