@@ -202,15 +202,19 @@ def _decide(reporter: Reporter, decisions: Sequence[Decision]) -> None:
 
 def fit_prepared(prepared: PreparedTraining, reporter: Reporter) -> TrainResult:
     """Take the steps of a prepared training; reports density control and steps not taken."""
-    config, initial = prepared.config, prepared.initial
-    result = fit_splats(initial, prepared.views, config, prepared.options)
+    result = fit_splats(prepared.initial, prepared.views, prepared.config, prepared.options)
+    report_result(prepared.config, prepared.initial, result, reporter)
+    return result
+
+
+def report_result(config: TrainConfig, initial: Splats, result: TrainResult, reporter: Reporter) -> None:
+    """Decisions of a training that show in its end, and steps that it did not take."""
     if config.density.kind != "none":
         reporter.decide(density_decision(reporter.stage, result.density, len(initial), len(result.splats)))
     if any(asdict(result.shapes).values()):
         reporter.decide(shapes_decision(reporter.stage, config, result.shapes))
     if result.num_rolled_back:
         reporter.warn(f"{result.num_rolled_back} of {result.num_steps:,} steps ended in something not finite and were not taken")
-    return result
 
 
 def device_model(prepared: PreparedTraining, result: TrainResult) -> DeviceModel:

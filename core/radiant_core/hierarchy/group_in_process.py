@@ -6,15 +6,16 @@ The oracle of processes that train together (`train/together/fold.py` has its st
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.hierarchy.device import report_result
 from radiant_core.hierarchy.groups import GroupPlan
 from radiant_core.hierarchy.messages import device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter, fit_options
-from radiant_core.hierarchy.together import begin_group, hold_share, prepare_share
+from radiant_core.hierarchy.together import GroupStart, ShareStart, begin_group, hold_share, prepare_share
 from radiant_core.scene import SfmScene
 from radiant_core.train.results import TrainResult
 from radiant_core.train.together.fold import GroupCost, GroupMembers, fit_in_process
@@ -23,11 +24,17 @@ from radiant_core.train.views import TrainingViews
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GroupRun:
-    """The model of a group, the cameras (C) that it was trained on, and what its steps took."""
+    """The training of a group."""
 
+    plan: GroupPlan
+    starts: Mapping[str, ShareStart]
+    """By device."""
+    start: GroupStart
     result: TrainResult
-    cameras: Cameras
     cost: GroupCost
+    """CPU seconds and bytes of its steps."""
+    before_s: Mapping[str, float]
+    """CPU seconds before the first step: of each device until its start is ready, and of the root."""
 
 
 def train_group(
@@ -38,20 +45,37 @@ def train_group(
     reporter_of: Callable[[str], Reporter] = lambda stage: Recorder(stage=stage),
     machine: Machine = Machine(),
 ) -> GroupRun:
-    """Train the model of a group from the planned cameras' scene and photographs."""
-    prepared = {}
+    """Train the model of a group from the planned cameras' scene and photographs.
+
+    A device's reporter hears of its photographs, the root's of everything that follows. BadInput
+    unless the group has all devices with photographs below its root.
+    """
+    _require_all(recipe, plan)
+    prepared, before_s = {}, {}
     for device in plan.of_devices:
-        rows = recipe.cameras_of(device)
+        begun_s, rows = time.process_time(), recipe.cameras_of(device)
         task = device_task(recipe.device_settings(device), scene.restricted_to(rows))
         prepared[device] = prepare_share(task, views.select(rows), reporter_of(f"devices/{device}"), machine)
-    reporter = reporter_of(plan.root)
-    start = begin_group({device: each.start for device, each in prepared.items()}, plan, recipe.train, reporter)
+        before_s[device] = time.process_time() - begun_s
+    reporter, begun_s = reporter_of(plan.root), time.process_time()
+    starts = {device: each.start for device, each in prepared.items()}
+    start = begin_group(starts, plan, recipe.train, reporter)
+    before_s[plan.root] = time.process_time() - begun_s
     members = GroupMembers(
         holders={device: hold_share(each, device, start, plan.seat_of(device)) for device, each in prepared.items()},
         edges=plan.views,
         has_relays=plan.has_relays,
     )
     options = fit_options(recipe.backend, reporter, machine, lambda: "")
-    result, cost = fit_in_process(start.initial, start.group, members, start.camera_centers, options, time.perf_counter)
-    cameras = scene.cameras.select([row for device in plan.of_devices for row in recipe.cameras_of(device)])
-    return GroupRun(result=result, cameras=cameras, cost=cost)
+    result, cost = fit_in_process(start.initial, start.group, members, start.camera_centers, options, time.process_time)
+    report_result(start.group.config, start.initial, result, reporter)
+    return GroupRun(plan=plan, starts=starts, start=start, result=result, cost=cost, before_s=before_s)
+
+
+def _require_all(recipe: Recipe, plan: GroupPlan) -> None:
+    edges = [each for each in recipe.edge_plans if plan.has_relays or plan.root == f"edges/{each.edge_id}"]
+    dealt = {device for each in edges for device in each.device_ids if len(each.cameras_of(device))}
+    if dealt != set(plan.of_devices):
+        raise BadInput(
+            f"the group of {plan.root} has {', '.join(plan.of_devices)}, expected all that have photographs: {', '.join(sorted(dealt))}."
+        )

@@ -2,6 +2,9 @@
 every executor. Once per scene.
 
 What crosses between two nodes passes through the codec, so that the bits are those of a delivery.
+Devices in a group of the recipe train one model: below the cloud it is the scene, below an edge that
+edge's model, which is joined and refined as any other. The reporter of a group's root hears of its
+training, and of nothing else.
 """
 
 from __future__ import annotations
@@ -22,12 +25,16 @@ from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.decisions import refinement_decision
 from radiant_core.hierarchy.device import train_device
 from radiant_core.hierarchy.edge import join_edge
+from radiant_core.hierarchy.group_in_process import GroupRun, train_group
+from radiant_core.hierarchy.group_models import edge_of_group, scene_of_group
+from radiant_core.hierarchy.joining import UNMOVED
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, EdgeModel, SceneModel, device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on, passed_refinement
+from radiant_core.plan.plans import EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
@@ -46,6 +53,8 @@ class InProcessRun:
     """The scene before it was refined."""
     choice: Choice | None = None
     """Which version of the scene this is; None: not compared by photographs held out."""
+    groups: Mapping[str, GroupRun] = field(default_factory=dict)
+    """Trainings of several devices, by their root."""
 
     @property
     def versions(self) -> dict[Version, Splats]:
@@ -66,28 +75,55 @@ def run_in_process(
 
     `train` may be replaced by a function that keeps models it has trained before.
     """
+    if (whole := recipe.groups.get("cloud")) is not None:
+        return _scene_of_all(train_group(recipe, whole, scene, views, reporter_of))
+    groups: dict[str, GroupRun] = {}
     edges: dict[str, EdgeModel] = {}
     sent: dict[str, EdgeModel | str] = {}
     num_dealt: dict[str, int] = {}
     joined: dict[str, Mapping[str, float | int]] = {}
     for plan in recipe.edge_plans:
         dealt = {device: len(rows) for device in plan.device_ids if len(rows := plan.cameras_of(device))}
-        models = {}
-        for device in dealt:
-            rows = plan.cameras_of(device)
-            task = device_task(recipe.device_settings(device), scene.restricted_to(rows))
-            model = train(task, views.select(rows), reporter_of(f"devices/{device}"))
-            models[device] = passed_on(model, recipe.upload)
-        if not models:
+        if not dealt:
             continue
-        edge = join_edge(recipe.edge_task(plan.edge_id, dealt), models, reporter_of(f"edges/{plan.edge_id}"))
+        task, stage = recipe.edge_task(plan.edge_id, dealt), f"edges/{plan.edge_id}"
+        if (group := recipe.groups.get(stage)) is not None:
+            groups[stage] = trained = train_group(recipe, group, scene, views, reporter_of)
+            edge = edge_of_group(task, trained.starts, trained.result)
+        else:
+            edge = join_edge(task, _device_models(recipe, plan, scene, views, reporter_of, train), reporter_of(stage))
         edges[plan.edge_id] = edge
         if edge.splats is not None:
             sent[plan.edge_id] = passed_on(edge, recipe.upload)
             num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
     scene_model = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
-    joined_run = InProcessRun(scene=scene_model, edges=edges, refinements={}, joined=scene_model)
+    joined_run = InProcessRun(scene=scene_model, edges=edges, refinements={}, joined=scene_model, groups=groups)
     return _refine(recipe, joined_run, scene, views, reporter_of)
+
+
+def _device_models(
+    recipe: Recipe,
+    plan: EdgePlan,
+    scene: SfmScene,
+    views: TrainingViews,
+    reporter_of: Callable[[str], Reporter],
+    train: Callable[[DeviceTask, TrainingViews, Reporter], DeviceModel],
+) -> dict[str, DeviceModel | str]:
+    """Models of an edge's devices, each trained alone, as they arrive there."""
+    models = {}
+    for device in plan.device_ids:
+        if len(rows := plan.cameras_of(device)):
+            task = device_task(recipe.device_settings(device), scene.restricted_to(rows))
+            model = train(task, views.select(rows), reporter_of(f"devices/{device}"))
+            models[device] = passed_on(model, recipe.upload)
+    return models
+
+
+def _scene_of_all(trained: GroupRun) -> InProcessRun:
+    """The run of devices that all trained one model: edges have none, and nothing is refined."""
+    scene = scene_of_group(trained.plan, trained.starts, trained.result)
+    edges = {edge: EdgeModel(splats=None, corrections=dict.fromkeys(devices, UNMOVED)) for edge, devices in trained.plan.views.items()}
+    return InProcessRun(scene=scene, edges=edges, refinements={}, joined=scene, groups={trained.plan.root: trained})
 
 
 def _refine(

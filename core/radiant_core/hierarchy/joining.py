@@ -28,7 +28,8 @@ from radiant_core.io.run_store import content_key
 from radiant_core.render.contract import Backend
 from radiant_core.splats import Splats
 
-_UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
+UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
+"""The correction of a model that is where it belongs."""
 
 Arrival = DeviceModel | EdgeModel | str
 """A model that arrived, or why the transport does not hand it over."""
@@ -111,7 +112,7 @@ def _bring_into_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncer
     senders = tuple(usable)
     known = [uncertainty for _, _, uncertainty in usable.values() if uncertainty is not None]
     if len(known) < len(senders) or not senders:
-        return _move_models(usable, [_UNMOVED] * len(senders), None)
+        return _move_models(usable, [UNMOVED] * len(senders), None)
     placed = [
         PlacedModel(splats=model, cameras=own, uncertainty=uncertainty, name=name)
         for (name, (model, own, _)), uncertainty in zip(usable.items(), known, strict=True)
@@ -153,7 +154,7 @@ def _move_models(
     kept = {name: move for name, move in moves.items() if move is not None}
     return Arrivals(
         senders=tuple(kept),
-        models=tuple(usable[name][0] if move is _UNMOVED else move_splats(usable[name][0], move) for name, move in kept.items()),
+        models=tuple(usable[name][0] if move is UNMOVED else move_splats(usable[name][0], move) for name, move in kept.items()),
         cameras=tuple(move_cameras(usable[name][1], move) for name, move in kept.items()),
         corrections=moves,
         uncertainty=common,

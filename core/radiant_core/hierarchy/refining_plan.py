@@ -2,7 +2,7 @@
 
 Those whose models are in the scene, below edges whose memory holds its average; none where the
 settings ask for none, the cloud's memory does not hold it, or fewer than two are left: one device
-alone has fitted its model to all of its photographs before.
+alone has fitted its model to all of its photographs before, as have devices that trained one model.
 """
 
 from __future__ import annotations
@@ -65,6 +65,8 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
     num_present = sum(map(len, present.values()))
     if num_present < LEAST_DEVICES:
         return RefiningPlan(devices={}, decisions=(_too_few(num_present),))
+    if any(devices_of(present) <= set(group.of_devices) for group in recipe.groups.values()):
+        return RefiningPlan(devices={}, decisions=(_ALL_TOGETHER,))
     degree = recipe.train.sh_degree
     needed, of_edge = (average_bytes(num_splats, degree, renders=renders) for renders in (False, True))
     cloud, limits = recipe.system.cloud, {edge.id: edge.memory_bytes for edge in recipe.system.edges}
@@ -129,6 +131,22 @@ def _too_large(choice: str, needed_bytes: float, where: str, limit_bytes: float)
         unit="GB needed to average what devices refine",
         reason=f"memory_gb of {where} allows {limit_bytes / 1e9:.2f}",
     )
+
+
+def devices_of(edges: Mapping[str, Sequence[str]]) -> set[str]:
+    """The devices of all edges."""
+    return {device for devices in edges.values() for device in devices}
+
+
+_ALL_TOGETHER = Decision(
+    stage=STAGE,
+    topic="refinement",
+    choice="no device refines the scene",
+    figure=1.0,
+    unit="model of all devices",
+    reason="devices that train as one model have fitted it to all of their photographs before",
+    changes_nothing=True,
+)
 
 
 def _too_few(num_devices: int) -> Decision:
