@@ -16,9 +16,9 @@ from radiant_app.together.exchange import BEGIN, END, TOTAL, Children, meeting_o
 from radiant_app.together.links import LinkRules, ParentLinks
 from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
-from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput, RadiantError
-from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.hierarchy.device import report_result
+from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.messages import Training
 from radiant_core.hierarchy.reporter import Machine, fit_options
 from radiant_core.hierarchy.together import Begun, GroupStart, ShareStart, begin_group, check_start
@@ -35,19 +35,16 @@ DONE_WAIT_S = 120.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Led:
-    """The model of a group, the cameras (C) of all photographs, whose starts were refused and why,
-    and who took no part in how many steps."""
+    """The training of a group: what devices began with, by name, and what was refused of whom, and
+    why; figures of its messages."""
 
+    starts: Mapping[str, ShareStart]
     result: TrainResult
-    cameras: Cameras
-    devices: tuple[str, ...]
     refused: Mapping[str, str]
     summary: Mapping[str, float | int]
 
 
-def lead(
-    folder: Path, plan: GroupPlan, task: Training, num_dealt: Mapping[str, int], reporter: EventReporter, machine: Machine
-) -> Led:
+def lead(folder: Path, plan: GroupTraining, task: Training, num_dealt: Mapping[str, int], reporter: EventReporter, machine: Machine) -> Led:
     """Train the model of a group with all devices that come.
 
     Args:
@@ -80,7 +77,7 @@ class _Leader:
         self,
         *,
         folder: Path,
-        plan: GroupPlan,
+        plan: GroupTraining,
         task: Training,
         num_dealt: Mapping[str, int],
         reporter: EventReporter,
@@ -113,9 +110,9 @@ class _Leader:
             "sent_bytes": sum(each.sent_bytes for each in traffic),
             "num_refused": sum(map(len, root.inbox.refused.values())),
         }
-        names = [name for name in self._plan.of_devices if name in starts]
-        cameras = concatenate_cameras([starts[name].cameras for name in names])
-        return Led(result=root.result(), cameras=cameras, devices=tuple(names), refused=self.refused, summary=summary)
+        result = root.result()
+        report_result(start.group.config, start.initial, result, self._reporter)
+        return Led(starts=starts, result=result, refused=self.refused, summary=summary)
 
     def _take_steps(self, root: Root, start: GroupStart, checkpoints: Checkpoints) -> None:
         replica = root.replica

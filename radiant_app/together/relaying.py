@@ -18,12 +18,12 @@ from radiant_app.together.holding import CONNECT_S
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, ParentLinks, Traffic, connect
 from radiant_app.workers.reporting import EventReporter
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.io.group_messages import load_begin
 from radiant_core.train.together.roles import Relay
 
 
-def relay(folder: Path, plan: GroupPlan, reporter: EventReporter) -> Mapping[str, float | int]:
+def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Mapping[str, float | int]:
     """Sum the gradients of this edge's devices in every step.
 
     Args:
@@ -49,7 +49,7 @@ def relay(folder: Path, plan: GroupPlan, reporter: EventReporter) -> Mapping[str
 
 
 class _Relaying:
-    def __init__(self, *, folder: Path, plan: GroupPlan, links: ParentLinks, reporter: EventReporter) -> None:
+    def __init__(self, *, folder: Path, plan: GroupTraining, links: ParentLinks, reporter: EventReporter) -> None:
         self._folder, self._plan, self._links, self._reporter = folder, plan, links, reporter
         self._children = self._new_children()
         self._traffic = Traffic()

@@ -7,7 +7,7 @@ Each reads task.json, and beside it, below its folder:
              → scene.safetensors, result.json, captures.json, undistorted/
     device   scene.safetensors, photos/, masks/
              → model.safetensors, upload.safetensors (unless float32), summary.json
-    edge     inbox/<device>/{model,cameras}.safetensors
+    edge     inbox/<device>/{model,cameras}.safetensors; none where devices train together
              → as device, virtual_cameras.safetensors
     cloud    inbox/<edge>/{model,virtual_cameras}.safetensors
              → scene.ply, summary.json, cut/scene.ply
@@ -131,10 +131,15 @@ def run_device(folder: Path, task: DeviceTask, reporter: EventReporter) -> Seque
 
 
 def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[str]:
-    """Join the devices' models."""
+    """Join the devices' models, or train one with them."""
     from radiant_app.workers.inbox import receive_device_models, save_joining
     from radiant_core.hierarchy.edge import join_edge
     from radiant_core.io.messages import save_edge_model
+
+    if task.group is not None:
+        from radiant_app.workers.groups import run_group_edge
+
+        return run_group_edge(folder, task, task.group, reporter)
 
     models = receive_device_models(folder, task.devices)
     (folder / CUT_NAME).unlink(missing_ok=True)
@@ -150,7 +155,11 @@ def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[
 
 
 def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequence[str]:
-    """Join the edges' models into the scene."""
+    """Join the edges' models into the scene, or train it with all devices."""
+    if task.group is not None:
+        from radiant_app.workers.groups import run_group_cloud
+
+        return run_group_cloud(folder, task, task.group, reporter)
     from radiant_app.workers.inbox import receive_edge_models, save_joining
     from radiant_core.hierarchy.cloud import join_cloud
     from radiant_core.io.messages import NOTHING

@@ -22,19 +22,27 @@ MASKS = "masks"
 
 
 def train_from_folder(folder: Path, task: DeviceTask, images: Path, reporter: EventReporter) -> DeviceModel:
-    """Train a device from its photographs in `images`; its checkpoints lie in `folder`."""
+    """Train a device from its photographs in `images`, together with others where its task has a
+    seat; its checkpoints lie in `folder`."""
     from radiant_core.hierarchy.device import train_device
     from radiant_core.train.photographs import load_training_views
 
     machine = make_machine(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
     views = load_training_views(images, task.scene.cameras.scaled(task.train.long_side_px), folder / MASKS)
+    if task.seat is not None:
+        from radiant_app.together.holding import hold
+
+        return hold(folder, task, views, reporter, machine)
     return train_device(task, views, reporter, machine)
 
 
 def save_signed_model(folder: Path, task: DeviceTask, model: DeviceModel, reporter: EventReporter) -> list[str]:
-    """Write and sign a device's model; returns the names of the files."""
+    """Write and sign a device's model; returns the names of the files. One that was trained
+    together with others stays here, unsigned: the root has it."""
     from radiant_core.io.messages import save_device_model
 
+    if task.seat is not None:
+        return save_device_model(folder, model, "float32", reporter.warn)
     names = save_device_model(folder, model, task.upload, reporter.warn)
     remove_checkpoints(folder)
     return [*names, *sign_upload(folder)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.device import report_result
-from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.messages import device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter, fit_options
@@ -26,7 +26,7 @@ from radiant_core.train.views import TrainingViews
 class GroupRun:
     """The training of a group."""
 
-    plan: GroupPlan
+    plan: GroupTraining
     starts: Mapping[str, ShareStart]
     """By device."""
     start: GroupStart
@@ -39,7 +39,7 @@ class GroupRun:
 
 def train_group(
     recipe: Recipe,
-    plan: GroupPlan,
+    plan: GroupTraining,
     scene: SfmScene,
     views: TrainingViews,
     reporter_of: Callable[[str], Reporter] = lambda stage: Recorder(stage=stage),
@@ -72,7 +72,7 @@ def train_group(
     return GroupRun(plan=plan, starts=starts, start=start, result=result, cost=cost, before_s=before_s)
 
 
-def _require_all(recipe: Recipe, plan: GroupPlan) -> None:
+def _require_all(recipe: Recipe, plan: GroupTraining) -> None:
     edges = [each for each in recipe.edge_plans if plan.has_relays or plan.root == f"edges/{each.edge_id}"]
     dealt = {device for each in edges for device in each.device_ids if len(each.cameras_of(device))}
     if dealt != set(plan.of_devices):

@@ -13,7 +13,7 @@ import numpy as np
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import NO_CAMERAS, Cameras, concatenate_cameras
 from radiant_core.hierarchy.device import training_summary
-from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.joining import UNMOVED, number_cameras
 from radiant_core.hierarchy.messages import EdgeModel, EdgeTask, SceneModel
 from radiant_core.hierarchy.together import ShareStart
@@ -22,7 +22,7 @@ from radiant_core.splats import Splats, morton_order
 from radiant_core.train.results import TrainResult
 
 
-def scene_of_group(plan: GroupPlan, starts: Mapping[str, ShareStart], result: TrainResult) -> SceneModel:
+def scene_of_group(plan: GroupTraining, starts: Mapping[str, ShareStart], result: TrainResult) -> SceneModel:
     """The scene that devices trained below the cloud; edges of which no device sent a start count
     as refused."""
     present = {edge: any(device in starts for device in devices) for edge, devices in plan.views.items()}

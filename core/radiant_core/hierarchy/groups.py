@@ -1,9 +1,9 @@
-"""`GroupPlan`: which machines train as one model, and how. Once per run."""
+"""`GroupTraining`: which machines train as one model, and how. Once per run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -25,7 +25,7 @@ class Seat:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroupPlan:
+class GroupTraining:
     """Devices that train as one model below a root, "cloud" or "edges/NAME", which has it."""
 
     root: str
@@ -62,6 +62,10 @@ class GroupPlan:
     def of_senders(self) -> dict[str, int]:
         """Views of a step by each sender to the root: edges, or the devices of its one edge."""
         return {edge: sum(devices.values()) for edge, devices in self.views.items()} if self.has_relays else self.of_devices
+
+    def of_edge(self, edge: str) -> GroupTraining:
+        """What an edge is told of the group: its devices alone."""
+        return replace(self, views={edge: self.views[edge]})
 
     def seat_of(self, device: str) -> Seat:
         """What a device gives to each step, and where."""

@@ -23,7 +23,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import NO_CAMERAS, Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
-from radiant_core.hierarchy.groups import GroupPlan, Seat
+from radiant_core.hierarchy.groups import GroupTraining, Seat
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
@@ -110,7 +110,7 @@ class EdgeTask(Training):
     aggregate: AggregateConfig
     upload: UploadFormat = "float32"
     memory_bytes: Positive | None = None
-    group: GroupPlan | None = None
+    group: GroupTraining | None = None
     """Its devices train as one model, at this edge or below the cloud; None: models are joined."""
 
     def __post_init__(self) -> None:
@@ -164,7 +164,7 @@ class CloudTask(Training):
     """Seconds that each edge took to join; only where the cloud's time is limited."""
     extends: Extension | None = None
     """None: the edges' models are joined as equals; else there are no cells."""
-    group: GroupPlan | None = None
+    group: GroupTraining | None = None
     """All devices train as one model; None: models are joined."""
     of_devices: tuple[Count, ...] = ()
     """Photographs dealt to each device of the group, in its order."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig, Trainings
 from radiant_core.choices import StepPolicy
-from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudTask, DeviceSettings, EdgeTask, RefineTask, Renderer
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -61,7 +61,7 @@ class Recipe:
     step_policy: StepPolicy = "per_photograph"
     num_photographs: int | None = None
     """Planned ones of the whole run, where the plans are those of some edges alone."""
-    groups: Mapping[str, GroupPlan] = field(default_factory=dict)
+    groups: Mapping[str, GroupTraining] = field(default_factory=dict)
     """Root → who trains as one model below it; others train alone and are joined."""
 
     def with_plan(self, cloud_plan: CloudPlan, edge_plans: tuple[EdgePlan, ...]) -> Recipe:
@@ -122,7 +122,12 @@ class Recipe:
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,
             memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),
+            seat=None if (group := self.group_of(device)) is None else group.seat_of(device),
         )
+
+    def group_of(self, device: str) -> GroupTraining | None:
+        """The group that a device trains in; None: it trains alone."""
+        return next((group for group in self.groups.values() if device in group.of_devices), None)
 
     def refine_task(self, device: str) -> RefineTask:
         """Fit the joined scene to a device's photographs."""
@@ -150,6 +155,7 @@ class Recipe:
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,
             memory_bytes=next(own.memory_bytes for own in self.system.edges if own.id == edge),
+            group=next((group.of_edge(edge) for group in self.groups.values() if edge in group.views), None),
         )
 
     def cloud_task(self, num_dealt: Mapping[str, int], joined: Mapping[str, Mapping[str, float | int]]) -> CloudTask:
@@ -175,6 +181,8 @@ class Recipe:
             checkpoint_every_s=self.checkpoint_every_s,
             limits=limits if retrains else None,
             edge_times_s=tuple(self._join_s(edge, joined[edge]) for edge in num_dealt) if timed else None,
+            group=(group := self.groups.get("cloud")),
+            of_devices=() if group is None else tuple(len(self.cameras_of(device)) for device in group.of_devices),
         )
 
     def _join_s(self, edge: str, summary: Mapping[str, float | int]) -> float:

@@ -23,7 +23,7 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.decisions import sky_decision
 from radiant_core.hierarchy.device import choose_filling
-from radiant_core.hierarchy.groups import GroupPlan, Seat
+from radiant_core.hierarchy.groups import GroupTraining, Seat
 from radiant_core.hierarchy.joining import number_cameras
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
@@ -163,7 +163,7 @@ def prepare_share(task: DeviceTask, views: TrainingViews, reporter: Reporter, ma
     )
 
 
-def begin_group(starts: Mapping[str, ShareStart], plan: GroupPlan, train: TrainConfig, reporter: Reporter) -> GroupStart:
+def begin_group(starts: Mapping[str, ShareStart], plan: GroupTraining, train: TrainConfig, reporter: Reporter) -> GroupStart:
     """The training of all devices that sent a start, in the order of the plan.
 
     Raises:
