@@ -97,10 +97,16 @@ class Edge:
     memory_bytes: float | None = None
     """What joining may hold; beyond it models are joined in tiles, and cut at their borders where
     no tile fits. None: a share of what its machine has free."""
+    latency_s: float | None = None
+    """Seconds that a message takes one way between it and a device; None: not known."""
+    add_s_per_byte: float | None = None
+    """Seconds for each byte that it adds up of what devices send in a step of a training together;
+    None: not known."""
 
     def __post_init__(self) -> None:
         require_id("edge", self.id)
         _require_memory(f"edge {self.id!r}", self.memory_bytes)
+        _require_times(f"edge {self.id!r}", self)
         _require_bandwidth(f"edge {self.id!r}", self.uplink_bytes_per_s)
         _require_speed(f"edge {self.id!r}", self.speed)
         for pair in (self.position, self.lat_lon_deg):
@@ -166,8 +172,13 @@ class Cloud:
     for every plan of a scene, so that no plan depends on it."""
     profile: Profile | None = None
     """What `merge_s` comes from; None where it was spelt out."""
+    latency_s: float | None = None
+    """Seconds that a message takes one way between it and an edge; None: not known."""
+    add_s_per_byte: float | None = None
+    """As an edge's."""
 
     def __post_init__(self) -> None:
+        _require_times("cloud", self)
         for name in ("memory_bytes", "time_s", "max_cameras"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
@@ -228,6 +239,13 @@ def _require_bandwidth(owner: str, value: float) -> None:
 def _require_memory(owner: str, value: float | None) -> None:
     if value is not None and not 0 < value < np.inf:
         raise BadInput(f"{owner}: memory_bytes is {value}, expected a positive number.")
+
+
+def _require_times(owner: str, machine: Edge | Cloud) -> None:
+    for name in ("latency_s", "add_s_per_byte"):
+        value = getattr(machine, name)
+        if value is not None and not 0 <= value < np.inf:
+            raise BadInput(f"{owner}: {name} is {value}, expected a finite number of seconds, at least 0.")
 
 
 def _require_speed(owner: str, value: float | None) -> None:
