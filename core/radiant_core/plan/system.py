@@ -178,11 +178,10 @@ class Cloud:
     """As an edge's."""
 
     def __post_init__(self) -> None:
-        _require_times("cloud", self)
-        for name in ("memory_bytes", "time_s", "max_cameras"):
+        for name in ("memory_bytes", "time_s", "max_cameras", "latency_s", "add_s_per_byte"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
-                raise BadInput(f"cloud: {name} is {value}, expected a finite number of at least 0, or nothing for no limit.")
+                raise BadInput(f"cloud: {name} is {value}, expected a finite number of at least 0, or nothing where it is not given.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,9 +240,9 @@ def _require_memory(owner: str, value: float | None) -> None:
         raise BadInput(f"{owner}: memory_bytes is {value}, expected a positive number.")
 
 
-def _require_times(owner: str, machine: Edge | Cloud) -> None:
+def _require_times(owner: str, edge: Edge) -> None:
     for name in ("latency_s", "add_s_per_byte"):
-        value = getattr(machine, name)
+        value = getattr(edge, name)
         if value is not None and not 0 <= value < np.inf:
             raise BadInput(f"{owner}: {name} is {value}, expected a finite number of seconds, at least 0.")
 
