@@ -247,7 +247,7 @@ def _seconds(stages: dict[str, dict[str, float]], stage: str) -> float:
     return stages[stage]["ended_s"] - stages[stage]["started_s"] if stage in stages else 0.0
 
 
-def _write_profile(  # noqa: PLR0913
+def _write_profile(
     out: Path, measured: Measured, key: ProfileKey, machine: str, source: str, exchange: ExchangeTime | None = None
 ) -> dict[str, Any]:
     joined = [sample for sample in measured.edges if sample.num_devices > 1]

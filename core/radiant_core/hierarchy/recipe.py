@@ -16,6 +16,7 @@ from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.step_law import StepLaw
 from radiant_core.plan.system import System
+from radiant_core.plan.together.groups import GroupPlan
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.needs import step_law_of
 
@@ -60,6 +61,8 @@ class Recipe:
     step_policy: StepPolicy = "per_photograph"
     num_photographs: int | None = None
     """Planned ones of the whole run, where the plans are those of some edges alone."""
+    groups: tuple[GroupPlan, ...] = ()
+    """Machines that train together; all others join models."""
 
     def with_plan(self, cloud_plan: CloudPlan, edge_plans: tuple[EdgePlan, ...]) -> Recipe:
         """The same settings, and steps per photograph, by another plan."""

@@ -47,6 +47,8 @@ class GroupRules:
     between: TrainedAs = "auto"
     obstacle: str | None = None
     """Why nobody can train together, as a clause; None: nothing is in the way."""
+    holds: Callable[[Device, int], bool] = lambda device, num_photographs: True
+    """Whether a device's memory holds the model of so many photographs, its group's."""
     photographs_move: bool = True
     """Whether photographs are dealt by the plan. Else devices keep theirs, and their views follow
     these, not their speeds."""
@@ -198,9 +200,14 @@ def _reason_against(busy: Sequence[tuple[Edge, EdgePlan]], rules: GroupRules) ->
     unknown = [edge.id for edge, _ in busy if not edge.devices]
     if unknown:
         return f"the devices of {unknown[0]} are not known here"
-    if len(_members(busy, rules)) < 2:
+    members = _members(busy, rules)
+    if len(members) < 2:
         return "one device trains, or none: there is nobody to exchange with"
-    if not all(_has_costs(device, rules.law, sum(len(plan.camera_indices) for _, plan in busy)) for device in _members(busy, rules)):
+    num_photographs = sum(len(plan.camera_indices) for _, plan in busy)
+    small = [device.id for device in members if not rules.holds(device, num_photographs)]
+    if small:
+        return f"the memory of {small[0]} does not hold one model of all {num_photographs} photographs"
+    if not all(_has_costs(device, rules.law, num_photographs) for device in members):
         return "the curves of its devices have no time of training or no size of a model, so that nothing can be predicted"
     return None
 
