@@ -34,7 +34,7 @@ WITHIN, BETWEEN = "training within an edge", "training between edges"
 """Topics of the decisions."""
 _FASTEST, _SLOWEST = 1e6, 1e-6
 """Factors of today's links between which the one where both take as long is looked for."""
-_HALVINGS = 60
+_HALVINGS = 45
 
 
 @dataclass(frozen=True, kw_only=True)
