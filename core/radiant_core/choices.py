@@ -23,6 +23,9 @@ CutBy = Literal["auto", "positions", "looks"]
 they look if that makes strips hold clearly more of what their own devices see."""
 DevicesUsed = Literal["auto", "all"]
 """auto: as many devices as one owner's photographs are worth, the fastest; all: every one."""
+TrainedAs = Literal["auto", "together", "joined"]
+"""together: machines train one model and add up gradients in every step; joined: each trains a
+model of its own, and these are joined; auto: what is done sooner by the predicted times."""
 StepPolicy = Literal["per_photograph", "fixed"]
 """per_photograph: a device's steps follow its photographs, so that all together take as many as
 with a fixed number each; fixed: every device takes the same number."""

@@ -65,5 +65,5 @@ def profile(
         return
     if result["check"]:
         typer.echo(profile_command.check_table(result["check"]))
-    for name in ("machine", "training", "measured_steps", "largest_count", "warnings", "profile"):
+    for name in ("machine", "training", "measured_steps", "largest_count", "exchange", "warnings", "profile"):
         typer.echo(f"{name}: {result[name]}")

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 
 from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.exchange_time import ExchangeTime, measure_exchange
 from radiant_app.commands.profiling import STAGE, DeviceSample, EdgeSample, Measured, Measuring
 from radiant_app.commands.steps import require_file_to_be, require_run, training_part
 from radiant_app.config.run_config import ExecutionOptions
-from radiant_app.events import Listener, StageDone, StageStarted
+from radiant_app.events import Listener, StageDone, StageStarted, Warned
 from radiant_app.executors.fork_server import keep_servers
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
@@ -32,7 +33,7 @@ from radiant_app.files.run_folder import read_manifest, require_current
 from radiant_app.run.predictions import planned_training, share_of_epochs, training_key_of
 from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of, sfm_task
 from radiant_core.aggregate.config import JOINING_EPOCHS
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.messages import save_task, task_setting
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json
@@ -103,6 +104,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
         )
         with keep_servers():
             measured = nodes.measure(request.time_s)
+        exchange = _exchange(listen)
         seconds = clock() - begun_s
         listen(StageDone(stage=STAGE, seconds=seconds))
     what = "the sample town" if request.source is None else f"{len(training.cameras)} photographs"
@@ -110,7 +112,17 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
     source = f"radiant profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
     machine = request.machine or machine_label(request.num_threads, request.num_workers)
-    return _write_profile(request.out, measured, key, machine, source)
+    return _write_profile(request.out, measured, key, machine, source, exchange)
+
+
+def _exchange(listen: Listener) -> ExchangeTime | None:
+    """What machines that train together exchange a message in; None, and a warning, where two
+    processes of this one cannot."""
+    try:
+        return measure_exchange()
+    except StageFailed as error:
+        listen(Warned(stage=STAGE, message=f"what an exchange takes is not measured: {error}"))
+        return None
 
 
 def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str, Any]:
@@ -235,7 +247,9 @@ def _seconds(stages: dict[str, dict[str, float]], stage: str) -> float:
     return stages[stage]["ended_s"] - stages[stage]["started_s"] if stage in stages else 0.0
 
 
-def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str, source: str) -> dict[str, Any]:
+def _write_profile(
+    out: Path, measured: Measured, key: ProfileKey, machine: str, source: str, exchange: ExchangeTime | None = None
+) -> dict[str, Any]:
     joined = [sample for sample in measured.edges if sample.num_devices > 1]
     alone = [sample for sample in measured.edges if sample.num_devices == 1]
     made = Profile(
@@ -254,6 +268,8 @@ def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str,
         measured_steps=measured.num_steps,
         frames_s=measured.frames_s,
         frames_alone_s=measured.frames_alone_s,
+        latency_s=None if exchange is None else exchange.latency_s,
+        add_s_per_byte=None if exchange is None else exchange.add_s_per_byte,
     )
     with folder_made_for(out):
         save_profile(out, made)
@@ -269,10 +285,15 @@ def _write_profile(out: Path, measured: Measured, key: ProfileKey, machine: str,
         "largest_count": made.train_s.largest_count,
         "curves": {name: {**vars(curve.curve), "rmse": curve.rmse} for name, curve in fitted.items()},
         "frames": "not measured" if made.frames_s is None else f"{made.frames_s:.1f} s side by side, {made.frames_alone_s:.1f} s alone",
+        "exchange": "not measured" if exchange is None else _exchange_text(exchange),
         "check": _check(measured, joined),
         "warnings": " ".join(_noise(fitted)) or "none",
         "profile": str(out),
     }
+
+
+def _exchange_text(exchange: ExchangeTime) -> str:
+    return f"{1e3 * exchange.latency_s:.2f} ms one way, {1e9 * exchange.add_s_per_byte:.2g} ms to add a megabyte"
 
 
 def _noise(fitted: dict[str, FittedCurve]) -> list[str]:

@@ -18,7 +18,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
-from radiant_core.choices import Contradictions, CutBy, DevicesUsed, Effort, LpipsNetwork, Matching, PlanMethod, StepPolicy, UploadFormat
+from radiant_core.choices import (
+    Contradictions,
+    CutBy,
+    DevicesUsed,
+    Effort,
+    LpipsNetwork,
+    Matching,
+    PlanMethod,
+    StepPolicy,
+    TrainedAs,
+    UploadFormat,
+)
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
@@ -46,6 +57,8 @@ RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
         "sfm.effort": "thorough",
         "plan.method": "paper",
         "train.preset": "paper",
+        "plan.within_edge": "joined",
+        "plan.between_edges": "joined",
         "train.step_policy": "fixed",
         "aggregate.preset": "paper",
         "upload": "float32",
@@ -160,12 +173,22 @@ class PlanOptions:
     devices: DevicesUsed = "auto"
     """auto: where one owner's photographs are few, the fastest devices alone, which was better in
     six of seven cells; all: every device, as gps and known do anyway."""
+    within_edge: TrainedAs = "auto"
+    """together: the devices of an edge train one model and add up gradients in every step; joined:
+    each trains its own; auto: what is predicted to be done sooner, by speeds, links and size."""
+    between_edges: TrainedAs = "auto"
+    """The same for the devices of all edges, whose edges exchange through the cloud."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
     """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(
         default_factory=dict
     )
     """Field of `PaperConfig`, d and T_thres of Alg. 1 → its value."""
+
+    @property
+    def asks_together(self) -> bool:
+        """Whether machines are to train together, whatever is predicted."""
+        return "together" in (self.within_edge, self.between_edges)
 
     @property
     def paper(self) -> PaperConfig | None:
@@ -176,6 +199,8 @@ class PlanOptions:
         if self.paper is not None and not self.method.startswith("paper"):
             names = " and ".join(f"plan.{name}" for name in self.settings)
             raise BadInput(f"{names} is for Alg. 1 and the plan's method is {self.method}: use paper or paper-literal, or leave it out.")
+        if self.between_edges == "together" and self.within_edge == "joined":
+            raise BadInput("--between-edges together and --within-edge joined exclude each other: leave one of them out.")
         if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:
             raise BadInput(f"raster_cell_m is {self.raster_cell_m}, expected a side in metres, or 0 to plan from positions.")
         if self.file is not None and self.method != "exact":
@@ -352,6 +377,10 @@ class RunConfig:
         if self.frames != "shared" and self.plan.cut_by == "looks":
             reason = "where cameras look is known once they are reconstructed together"
             raise BadInput(f"--cut-by is looks: {reason}, and with --frames {self.frames} each device places its own: use --frames shared.")
+        if self.plan.asks_together and (self.frames == "gps" or self.execution.executor == "network"):
+            where = "over a network" if self.execution.executor == "network" else "with --frames gps"
+            reason = "machines that train together need one exact frame and one owner's links"
+            raise BadInput(f"{reason}, and {where} their models are joined: leave --within-edge and --between-edges out.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and self.sfm.masks is not None:

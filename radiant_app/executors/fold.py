@@ -31,7 +31,7 @@ from radiant_app.events import Event, Listener, StageDone, StageSkipped, StageSt
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree, require_gangs
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.run_store import disk_is_full, is_sealed
+from radiant_core.io.run_store import SEAL_NAME, disk_is_full, is_sealed
 
 URGENCY = {"device": 0, "edge": 1, "cloud": 2}
 """Order in which nodes are started: the longest path first."""
@@ -226,23 +226,27 @@ class Fold:
         return self.clock() - self.origin_s
 
     def _begin(self, unit: Unit) -> None:
-        members = [(node, task) for node in unit if (task := self._prepare(node)) is not None]
         gang = unit[0].gang
+        tasks = [(node, self.prepare(node)) for node in unit]
+        if gang is not None and not all(_is_done(task) for _, task in tasks):
+            # What one of them began anew the others cannot have finished.
+            for task in (task for _, task in tasks if task is not None):
+                (task.folder / SEAL_NAME).unlink(missing_ok=True)
+        members = [(node, task) for node, task in tasks if task is not None and not self._skips(node, task)]
+        for node in set(unit) - {node for node, _ in members}:
+            now_s = self._now_s()
+            self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
         if members and gang is not None:
             self.runner.open_gang(gang, members)
         for node, task in members:
             self._start(node, task, self._now_s())
 
-    def _prepare(self, node: Tree) -> NodeTask | None:
-        """The task of a node that has something to do; else it is done."""
-        task = self.prepare(node)
-        if task is not None and not is_sealed(task.folder, task.key):
-            return task
-        now_s = self._now_s()
-        self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
-        if task is not None:
-            self.listen(StageSkipped(stage=task.stage))
-        return None
+    def _skips(self, node: Tree, task: NodeTask) -> bool:
+        """Whether a node has nothing to do."""
+        if not _is_done(task):
+            return False
+        self.listen(StageSkipped(stage=task.stage))
+        return True
 
     def _start(self, node: Tree, task: NodeTask, now_s: float, note: str = "") -> None:
         self.num_tries[node.id] = self.num_tries.get(node.id, 0) + 1
@@ -331,6 +335,10 @@ class Fold:
         if running.given_up is None:
             running.given_up = ended
             self.runner.stop(running.node.id)
+
+
+def _is_done(task: NodeTask | None) -> bool:
+    return task is None or is_sealed(task.folder, task.key)
 
 
 def _units(tree: Tree) -> list[Unit]:

@@ -7,6 +7,8 @@
     frames_s = 8.0                       # two models into one frame, of which GPS is unsure
     frames_alone_s = 6.0                 # the same with no process beside it, as at the cloud
     launch_s = 0.004                     # of a step, whatever its pixels and Gaussians
+    latency_s = 0.0001                   # of a message between two processes, one way
+    add_s_per_byte = 2e-9                # of adding up what machines send that train together
 
     [key]                                # the training that the curves hold for
     preset = "default"
@@ -95,6 +97,8 @@ class _File(Strict):
     frames_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
     frames_alone_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
     launch_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    latency_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    add_s_per_byte: Annotated[float, Field(gt=0, le=1e9)] | None = None
     key: _Key
     init_s: _Fitted
     train_s: _Fitted
@@ -123,6 +127,8 @@ class _File(Strict):
             frames_s=self.frames_s,
             frames_alone_s=self.frames_alone_s,
             launch_s=self.launch_s,
+            latency_s=self.latency_s,
+            add_s_per_byte=self.add_s_per_byte,
             **curves,
         )
 
@@ -189,6 +195,8 @@ def _record(profile: Profile) -> dict[str, Any]:
         "frames_s": profile.frames_s,
         "frames_alone_s": profile.frames_alone_s,
         "launch_s": profile.launch_s,
+        "latency_s": profile.latency_s,
+        "add_s_per_byte": profile.add_s_per_byte,
         "key": _drop_none(vars(key)),
         **tables,
     }

@@ -7,6 +7,9 @@
     aggregate_s = { constant = 5.0, linear = 0.5 }
     memory_gb = 4.0                      # what joining may hold; beyond it by tiles, or cut;
                                          # left out: 4/5 of what is free, divided among edges
+    latency_ms = 1.0                     # one way between it and a device, half of what ping says;
+                                         # left out: as measured on one machine, by its profile
+    add_ms_per_mb = 2.0                  # of adding up what devices send in a step
 
     [[edge.device]]
     id = "north-1"
@@ -33,6 +36,8 @@ half as fast in both has relative_speed and speed 0.5.
     time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000
     merge_s = { linear = 0.5 }           # of joining there; left out: not predicted
+    latency_ms = 10.0                    # one way between it and an edge; left out: as an edge's
+    add_ms_per_mb = 2.0
 
     [training]                           # which the costs hold for, where they were a profile's:
     preset = "default"                   # written by runs and plans, so that what joins by
@@ -55,12 +60,15 @@ it deals its cameras itself, later, with a system file of its own.
 
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only
 ids are required; what is left out has the value above, except position, memory limits,
-aggregate_alone_s and speed (none) and relative_speed (1).
+aggregate_alone_s and speed (none) and relative_speed (1). latency_ms and add_ms_per_mb decide
+whether machines train together: of an edge whose profile does not have them the first profile of
+its devices counts, else 1 ms and 2 ms.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -77,6 +85,7 @@ from radiant_core.plan.system import Cloud, Device, Edge, System
 
 _BYTES_PER_S_PER_MBIT = 1e6 / 8
 _BYTES_PER_MB, _BYTES_PER_GB = 1e6, 1e9
+_MS_PER_S = 1e3
 
 _NonNegative = Annotated[float, Field(ge=0, le=1e12)]
 _Positive = Annotated[float, Field(gt=0, le=1e12)]
@@ -171,6 +180,8 @@ class _Edge(Strict):
     speed: _Share | None = None
     memory_gb: _Positive | None = None
     device: list[_Device] = Field(default_factory=list[_Device])
+    latency_ms: _NonNegative | None = None
+    add_ms_per_mb: _NonNegative | None = None
     time_s: _Curve | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
 
@@ -183,6 +194,7 @@ class _Edge(Strict):
                 f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
             )
         own = {"profile", "costs_from", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed", "memory_gb"}
+        own |= {"latency_ms", "add_ms_per_mb"}
         surplus = self.model_fields_set & own
         if self.time_s is not None and surplus:
             raise BadInput(f"edge {self.id!r} has time_s, its whole time, and {min(surplus)} too: remove one of them.")
@@ -193,13 +205,15 @@ class _Edge(Strict):
             if profile.aggregate_s is None:
                 raise BadInput(f"edge {self.id!r}: profile {self.profile!r} has no aggregate_s: measure it, or give aggregate_s here.")
             joined, alone = profile.aggregate_s.curve, None if profile.aggregate_alone_s is None else profile.aggregate_alone_s.curve
+        devices = tuple(device for table in self.device for device in table.build(folder, self._beside(table, beside)))
+        latency_s, add_s_per_byte = _exchange_of(self, [profile, *(device.profile for device in devices)])
         return Edge(
             id=self.id,
             position=None if self.position_m is None else (self.position_m[0], self.position_m[1]),
             lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
             aggregate_s=joined,
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
-            devices=tuple(device for table in self.device for device in table.build(folder, self._beside(table, beside))),
+            devices=devices,
             speed=self.speed,
             aggregate_alone_s=alone,
             profile=profile,
@@ -207,6 +221,8 @@ class _Edge(Strict):
             time_s=None if self.time_s is None else self.time_s.scaled(1.0),
             max_cameras=self.max_cameras,
             memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
+            latency_s=latency_s,
+            add_s_per_byte=add_s_per_byte,
         )
 
     def _beside(self, device: _Device, everywhere: list[_Device]) -> _Device | None:
@@ -249,12 +265,23 @@ def _profile_of(table: _Device | _Edge | _Cloud, owner: str, costs: tuple[str, .
         raise BadInput(f"{owner}: {error}") from error
 
 
+def _exchange_of(table: _Edge | _Cloud, profiles: Sequence[Profile | None]) -> tuple[float | None, float | None]:
+    """Latency in seconds and seconds per byte added up: the table's, else the first profile's."""
+    latencies = [profile.latency_s for profile in profiles if profile is not None and profile.latency_s is not None]
+    adding = [profile.add_s_per_byte for profile in profiles if profile is not None and profile.add_s_per_byte is not None]
+    latency_s = next(iter(latencies), None) if table.latency_ms is None else table.latency_ms / _MS_PER_S
+    add_s = next(iter(adding), None) if table.add_ms_per_mb is None else table.add_ms_per_mb / (_MS_PER_S * _BYTES_PER_MB)
+    return latency_s, add_s
+
+
 class _Cloud(Strict):
     memory_gb: _NonNegative | None = None
     time_s: _NonNegative | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
     profile: str | None = None
     merge_s: _Curve | None = None
+    latency_ms: _NonNegative | None = None
+    add_ms_per_mb: _NonNegative | None = None
 
     def build(self, folder: Path) -> Cloud:
         memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
@@ -264,7 +291,16 @@ class _Cloud(Strict):
             if profile.merge_s is None:
                 raise BadInput(f"cloud: profile {self.profile!r} has no merge_s: measure it, or give merge_s here.")
             merge_s = profile.merge_s.curve
-        return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras, merge_s=merge_s, profile=profile)
+        latency_s, add_s_per_byte = _exchange_of(self, [profile])
+        return Cloud(
+            memory_bytes=memory_bytes,
+            time_s=self.time_s,
+            max_cameras=self.max_cameras,
+            merge_s=merge_s,
+            profile=profile,
+            latency_s=latency_s,
+            add_s_per_byte=add_s_per_byte,
+        )
 
 
 class _Training(Strict):
@@ -333,7 +369,7 @@ def _edge_lines(edge: Edge) -> list[str]:
         lines.append(f"aggregate_alone_s = {_inline(edge.aggregate_alone_s, 1.0)}")
     if edge.memory_bytes is not None:
         lines.append(f"memory_gb = {edge.memory_bytes / _BYTES_PER_GB}")
-    lines += _origin_lines(edge)
+    lines += [*_exchange_lines(edge), *_origin_lines(edge)]
     return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
 
 
@@ -360,6 +396,7 @@ def _cloud_lines(cloud: Cloud) -> list[str]:
     }
     lines = [f"{name} = {limit}" for name, limit in limits.items() if limit is not None]
     lines += [] if cloud.merge_s is None else [f"merge_s = {_inline(cloud.merge_s, 1.0)}"]
+    lines += _exchange_lines(cloud)
     return ["[cloud]", *lines] if lines else []
 
 
@@ -371,6 +408,12 @@ def _training_lines(training: ProfileKey | None) -> list[str]:
 
 def _speed_lines(machine: Device | Edge) -> list[str]:
     return [] if machine.speed is None else [f"speed = {float(machine.speed)}"]
+
+
+def _exchange_lines(machine: Edge | Cloud) -> list[str]:
+    latency = [] if machine.latency_s is None else [f"latency_ms = {float(machine.latency_s * _MS_PER_S)}"]
+    adding = machine.add_s_per_byte
+    return latency if adding is None else [*latency, f"add_ms_per_mb = {float(adding * _MS_PER_S * _BYTES_PER_MB)}"]
 
 
 def _origin_lines(machine: Device | Edge) -> list[str]:

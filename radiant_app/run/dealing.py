@@ -77,7 +77,9 @@ class Dealer:
         self._exchange_keys(node)
         names = save_task(folder, task)
         inputs = [*(folder / name for name in names if name != TASK_NAME), *beside]
-        key = content_key(__version__, task_key(task), *inputs)
+        # Of devices that train together their root receives nothing beforehand.
+        below = [self.keys.get(child.id) for child in node.children] if node.tier != "device" and task.group is not None else []
+        key = content_key(__version__, task_key(task), *inputs, *below)
         self._log_access(node, [*inputs, folder / DELIVERIES])
         kind = self.photographs.kind if node.tier == "device" else node.tier
         if kind in SIGNED and self.signs_for(self.parent_of(node.id)):
@@ -122,8 +124,10 @@ class Dealer:
 
     def _fill_edge(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         """Copy the uploads of its devices."""
-        num_dealt = {device: self.photographs.num_dealt(device) for device in self._delivered_devices(node)}
         self._empty_inbox(folder)
+        if any(node.name in group.views for group in self.recipe.groups.values()):
+            return self.recipe.edge_task(node.name, {child.name: self.photographs.num_dealt(child.name) for child in node.children}), []
+        num_dealt = {device: self.photographs.num_dealt(device) for device in self._delivered_devices(node)}
         if not num_dealt:
             return None
         unseal_cut(folder)
@@ -133,8 +137,11 @@ class Dealer:
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         """Copy the uploads of the edges."""
-        edges = [edge for edge in node.children if self.has_model(edge.id)]
         self._empty_inbox(folder)
+        if "cloud" in self.recipe.groups:
+            dealt = {edge.name: sum(self.photographs.num_dealt(device.name) for device in edge.children) for edge in node.children}
+            return self.recipe.cloud_task(dealt, {}), []
+        edges = [edge for edge in node.children if self.has_model(edge.id)]
         if not edges:
             return None
         unseal_cut(folder)

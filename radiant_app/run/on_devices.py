@@ -23,6 +23,7 @@ from radiant_app.run.captured import Captured, device_folders, locate_photograph
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.dealing import Dealer, count_received
 from radiant_app.run.delivered import save_delivered
+from radiant_app.run.grouping import choose_run_groups
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import Scoring, ScoringMachine
@@ -110,7 +111,7 @@ class DevicePhotographs:
             raise BadInput(f"{len(positions)} training photographs have a position, expected at least 2: give more photographs with GPS.")
         if self.folders is None:
             system, cloud, edges = plan_stage(config, system, positions, captured.origin, progress)
-            return Plan(system=system, cloud=cloud, edges=edges)
+            return Plan(system=system, cloud=cloud, edges=edges, groups=choose_run_groups(config, system, edges, progress))
         if captured.cell_middles is None and config.cell_m is not None:
             positions = middles_of_cells(positions, config.cell_m)
         weighed = weigh_claims(owners, progress)
@@ -120,7 +121,8 @@ class DevicePhotographs:
         save_plan(config.out / "plan.json", cloud, edges, warnings=warn_about_predictions(config, system, edges, progress, note))
         save_system(config.out, system)
         self._warn_of_idle(system, set(owners), progress)
-        return Plan(system=system, cloud=cloud, edges=edges)
+        groups = choose_run_groups(config, system, edges, progress, photographs_move=False)
+        return Plan(system=system, cloud=cloud, edges=edges, groups=groups)
 
     def _plan_of_owners(
         self, system: System, positions: FloatArray, owners: Sequence[str], progress: Progress

@@ -27,6 +27,7 @@ from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
 from radiant_app.report.ground_control import placing_of_run, survey_of_run
 from radiant_app.run.dealing import Dealer, deal_files
+from radiant_app.run.groups import end_groups, prepare_meetings, tell_parents, with_groups
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.prediction_error import prediction_of
@@ -191,7 +192,8 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     recipe = make_recipe(config, plan, num_devices, progress)
     photographs.check(recipe.train)
     dealer = Dealer(run=config.out, recipe=recipe, photographs=photographs)
-    tree = tree_of_plan(plan.cloud, plan.edges)
+    tree = with_groups(tree_of_plan(plan.cloud, plan.edges), recipe.groups)
+    prepare_meetings(config.out, recipe)
     before, after = photographs.stages(tree)
     nodes = [node.id for node in tree]
     expected = expected_refines(recipe, tree)
@@ -203,8 +205,10 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     if photographs.positions is not None:
         reassignment = Reassignment(dealer=dealer, positions=photographs.positions, tree=tree, first_plan_key=first_key, listen=listen)
         retry_policy = replace(retry_policy, on_given_up=reassignment)
+    retry_policy = replace(retry_policy, on_given_up=tell_parents(config.out, recipe, retry_policy.on_given_up))
     executor = make_executor(config, plan.system, progress, retry_policy)
     executor.fold(tree, dealer.prepare, listen)
+    end_groups(config.out, recipe)
     if not dealer.has_model("cloud"):
         reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
         raise StageFailed(f"no device delivered a model that could be used. {reasons}")

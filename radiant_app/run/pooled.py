@@ -19,6 +19,7 @@ from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files, deal_masks
 from radiant_app.run.few_photographs import choose_workforce
+from radiant_app.run.grouping import choose_run_groups
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import Scoring, ScoringMachine, lpips_network_of
@@ -89,7 +90,8 @@ class PooledPhotographs:
         system, cloud, edges = plan_stage(config, working.system, training.cameras.centers[:, :2], origin, progress, training)
         if working.warning is not None:
             progress.listen(Warned(stage="plan", message=working.warning))
-        return Plan(system=system, cloud=cloud, edges=edges)
+        groups = choose_run_groups(config, system, edges, progress)
+        return Plan(system=system, cloud=cloud, edges=edges, groups=groups)
 
     def check(self, train: TrainConfig) -> None:
         """Raise BadInput where photographs cannot be scored at the size of the training."""

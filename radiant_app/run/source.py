@@ -14,6 +14,7 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
+from radiant_core.plan.together.groups import GroupPlan
 from radiant_core.train.config import TrainConfig
 
 
@@ -24,6 +25,8 @@ class Plan:
     system: System
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
+    groups: tuple[GroupPlan, ...] = ()
+    """Machines that train together; none where all models are joined."""
 
 
 class Source(Photographs, Protocol):

@@ -211,7 +211,7 @@ def make_recipe(config: RunConfig, plan: Plan, num_devices: int, progress: Progr
         checkpoint_every_s=config.execution.checkpoint_every_s,
         num_devices=num_devices,
         step_policy=config.train.step_policy,
-    )
+    ).with_groups(plan.groups)
     if (decision := step_decision(recipe)) is not None:
         progress.listen(Decided(decision=decision))
     return recipe

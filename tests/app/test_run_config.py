@@ -43,7 +43,7 @@ ASKED: dict[str, Any] = {
     "seed": 3,
     "upload": "float32",
     "sfm": SfmOptions(matching="exhaustive", effort="thorough"),
-    "plan": PlanOptions(method="voronoi"),
+    "plan": PlanOptions(method="voronoi", within_edge="joined", between_edges="joined"),
     "train": TrainOptions(
         preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}
     ),
@@ -195,7 +195,7 @@ def test_a_plan_made_before_capture_and_a_method_exclude_each_other() -> None:
     where: dict[str, Any] = {"source": Path("photos"), "out": Path("run"), "plan.file": Path("plan.json")}
     with pytest.raises(BadInput, match="--plan keeps to a plan"):
         config_of({**where, "plan.method": "even"})
-    assert config_of({**where, "preset": "paper"}).plan == PlanOptions(file=Path("plan.json"))
+    assert config_of({**where, "preset": "paper"}).plan == PlanOptions(file=Path("plan.json"), within_edge="joined", between_edges="joined")
 
 
 def test_the_knobs_of_the_papers_algorithm_are_settings_of_its_plan() -> None:

@@ -17,6 +17,7 @@ from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.step_law import StepLaw
 from radiant_core.plan.system import System
+from radiant_core.plan.together.groups import GroupPlan
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.needs import step_law_of
 
@@ -125,6 +126,19 @@ class Recipe:
             seat=None if (group := self.group_of(device)) is None else group.seat_of(device),
         )
 
+    def with_groups(self, plans: Sequence[GroupPlan]) -> Recipe:
+        """The same settings, with machines that train together as planned: they show as many views
+        as if each trained alone."""
+        groups = {}
+        for plan in plans:
+            below = [own for own in self.edge_plans if own.edge_id in plan.edges]
+            views = {own.edge_id: {name: plan.views[name] for name in own.device_ids if name in plan.views} for own in below}
+            views = {edge: devices for edge, devices in views.items() if devices}
+            num_steps = sum(self.training_of(device).num_steps for devices in views.values() for device in devices)
+            root = "cloud" if plan.level == "cloud" else f"edges/{plan.edges[0]}"
+            groups[root] = GroupTraining(root=root, views=views, num_steps=num_steps)
+        return replace(self, groups=groups)
+
     def group_of(self, device: str) -> GroupTraining | None:
         """The group that a device trains in; None: it trains alone."""
         return next((group for group in self.groups.values() if device in group.of_devices), None)
@@ -169,7 +183,7 @@ class Recipe:
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in num_dealt]
         retrains, limits = self.aggregate.cloud == "retrain", self.system.cloud
         # Measured times differ from run to run: they are dealt only where they decide.
-        timed = retrains and limits.time_s is not None
+        timed = retrains and limits.time_s is not None and "cloud" not in self.groups
         return CloudTask(
             edges=tuple(num_dealt),
             num_dealt=tuple(num_dealt.values()),

@@ -21,11 +21,13 @@ from radiant_core.io.array_file import VERSION, load_arrays, name_file_in_errors
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.height_record import heights_record, with_recorded_heights
 from radiant_core.io.plan_content import GROUND_KEY
+from radiant_core.io.plan_groups import GROUPS_KEY, groups_of_record, groups_record
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.numerics import check_array
 from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.system import require_id
+from radiant_core.plan.together.groups import GroupPlan
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import TENSORS, Splats
@@ -121,9 +123,11 @@ def save_plan(  # noqa: PLR0913
     slack_curve: Sequence[SlackPoint] = (),
     warnings: Sequence[str] = (),
     content: Mapping[str, Any] | None = None,
+    groups: Sequence[GroupPlan] = (),
 ) -> None:
     """Write both levels of a plan as JSON, atomically, with the waypoints that its indices point
-    into, what slacks would buy, its warnings, and what `content_record` says of footprints;
+    into, what slacks would buy, its warnings, what `content_record` says of footprints, and the
+    groups of machines that train together;
     BadInput when the waypoints' number is another, else raises as `write_atomic`."""
     record = plan_record(cloud, edges)
     if slack_curve:
@@ -140,6 +144,8 @@ def save_plan(  # noqa: PLR0913
     if warnings:
         record["warnings"] = list(warnings)
     record |= content or {}
+    if groups:
+        record[GROUPS_KEY] = groups_record(groups)
     write_json(path, {"schema": "radiant.plan", "version": VERSION, **record})
 
 
@@ -157,18 +163,26 @@ def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanFile:
     """What a plan's file holds: both levels, the waypoints it was made from, and the altitude of
-    the ground (m) that their altitudes count with, where it was given."""
+    the ground (m) that their altitudes count with, where it was given; and which machines train
+    together."""
 
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
     waypoints: Waypoints | None = None
     ground_m: float | None = None
+    groups: tuple[GroupPlan, ...] = ()
 
 
 def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The plan that `save_plan` wrote; StoreDamaged when broken, BadInput when it is no plan."""
     found = load_plan_file(path)
     return found.cloud, found.edges
+
+
+def load_plan_groups(path: Path) -> tuple[GroupPlan, ...]:
+    """The groups of machines that train together in a plan; none where all models are joined.
+    Raises as `load_plan`."""
+    return load_plan_file(path).groups
 
 
 def load_plan_waypoints(path: Path) -> Waypoints | None:
@@ -185,18 +199,19 @@ def load_plan_file(path: Path) -> PlanFile:
             raise BadInput("it holds no plan: pass the plan.json of a run.")
         require_schema(record, "radiant.plan")
         cloud, edges = plan_of_record(record)
+        groups = groups_of_record(record.get(GROUPS_KEY, []))
         stored = record.get("waypoints")
         ground = record.get(GROUND_KEY)
         ground_m = None if ground is None else float(check_array("the ground's altitude", [ground], (1,))[0])
         if stored is None:
-            return PlanFile(cloud=cloud, edges=edges, ground_m=ground_m)
+            return PlanFile(cloud=cloud, edges=edges, ground_m=ground_m, groups=groups)
         looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None
         angles = None if looks is None else np.array(looks, dtype=np.float64)
         waypoints = with_recorded_heights(
             Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"], heading_pitch_deg=angles, ground_m=ground_m), stored
         )
         require_plan_of(len(waypoints), cloud, edges)
-    return PlanFile(cloud=cloud, edges=edges, waypoints=waypoints, ground_m=waypoints.ground_m)
+    return PlanFile(cloud=cloud, edges=edges, waypoints=waypoints, ground_m=waypoints.ground_m, groups=groups)
 
 
 def _camera_arrays(cameras: Cameras) -> dict[str, NDArray]:

@@ -97,10 +97,16 @@ class Edge:
     memory_bytes: float | None = None
     """What joining may hold; beyond it models are joined in tiles, and cut at their borders where
     no tile fits. None: a share of what its machine has free."""
+    latency_s: float | None = None
+    """Seconds that a message takes one way between it and a device; None: not known."""
+    add_s_per_byte: float | None = None
+    """Seconds for each byte that it adds up of what devices send in a step of a training together;
+    None: not known."""
 
     def __post_init__(self) -> None:
         require_id("edge", self.id)
         _require_memory(f"edge {self.id!r}", self.memory_bytes)
+        _require_times(f"edge {self.id!r}", self)
         _require_bandwidth(f"edge {self.id!r}", self.uplink_bytes_per_s)
         _require_speed(f"edge {self.id!r}", self.speed)
         for pair in (self.position, self.lat_lon_deg):
@@ -166,12 +172,16 @@ class Cloud:
     for every plan of a scene, so that no plan depends on it."""
     profile: Profile | None = None
     """What `merge_s` comes from; None where it was spelt out."""
+    latency_s: float | None = None
+    """Seconds that a message takes one way between it and an edge; None: not known."""
+    add_s_per_byte: float | None = None
+    """As an edge's."""
 
     def __post_init__(self) -> None:
-        for name in ("memory_bytes", "time_s", "max_cameras"):
+        for name in ("memory_bytes", "time_s", "max_cameras", "latency_s", "add_s_per_byte"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
-                raise BadInput(f"cloud: {name} is {value}, expected a finite number of at least 0, or nothing for no limit.")
+                raise BadInput(f"cloud: {name} is {value}, expected a finite number of at least 0, or nothing where it is not given.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,6 +238,13 @@ def _require_bandwidth(owner: str, value: float) -> None:
 def _require_memory(owner: str, value: float | None) -> None:
     if value is not None and not 0 < value < np.inf:
         raise BadInput(f"{owner}: memory_bytes is {value}, expected a positive number.")
+
+
+def _require_times(owner: str, edge: Edge) -> None:
+    for name in ("latency_s", "add_s_per_byte"):
+        value = getattr(edge, name)
+        if value is not None and not 0 <= value < np.inf:
+            raise BadInput(f"{owner}: {name} is {value}, expected a finite number of seconds, at least 0.")
 
 
 def _require_speed(owner: str, value: float | None) -> None:

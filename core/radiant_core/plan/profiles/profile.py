@@ -96,6 +96,11 @@ class Profile:
     launch_s: float | None = None
     """Part of a step that neither pixels nor Gaussians change, on a GPU the launching of kernels;
     None: none is known."""
+    latency_s: float | None = None
+    """What a short message takes one way between two processes of this machine, half a round trip:
+    the least that a step costs machines that train together; None: not measured."""
+    add_s_per_byte: float | None = None
+    """Seconds for each byte of gradients that are added up; None: not measured."""
     measured_steps: int | None = None
     """Steps that were run, where fewer than `key.num_steps`; `train_s` was scaled accordingly."""
 
@@ -106,7 +111,7 @@ class Profile:
             raise BadInput("a profile says neither machine nor source where it is empty: name both.")
         if self.memory_bytes is not None and not (np.isfinite(self.memory_bytes) and self.memory_bytes > 0):
             raise BadInput(f"a profile's memory is {self.memory_bytes} bytes, expected a positive number.")
-        for name in ("frames_s", "frames_alone_s", "launch_s"):
+        for name in ("frames_s", "frames_alone_s", "launch_s", "latency_s", "add_s_per_byte"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise BadInput(f"a profile's {name} is {value}, expected a positive number of seconds.")
