@@ -1,4 +1,4 @@
-"""Where Ray runs a node: which machines can, how many threads it has there, and the group of a gang.
+"""Where Ray runs a node: machines that can, its threads there, and the placement group of a gang.
 
 Members of a gang run at the same time, so all their places are reserved at once, as a placement
 group: a bundle for each, spread over the machines.
@@ -7,8 +7,8 @@ group: a bundle for each, spread over the machines.
               of the gang, an even part of a CPU, so that the gang fits in
     others    mostly wait for the devices, so they reserve no CPU: only their machine, where one is
               named as their place, else they join their first device
-    again     a member that is started again takes its bundle. Where the machine of that is gone and
-              Ray has found no other, it reserves nothing and starts anywhere: its gang waits for it
+    again     a member that is started again takes its bundle. Where the machine of that is gone
+              and Ray has no other for it, it reserves nothing and starts anywhere: its gang waits
 """
 
 from __future__ import annotations
