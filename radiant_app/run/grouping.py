@@ -32,8 +32,8 @@ devices that trained on the town side by side on two cores, 500 steps in 6.3 s."
 def choose_run_groups(
     config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], listen: Listener, *, photographs_move: bool = True
 ) -> tuple[GroupPlan, ...]:
-    """The groups of a run with this plan, of a system at `costs_of_run`; emits the decisions. None where models
-    are joined.
+    """The groups of a run with this plan, of a system at `costs_of_run`; emits the decisions. None
+    where models are joined.
 
     `photographs_move`: whether the plan deals photographs, or each device keeps its own.
     """
