@@ -175,7 +175,8 @@ def _chosen(asked: _Asked, group: GroupPlan, cost: StepCost, joined_s: float, le
     elif level_bytes_per_s is None:
         reason = took
     else:
-        reason = f"{took}; at {level_bytes_per_s * 8 / 1e6:,.3g} Mbit/s both would take as long"
+        links = "" if asked.topic == WITHIN else " of the edges' links"
+        reason = f"{took}; at {level_bytes_per_s * 8 / 1e6:,.3g} Mbit/s{links} both would take as long"
     decision = Decision(
         stage=STAGE,
         topic=asked.topic,
