@@ -86,6 +86,7 @@ from radiant_core.plan.system import Cloud, Device, Edge, System
 _BYTES_PER_S_PER_MBIT = 1e6 / 8
 _BYTES_PER_MB, _BYTES_PER_GB = 1e6, 1e9
 _MS_PER_S = 1e3
+_MS_PER_MB = 1e9  # for a second a byte
 
 _NonNegative = Annotated[float, Field(ge=0, le=1e12)]
 _Positive = Annotated[float, Field(gt=0, le=1e12)]
@@ -270,7 +271,7 @@ def _exchange_of(table: _Edge | _Cloud, profiles: Sequence[Profile | None]) -> t
     latencies = [profile.latency_s for profile in profiles if profile is not None and profile.latency_s is not None]
     adding = [profile.add_s_per_byte for profile in profiles if profile is not None and profile.add_s_per_byte is not None]
     latency_s = next(iter(latencies), None) if table.latency_ms is None else table.latency_ms / _MS_PER_S
-    add_s = next(iter(adding), None) if table.add_ms_per_mb is None else table.add_ms_per_mb / (_MS_PER_S * _BYTES_PER_MB)
+    add_s = next(iter(adding), None) if table.add_ms_per_mb is None else table.add_ms_per_mb / _MS_PER_MB
     return latency_s, add_s
 
 
@@ -413,7 +414,7 @@ def _speed_lines(machine: Device | Edge) -> list[str]:
 def _exchange_lines(machine: Edge | Cloud) -> list[str]:
     latency = [] if machine.latency_s is None else [f"latency_ms = {float(machine.latency_s * _MS_PER_S)}"]
     adding = machine.add_s_per_byte
-    return latency if adding is None else [*latency, f"add_ms_per_mb = {float(adding * _MS_PER_S * _BYTES_PER_MB)}"]
+    return latency if adding is None else [*latency, f"add_ms_per_mb = {float(adding * _MS_PER_MB)}"]
 
 
 def _origin_lines(machine: Device | Edge) -> list[str]:

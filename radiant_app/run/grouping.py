@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Decided
+from radiant_app.events import Decided, Listener
 from radiant_app.files.system_file import even_system
 from radiant_app.run.predictions import planned_training, refining_law_of
-from radiant_app.run.progress import Progress
 from radiant_core.io.transport.upload import BYTES_FACTORS
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import Device, System
@@ -31,10 +30,10 @@ devices that trained on the town side by side on two cores, 500 steps in 6.3 s."
 
 
 def choose_run_groups(
-    config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress, *, photographs_move: bool = True
+    config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], listen: Listener, *, photographs_move: bool = True
 ) -> tuple[GroupPlan, ...]:
-    """The groups of a run with this plan, at `costs_of_run`; emits the decisions. None where models
-    are joined.
+    """The groups of a run with this plan, of a system at `costs_of_run`; emits the decisions. None
+    where models are joined.
 
     `photographs_move`: whether the plan deals photographs, or each device keeps its own.
     """
@@ -45,7 +44,7 @@ def choose_run_groups(
     rules = group_rules(config, system, train, num_photographs, photographs_move=photographs_move)
     groups, decisions = choose_groups(system, edge_plans, rules)
     for decision in decisions:
-        progress.listen(Decided(decision=decision))
+        listen(Decided(decision=decision))
     return groups
 
 

@@ -110,6 +110,8 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     assert made.init_s.curve(5) > 0.2 and made.train_s.curve(5) > 0
     assert 92 * 100 < made.model_bytes.curve(5) <= 92 * 600 * 1.3
     assert made.aggregate_s is not None and made.aggregate_alone_s is not None and made.merge_s is not None
+    assert made.latency_s is not None and made.add_s_per_byte is not None
+    assert result["exchange"].startswith(f"{1e3 * made.latency_s:.2f} ms one way")
     assert "epochs of retraining at edges" in made.source
     # A device of a run leaves out no Gaussians at random.
     assert {task.train.drop_gaussians for task in tasks} == {"none"}

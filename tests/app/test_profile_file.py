@@ -41,6 +41,7 @@ def test_what_is_written_is_read_again(tmp_path: Path, suffix: str) -> None:
     profile = replace(
         MEASURED, name=path.name, machine='a "Läptop" 😀 \\ 2', memory_bytes=8e9, measured_steps=300, frames_s=7.5, frames_alone_s=6.5
     )
+    profile = replace(profile, latency_s=1.1e-4, add_s_per_byte=2.3e-9)
     save_profile(path, profile)
     assert load_profile(path) == profile
 
@@ -75,6 +76,27 @@ def test_a_profile_that_cannot_be_used_is_named(tmp_path: Path, old: str, new: s
     with pytest.raises(BadInput) as caught:
         load_system(tmp_path / "system.toml")
     assert message in str(caught.value) and str(caught.value).startswith(str(tmp_path / "system.toml"))
+
+
+def test_an_edge_and_the_cloud_take_what_an_exchange_costs_from_profiles_unless_it_is_spelt_out(tmp_path: Path) -> None:
+    save_profile(tmp_path / "mine.toml", replace(MEASURED, latency_s=3e-4, add_s_per_byte=5e-9))
+    (tmp_path / "system.toml").write_text(SYSTEM)
+    (edge,) = load_system(tmp_path / "system.toml").edges
+    assert (edge.latency_s, edge.add_s_per_byte) == (3e-4, 5e-9)
+    (tmp_path / "system.toml").write_text(SYSTEM.replace('id = "e"', 'id = "e"\nlatency_ms = 7.0', 1))
+    (edge,) = load_system(tmp_path / "system.toml").edges
+    assert (edge.latency_s, edge.add_s_per_byte) == (7e-3, 5e-9)
+    save_profile(tmp_path / "mine.toml", MEASURED)
+    (tmp_path / "system.toml").write_text(SYSTEM)
+    (edge,) = load_system(tmp_path / "system.toml").edges
+    assert (edge.latency_s, edge.add_s_per_byte) == (None, None)
+
+
+@pytest.mark.parametrize("name", ["latency_s", "add_s_per_byte"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_an_exchange_that_takes_no_time_is_refused(name: str, value: float) -> None:
+    with pytest.raises(BadInput, match=f"a profile's {name} is"):
+        replace(MEASURED, **{name: value})
 
 
 def test_an_edge_cannot_take_what_was_not_measured(tmp_path: Path) -> None:

@@ -249,3 +249,25 @@ def test_a_bad_curve_edge_gets_one_sentence(tmp_path: Path, old: str, new: str, 
     with pytest.raises(BadInput) as caught:
         load_system(path, curves=True)
     assert message in str(caught.value)
+
+
+def test_latency_and_adding_arrive_in_base_units_and_are_written_again(tmp_path: Path) -> None:
+    text = WHOLE.replace('id = "north"', 'id = "north"\nlatency_ms = 2.5\nadd_ms_per_mb = 4.0', 1)
+    system = loaded(tmp_path, text + "[cloud]\nlatency_ms = 10\n")
+    assert [(edge.latency_s, edge.add_s_per_byte) for edge in system.edges] == [(2.5e-3, 4e-9), (None, None)]
+    assert (system.cloud.latency_s, system.cloud.add_s_per_byte) == (0.01, None)
+    assert loaded(tmp_path, dump_system(system)) == system
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('id = "north"', 'id = "north"\nlatency_ms = -1', "edge[0].latency_ms is -1; expected greater than or equal to 0"),
+        ('id = "north"', 'id = "north"\nadd_ms_per_mb = inf', "edge[0].add_ms_per_mb is inf; expected a finite"),
+        ('id = "north-1"', 'id = "north-1"\nlatency_ms = 1', "edge[0].device[0].latency_ms is not a key of a system file"),
+    ],
+)
+def test_a_wrong_latency_gets_one_sentence(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        loaded(tmp_path, WHOLE.replace(old, new, 1))
+    assert message in str(caught.value)

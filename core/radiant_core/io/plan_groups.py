@@ -37,7 +37,8 @@ def groups_record(groups: Sequence[GroupPlan]) -> list[dict[str, Any]]:
 
 
 def groups_of_record(record: Any) -> tuple[GroupPlan, ...]:
-    """What `groups_record` was made of; BadInput for anything else, and for a device in two groups."""
+    """What `groups_record` was made of; BadInput for anything else, and for a device in two
+    groups."""
     try:
         groups = TypeAdapter(Annotated[list[_Group], Field(max_length=_MAX_GROUPS)]).validate_python(record)
     except ValidationError as error:

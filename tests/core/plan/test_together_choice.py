@@ -213,6 +213,13 @@ def test_what_stands_against_it_is_named_even_where_it_is_asked_for(at: Edge, ru
     assert choice.decision.figure == choice.seconds
 
 
+def test_a_latency_that_nobody_measured_is_named() -> None:
+    at = edge("a", 1000.0)
+    assert "assumed" not in within(at).decision.reason
+    unknown = within(replace(at, latency_s=None)).decision.reason
+    assert unknown.endswith("; a latency of 1 ms is assumed, as none was measured")
+
+
 def test_no_photographs_no_decision() -> None:
     system = System(edges=(edge("a", 100.0), edge("b", 100.0)))
     nothing = tuple(

@@ -23,10 +23,10 @@ from radiant_core.choices import TrainedAs
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.plan.plans import EdgePlan
-from radiant_core.plan.system import Device, Edge, System
+from radiant_core.plan.system import Cloud, Device, Edge, System
 from radiant_core.plan.timeline.prediction import planned_stages
 from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
-from radiant_core.plan.together.costs import StepCost, TogetherLaw, end_cost, start_cost, step_cost
+from radiant_core.plan.together.costs import LATENCY_S, StepCost, TogetherLaw, end_cost, start_cost, step_cost
 from radiant_core.plan.together.groups import GroupLevel, GroupPlan, choose_views, group_steps
 
 STAGE = "plan"
@@ -107,7 +107,7 @@ def choose_within(edge: Edge, plan: EdgePlan, rules: GroupRules, *, refining_s: 
 
     links = [device.uplink_bytes_per_s for device in edge.devices if device.id in views]
     cost = step_cost([edge], None, views, num_photographs, rules.law)
-    asked = _Asked(topic=WITHIN, about=about, wanted=rules.within, law=rules.law)
+    asked = _Asked(topic=WITHIN, about=about, wanted=rules.within, law=rules.law, assumed=_assumed([edge]))
     return _chosen(asked, group_at(1.0), cost, joined_s, _level_links(difference_s, min(links)))
 
 
@@ -140,7 +140,8 @@ def choose_between(system: System, edge_plans: Sequence[EdgePlan], within: Seque
         return group_at(factor).seconds - joined_s
 
     cost = step_cost([edge for edge, _ in busy], system.cloud, views, num_photographs, rules.law)
-    asked = _Asked(topic=BETWEEN, about="all edges", wanted=rules.between, law=rules.law)
+    assumed = _assumed([*(edge for edge, _ in busy), system.cloud])
+    asked = _Asked(topic=BETWEEN, about="all edges", wanted=rules.between, law=rules.law, assumed=assumed)
     return _chosen(asked, group_at(1.0), cost, joined_s, _level_links(difference_s, min(edge.uplink_bytes_per_s for edge, _ in busy)))
 
 
@@ -150,6 +151,13 @@ class _Asked:
     about: str
     wanted: TrainedAs
     law: TogetherLaw
+    assumed: str
+    """What was not measured, as the end of a reason."""
+
+
+def _assumed(machines: Sequence[Edge | Cloud]) -> str:
+    unknown = any(machine.latency_s is None for machine in machines)
+    return f"; a latency of {1000 * LATENCY_S:g} ms is assumed, as none was measured" if unknown else ""
 
 
 def _chosen(asked: _Asked, group: GroupPlan, cost: StepCost, joined_s: float, level_bytes_per_s: float | None) -> GroupChoice:
@@ -167,14 +175,15 @@ def _chosen(asked: _Asked, group: GroupPlan, cost: StepCost, joined_s: float, le
     elif level_bytes_per_s is None:
         reason = took
     else:
-        reason = f"{took}; at {level_bytes_per_s * 8 / 1e6:,.3g} Mbit/s both would take as long"
+        links = "" if asked.topic == WITHIN else " of the edges' links"
+        reason = f"{took}; at {level_bytes_per_s * 8 / 1e6:,.3g} Mbit/s{links} both would take as long"
     decision = Decision(
         stage=STAGE,
         topic=asked.topic,
         choice=who if together else f"{asked.about}: models are joined",
         figure=figures[0],
         unit=figures[1],
-        reason=reason,
+        reason=reason + asked.assumed,
         forced=asked.wanted != "auto",
     )
     return GroupChoice(decision=decision, group=group if together else None, seconds=group.seconds if together else joined_s)

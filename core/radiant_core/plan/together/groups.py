@@ -183,8 +183,8 @@ def _few_views(speeds: Sequence[float]) -> tuple[int, ...]:
 
 
 def _growing_steps(speeds: Sequence[float], views: list[int]) -> Iterator[float]:
-    """Seconds of steps of D, D + 1, … views, dealt into `views` (D,), which has one for each device:
-    one more for whoever is done with it first."""
+    """Seconds of steps of D, D + 1, … views, dealt into `views` (D,), which has one for each device
+    at first: one more for whoever is done with it first."""
     slowest = slowest_s(views, speeds)
     queue = [(2 / speed, device) for device, speed in enumerate(speeds)]
     heapq.heapify(queue)
@@ -208,4 +208,4 @@ def _numbers_working(falling: Sequence[float]) -> list[int]:
 
 def _require_speeds(speeds: Sequence[float]) -> None:
     if not speeds or not all(np.isfinite(speed) and speed > 0 for speed in speeds):
-        raise BadInput(f"devices have the speeds {tuple(speeds)}: give each a positive number of views a second.")
+        raise BadInput(f"devices have the speeds {list(map(float, speeds))}: give each a positive number of views a second.")
