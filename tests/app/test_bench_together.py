@@ -13,7 +13,11 @@ from radiant_app.bench.cells import Layout, bench_settings
 from radiant_app.bench.emulated_latency import NodeWork
 from radiant_app.bench.group_latency import LINKS, GroupWork, Link, group_s, scene_times
 from radiant_app.bench.methods import METHODS, methods_table
+from radiant_app.bench.options import BenchOptions
+from radiant_app.bench.runner import run_bench
+from radiant_app.bench.scaling import Reached, ScalingBench, bench_together, seconds_to
 from radiant_app.bench.together import grouped, views_of_speeds
+from radiant_core.errors import BadInput
 
 LINK = Link(bits_per_s=8000.0, latency_s=0.01)
 """1,000 bytes a second."""
@@ -105,3 +109,28 @@ def test_a_group_shows_as_many_views_as_its_devices_would(hamlet_scene: Path, tm
     assert grouped(recipe, "cloud").groups["cloud"].num_steps == sum(own.values())
     per_edge = grouped(recipe, "edges").groups
     assert {root: plan.num_steps for root, plan in per_edge.items()} == {"edges/e0": own["e0d0"], "edges/e1": own["e1d0"]}
+
+
+def test_seconds_to_a_target_lie_between_two_trainings() -> None:
+    trainings = [Reached(num_views=10, psnr_db=20.0, seconds=4.0), Reached(num_views=20, psnr_db=22.0, seconds=8.0)]
+    assert seconds_to(21.5, trainings) == pytest.approx(7.0)
+    assert seconds_to(19.0, trainings[:1]) == 4.0 and seconds_to(20.5, trainings[:1]) is None and seconds_to(20.0, []) is None
+
+
+def test_scaling_is_measured_until_the_target_and_not_twice(hamlet_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = ScalingBench(scene=hamlet_scene, out=tmp_path, devices=(1, 2), num_views=(8, 16, 24), target_db=0.0, long_side_px=48)
+    metrics = bench_together(bench)
+    found = {metric.key.removeprefix("together.scene."): metric.value for metric in metrics}
+    assert list(found) == [
+        f"devices_{n}.{name}" for n in (1, 2) for name in ("views_8.psnr_db", "views_8.seconds", "seconds_to_0_db", "efficiency")
+    ]
+    assert found["devices_1.efficiency"] == 1 and found["devices_2.seconds_to_0_db"] == found["devices_2.views_8.seconds"]
+    assert found["devices_2.efficiency"] == pytest.approx(found["devices_1.seconds_to_0_db"] / found["devices_2.seconds_to_0_db"] / 2)
+    monkeypatch.setattr("radiant_app.bench.scaling.run_in_process", None)
+    assert bench_together(bench) == metrics
+    unreached = bench_together(replace(bench, devices=(1,), target_db=99.0, num_views=(8,)))
+    assert [metric.key.split(".")[-1] for metric in unreached] == ["psnr_db", "seconds"]
+    with pytest.raises(BadInput, match="3 devices have no layout here: use 1, 2, 4, 8, 16"):
+        replace(bench, devices=(3,))
+    with pytest.raises(BadInput, match="the benchmark together needs --scene"):
+        run_bench("together", None, BenchOptions(out=tmp_path))
