@@ -2,8 +2,9 @@
 
 A step of a group, k its devices, e its edges (without any the root sums for the devices):
 
-    up      max_e ( max_k (contribute_k / v_k + bytes_k / B + L) + sum_e / v_e + bytes_e / B + L ) + sum_root
-    down    bytes / B + L for each level, then take / min_k v_k
+    gathered_e    max_k (contribute_k / v_k + bytes_k / B + L)
+    up            max_e (gathered_e + sum_e / v_e + bytes_e / B + L) + sum_root
+    down          bytes / B + L for each level, then take / min_k v_k
 
 v are speeds, B the bandwidth of every link, L its latency. Devices that render for the next step
 meanwhile (`overlaps`) take the larger of what they compute and of what the rest takes. Before the

@@ -328,7 +328,7 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 def methods_table(rows: Sequence[ArmRow]) -> str:
     """A line per scene and method: mean PSNR, the same after a correction of colours, FLIP, seams'
     excess, Gaussians, CPU seconds of all nodes, those until the scene is done if all work at once
-    (`joining_s`), pixels, and seconds from the devices' first one until the scene is done over links
+    (`joining_s`), pixels, and seconds until the scene is done over links, trainings included
     (`group_latency.py`)."""
     lines = [
         "| scene | method | PSNR dB | corrected | FLIP | seam excess dB | Gaussians, or numbers | CPU s | at once s | training Mpx |"

@@ -35,8 +35,8 @@ ENOUGH = 1.1
 def views_of_speeds(speeds: Sequence[float]) -> list[int]:
     """Views that devices of such speeds give to a step, so that they end it together.
 
-    The fewest with which max_k views_k / speed_k ≤ 1.1 Σ views / Σ speeds, each one at least and two
-    in the mean at most; else those that come nearest. Speeds 1 and 0.6: 2 and 1.
+    The fewest with which max_k views_k / speed_k ≤ 1.1 Σ views / Σ speeds, each one at least and
+    two in the mean at most; else those that come nearest. Speeds 1 and 0.6: 2 and 1.
     """
     views = [1] * len(speeds)
     best: tuple[float, list[int]] | None = None

@@ -34,7 +34,7 @@ class GroupRun:
     cost: GroupCost
     """CPU seconds and bytes of its steps."""
     before_s: Mapping[str, float]
-    """CPU seconds before the first step: of each device until its start is ready, and of the root."""
+    """CPU seconds before the first step: of each device for its start, and of the root."""
 
 
 def train_group(
