@@ -62,6 +62,7 @@ class GroupWork:
     """Whether edges sum for the cloud."""
     overlaps: bool
     prepare_s: Mapping[str, float]
+    """Of devices before the first step, most of it before they send their start."""
     begin_s: float
     """Of the root."""
     start_bytes: Mapping[str, int]
