@@ -7,8 +7,8 @@ borders are the same for all arms: surfaces are those of the first cell's centra
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, deal_cell, deal_system, load_bench_scene, run_cell
 from radiant_app.bench.emulated_latency import NodeWork
+from radiant_app.bench.group_latency import GroupWork, LinkTime, scene_times
 from radiant_app.bench.off_path import OffPath, OffPathFigures, figures_of, load_off_path
 from radiant_app.bench.options import HeldPart
 from radiant_app.workers.evaluation import region_width
@@ -72,6 +73,10 @@ class Made:
     """The work of each node, the devices' among it, where nodes made it."""
     rounds: tuple[Round, ...] = ()
     """Of federated learning."""
+    groups: Mapping[str, GroupWork] = field(default_factory=dict)
+    """By root, the work of devices that trained as one model."""
+    times: tuple[LinkTime, ...] = ()
+    """Where they are known without the work."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +121,8 @@ class ArmRow:
     """Of a field, which has no Gaussians."""
     rounds: tuple[Round, ...] = ()
     """Of federated learning."""
+    times: tuple[LinkTime, ...] = ()
+    """When the scene was done over links, where nodes made it."""
 
     @property
     def mean_psnr_db(self) -> float:
@@ -198,7 +205,8 @@ class Arms:
         model = self.model_file(cell, arm)
         record = model.with_suffix(".json" if max_gaussians is None else f".{max_gaussians}.json")
         if model.is_file() and record.is_file():
-            return _row_of(read_json(record))
+            row = _row_of(read_json(record))
+            return row if row.times else replace(row, times=scene_times(cell.recipe.system, row.nodes, {}))
         if max_gaussians is None:
             made = arm.make(cell, arm.recipe(cell))
             model.parent.mkdir(parents=True, exist_ok=True)
@@ -209,7 +217,7 @@ class Arms:
         else:
             whole = self._row(cell, arm, None)
             splats = select_strongest(load_splats(model), self.scene.views.cameras, max_gaussians)
-            made = Made(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px, nodes=whole.nodes)
+            made = Made(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px, nodes=whole.nodes, times=whole.times)
         row = self._score(cell, arm, made)
         write_json(record, {name: value for name, value in asdict(row).items() if name != "off_path"})
         return row
@@ -272,6 +280,7 @@ class Arms:
             interior_db=error.interior_psnr_db,
             num_band_images=error.num_band_images,
             nodes=made.nodes,
+            times=made.times or scene_times(cell.recipe.system, made.nodes, made.groups),
             num_parameters=made.num_parameters,
             rounds=made.rounds,
         )
@@ -290,7 +299,8 @@ def _row_of(record: dict[str, Any]) -> ArmRow:
     nodes = tuple(NodeWork(**node) for node in record.get("nodes", ()))
     rounds = tuple(Round(**one) for one in record.get("rounds", ()))
     figures = {name: tuple(record.get(name, ())) for name in ("psnr_db", "ssim", "flip", "psnr_cc_db")}
-    return ArmRow(**{**record, **figures, "nodes": nodes, "rounds": rounds})
+    times = tuple(LinkTime(**one) for one in record.get("times", ()))
+    return ArmRow(**{**record, **figures, "nodes": nodes, "rounds": rounds, "times": times})
 
 
 def _in_bytes(image: FloatArray) -> NDArray[np.uint8]:

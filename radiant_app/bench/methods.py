@@ -7,6 +7,7 @@ placement, seed).
                     nothing joined
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each
+    together        all devices train one model, step by step; `together per edge`: those of an edge
     ours            the default of `radiant run`; in a run's own cell, the run's settings
     ours once       all device models joined at once, as without edges, in five epochs or the run's
     paper once      the same by the paper's preset: one tier in place of two
@@ -33,29 +34,30 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from radiant_app.bench.arms import Arm, ArmRow, Arms, Made, load_arms
 from radiant_app.bench.cells import Cell, Layout, Train, bench_settings
+from radiant_app.bench.comparing import comparisons
 from radiant_app.bench.emulated_latency import NodeClock, NodeWork, joining_s
+from radiant_app.bench.group_latency import LINKS, Link
 from radiant_app.bench.hold_out import parts_of
 from radiant_app.bench.off_path import off_path_metrics
 from radiant_app.bench.options import HoldOut
 from radiant_app.bench.rivals import FIELD_STEPS, RIVALS, FieldSettings, rival_arms
+from radiant_app.bench.together import TOGETHER
 from radiant_app.report.progress import track_items
 from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.aggregate.tree import refines_for, scored_at
+from radiant_core.aggregate.tree import refines_for
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import CutBy, UploadFormat
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.bootstrap import paired_bootstrap
-from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.metric import Metric
-from radiant_core.hierarchy.in_process import InProcessRun, run_in_process
+from radiant_core.hierarchy.in_process import run_in_process
 from radiant_core.hierarchy.messages import DeviceModel
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import passed_on, refinement_bytes, sent_bytes
@@ -67,8 +69,6 @@ from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.training_pixels import training_pixels
 from radiant_viewer.charts.curve_chart import CurvePoint
 
-COMPARISON_BYTES = 4_000
-"""About what a device sends: scores.json of a run with some photographs."""
 NUM_EPOCHS_OF_PHOTOGRAPHS = 10
 """As many as the paper retrains on synthetic views."""
 TWO_BY_TWO = Layout(num_edges=2, num_devices=2)
@@ -161,7 +161,7 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
         for stage, each in run.refinements.items()
     ]
     clouds = [NodeWork(stage=stage, cpu_s=spent_s) for stage, spent_s in seconds.items() if refines_for(stage) == "cloud"]
-    nodes = (*_trainings(models, recipe), *joins, *refined, *_comparisons(cell, recipe, run), *clouds)
+    nodes = (*_trainings(models, recipe), *joins, *refined, *comparisons(cell, recipe, run), *clouds)
     return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)), nodes=nodes)
 
 
@@ -170,24 +170,6 @@ def _trainings(models: Mapping[str, DeviceModel], recipe: Recipe) -> list[NodeWo
         NodeWork(stage=f"devices/{name}", cpu_s=float(model.summary["cpu_s"]), sent_bytes=sent_bytes(model, recipe.upload))
         for name, model in models.items()
     ]
-
-
-def _comparisons(cell: Cell, recipe: Recipe, run: InProcessRun) -> list[NodeWork]:
-    """What devices spend on comparing the versions of the scene, each in the held-out photographs
-    that were taken nearest to its own. None is chosen by it here: those photographs report the
-    figures that methods are compared by."""
-    held_out = cell.scene.held_out_views
-    if len(run.versions) < 2:
-        return []
-    device_of = {int(row): device for plan in recipe.edge_plans for device in plan.device_ids for row in plan.cameras_of(device)}
-    nearest = np.asarray(KDTree(cell.scene.training.cameras.centers).query(held_out.cameras.centers)[1])
-    owners, works = np.array([device_of[int(row)] for row in nearest]), []
-    for device in sorted({*owners.tolist()}):
-        own, begun_s = held_out.select(np.flatnonzero(owners == device)), time.process_time()
-        for splats in run.versions.values():
-            held_out_psnr_db(splats, own, recipe.backend)
-        works.append(NodeWork(stage=scored_at(f"devices/{device}"), cpu_s=time.process_time() - begun_s, sent_bytes=COMPARISON_BYTES))
-    return works
 
 
 def _receive_models(cell: Cell, recipe: Recipe) -> list[DeviceModel]:
@@ -330,6 +312,7 @@ METHODS: Mapping[str, Arm] = {
         Arm(name="photographs", make=_on_photographs),
         Arm(name="vastgaussian", make=_vast_gaussian),
         Arm(name="fed3dgs", make=join_at_server),
+        *TOGETHER,
     )
 }
 
@@ -345,10 +328,12 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 def methods_table(rows: Sequence[ArmRow]) -> str:
     """A line per scene and method: mean PSNR, the same after a correction of colours, FLIP, seams'
     excess, Gaussians, CPU seconds of all nodes, those until the scene is done if all work at once
-    (`joining_s`), and pixels."""
+    (`joining_s`), pixels, and seconds until the scene is done over links, trainings included
+    (`group_latency.py`)."""
     lines = [
-        "| scene | method | PSNR dB | corrected | FLIP | seam excess dB | Gaussians, or numbers | CPU s | at once s | training Mpx |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| scene | method | PSNR dB | corrected | FLIP | seam excess dB | Gaussians, or numbers | CPU s | at once s | training Mpx |"
+        + "".join(f" scene s at {link} |" for link in LINKS),
+        "|---|---|---|---|---|---|---|---|---|---|" + "---|" * len(LINKS),
     ]
     references = {row.cell: row for row in rows if row.arm == "centralised"}
     for (scene, method), group in _group_rows(rows).items():
@@ -363,6 +348,7 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
         lines.append(
             f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {corrected} | {flip} | {seam} | {size} |"
             f" {means['cpu_s']:.0f} | {at_once} | {means['training_px'] / 1e6:.0f} |"
+            + "".join(f" {'–' if (known := scene_s_at(group, link)) is None else format(known, '.1f')} |" for link in LINKS)
         )
         lines += rounds_lines(method, group)
     return "\n".join(lines)
@@ -372,6 +358,12 @@ def mean_of_all(rows: Sequence[ArmRow], figure: Literal["flip", "psnr_cc_db"]) -
     """A figure over all photographs of the rows; None where one of them has none."""
     known = [value for row in rows for value in getattr(row, figure) if value is not None]
     return float(np.mean(known)) if known and len(known) == sum(len(row.psnr_db) for row in rows) else None
+
+
+def scene_s_at(rows: Sequence[ArmRow], link: Link) -> float | None:
+    """Mean seconds until the scene is done over such links; None where a row does not say it."""
+    known = [time.scene_s for row in rows for time in row.times if time.link == str(link)]
+    return float(np.mean(known)) if known and len(known) == len(rows) else None
 
 
 def size_text(num_gaussians: float, num_parameters: float) -> str:
@@ -430,6 +422,10 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
         if all(row.nodes for row in group):
             value = float(np.mean([joining_s(row.nodes) for row in group]))
             metrics.append(Metric(key=f"{key}.joining_s", value=value, unit="s, all nodes at once", direction="info"))
+        for link in LINKS:
+            if (value := scene_s_at(group, link)) is not None:
+                name = str(link).replace(" ", "_").replace("/", "_per_")
+                metrics.append(Metric(key=f"{key}.scene_s.{name}", value=value, unit="s, all nodes at once", direction="info"))
         if off_path := [row.off_path for row in group if row.off_path is not None]:
             metrics += off_path_metrics(key, off_path)
         if "paper" in groups and method != "paper":

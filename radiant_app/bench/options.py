@@ -10,14 +10,14 @@ from typing import Literal, get_args
 from radiant_core.choices import CutBy, LpipsNetwork
 from radiant_core.errors import BadInput
 
-BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper"]
+BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper", "together"]
 HeldPart = Literal["interleaved", "line"]
 """interleaved: every eighth photograph; line: a whole line of the flight, the middle one first."""
 HoldOut = Literal["interleaved", "line", "both"]
 """both: models without the ones and models without the others, beside each other."""
 _ON_MODELS: tuple[BenchName, ...] = ("train", "methods", "paper")
 ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
-    "scene": ("sfm", *_ON_MODELS),
+    "scene": ("sfm", *_ON_MODELS, "together"),
     "threads": ("raster",),
     "presets": ("train",),
     "budgets_s": ("train",),
@@ -26,7 +26,7 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "num_photographs": ("train",),
     "hold_out": ("train", "methods"),
     "off_path": ("train", "methods"),
-    "long_side_px": _ON_MODELS,
+    "long_side_px": (*_ON_MODELS, "together"),
     "num_steps": ("methods", "paper"),
     "field_steps": ("methods", "paper"),
     "lpips_weights": ("paper",),
@@ -38,7 +38,7 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "num_placements": ("methods",),
     "cut_by": ("methods",),
     "max_gaussians": ("methods",),
-    "out": _ON_MODELS,
+    "out": (*_ON_MODELS, "together"),
     "baseline": ("sfm", "plan", "raster"),
 }
 """Benchmarks by option; an option that is not here is accepted by all."""
@@ -123,7 +123,7 @@ class BenchOptions:
                 raise BadInput(f"{_flag(field.name)} is for {', '.join(accepted_by)}, not for {name}: leave it out.")
             if self.layout == OF_RUN and field.name in _OF_A_LAYOUT and getattr(self, field.name) != field.default:
                 raise BadInput(f"--layout {OF_RUN} uses the plan and settings of the run: leave out {_flag(field.name)}.")
-        if name in ("methods", "paper") and (self.scene is None or self.out is None):
+        if name in ("methods", "paper", "together") and (self.scene is None or self.out is None):
             raise BadInput(f"the benchmark {name} needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
         if self.bless and self.baseline is None:
             raise BadInput("--bless writes the figures into the file of --baseline: name it.")

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from radiant_app.bench.arms import Arm, ArmRow, Arms
 from radiant_app.bench.cells import DEVICE_SPEEDS, Cell, Layout
 from radiant_app.bench.methods import METHODS, curves_of, epochs_arm
+from radiant_app.bench.together import TOGETHER
 from radiant_app.report.progress import track_items
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.seam_error import MIN_IMAGES
@@ -39,6 +40,8 @@ SECOND_SYSTEM = (Layout(num_edges=3, num_devices=2), (1.0, 0.4))
 QUICK_SECOND_SYSTEM = (Layout(num_edges=1, num_devices=2), (1.0, 0.4))
 WINDOW_SHARE = 0.45
 """Of the photograph's width and height, in the picture of a border."""
+_GROUPS = tuple(arm.name for arm in TOGETHER)
+"""Not of the paper's table: nothing is joined in the one, and the other is between both."""
 REGION_METHODS = ("crop", "paper", "ours")
 NAMES = {
     "crop": "cut",
@@ -64,12 +67,16 @@ class Part:
 def main_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     """All methods but Fed3DGS."""
     del quick
-    return _main_table(arms, seeds, [name for name in METHODS if name not in ("ours edges", "fed3dgs")])
+    return _main_table(arms, seeds, [name for name in METHODS if name not in ("ours edges", "fed3dgs", *_GROUPS)])
 
 
 def fed3dgs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     """The same with Fed3DGS, which takes twice the time of any other; a quick run omits it."""
-    return main_part(arms, seeds, quick) if quick else _main_table(arms, seeds, [name for name in METHODS if name != "ours edges"])
+    return (
+        main_part(arms, seeds, quick)
+        if quick
+        else _main_table(arms, seeds, [name for name in METHODS if name not in ("ours edges", *_GROUPS)])
+    )
 
 
 def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Part:

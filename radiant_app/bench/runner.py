@@ -60,6 +60,8 @@ def measure(name: BenchName, options: BenchOptions) -> Sequence[Metric]:
             return _measure_methods(options)
         case "paper":
             return _measure_paper(options)
+        case "together":
+            return _measure_together(options)
 
 
 def _measure_training(options: BenchOptions) -> Sequence[Metric]:
@@ -123,6 +125,16 @@ def _measure_paper(options: BenchOptions) -> Sequence[Metric]:
     metrics = bench_paper(bench)
     typer.echo(f"written: {options.out / 'paper.md'}")
     return metrics
+
+
+def _measure_together(options: BenchOptions) -> Sequence[Metric]:
+    from radiant_app.bench.scaling import ScalingBench, bench_together
+
+    assert options.scene is not None and options.out is not None, "checked with the options"
+    some = {"devices": (1, 2), "num_views": (200, 400), "target_db": 20.0} if options.quick else {}
+    return bench_together(
+        ScalingBench(scene=options.scene, out=options.out, long_side_px=options.long_side_px or (160 if options.quick else 384), **some)
+    )
 
 
 def _draw(plot: Path | None, curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str) -> None:

@@ -34,7 +34,7 @@ class GroupRun:
     cost: GroupCost
     """CPU seconds and bytes of its steps."""
     before_s: Mapping[str, float]
-    """CPU seconds before the first step: of each device until its start is ready, and of the root."""
+    """CPU seconds before the first step: of each device, and of the root for the start."""
 
 
 def train_group(
@@ -61,11 +61,12 @@ def train_group(
     starts = {device: each.start for device, each in prepared.items()}
     start = begin_group(starts, plan, recipe.train, reporter)
     before_s[plan.root] = time.process_time() - begun_s
-    members = GroupMembers(
-        holders={device: hold_share(each, device, start, plan.seat_of(device)) for device, each in prepared.items()},
-        edges=plan.views,
-        has_relays=plan.has_relays,
-    )
+    holders = {}
+    for device, each in prepared.items():
+        begun_s = time.process_time()
+        holders[device] = hold_share(each, device, start, plan.seat_of(device))
+        before_s[device] += time.process_time() - begun_s
+    members = GroupMembers(holders=holders, edges=plan.views, has_relays=plan.has_relays)
     options = fit_options(recipe.backend, reporter, machine, lambda: "")
     result, cost = fit_in_process(start.initial, start.group, members, start.camera_centers, options, time.process_time)
     report_result(start.group.config, start.initial, result, reporter)

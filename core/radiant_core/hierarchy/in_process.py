@@ -2,9 +2,9 @@
 every executor. Once per scene.
 
 What crosses between two nodes passes through the codec, so that the bits are those of a delivery.
-Devices in a group of the recipe train one model: below the cloud it is the scene, below an edge that
-edge's model, which is joined and refined as any other. The reporter of a group's root hears of its
-training, and of nothing else.
+Devices in a group of the recipe train one model: below the cloud it is the scene, below an edge
+that edge's model, which is joined and refined as any other. The reporter of a group's root hears of
+its training, and of nothing else.
 """
 
 from __future__ import annotations
