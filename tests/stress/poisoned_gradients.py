@@ -76,7 +76,7 @@ ATTACKS: dict[str, Attack] = {
     "x 10": _scaled(10),
     "x 3": _scaled(3),
     "sign flipped": _scaled(-1),
-    "flipped, growth honest": lambda sent, layout, rng: _growth(-1)(_scaled(-1)(sent, layout, rng), layout, rng),
+    "flipped but growth": lambda sent, layout, rng: _growth(-1)(_scaled(-1)(sent, layout, rng), layout, rng),
     "noise": _noise,
     "shuffled rows": _shuffled,
     "zeros": _scaled(0),
@@ -86,7 +86,7 @@ ATTACKS: dict[str, Attack] = {
     "seen nowhere": lambda sent, layout, rng: replace(sent, seen=np.zeros_like(sent.seen)),
     "loss 1e9": lambda sent, layout, rng: replace(sent, loss=1e9),
 }
-HONEST, ABSENT, OTHER = "honest", "absent", "another place"
+HONEST, ABSENT, OTHER, OTHER_START = "honest", "absent", "another place", "another place from the start"
 
 
 class Liar:
@@ -117,21 +117,30 @@ class Watched:
     """What honest messages come to: by how much lengths differ from the median of a step, which share
     of the limits they are, and the lowest share of the median that a mean cosine has."""
 
-    most: float = 0.0
-    least: float = 1.0
+    most: np.ndarray | float = 0.0
+    least: np.ndarray | float = 1.0
+    logs: np.ndarray | float = 0.0
+    num_steps: int = 0
     of_limit: float = 0.0
     direction: float = np.inf
 
     def look(self, scrutiny: Scrutiny, sent: Mapping[str, StepGradients], layout: together.Layout) -> None:
         """Look at the messages of a step."""
         lengths = np.array([tensor_lengths(each.values, layout) / each.num_views for each in sent.values() if each.num_views])
-        factors = lengths / np.maximum(np.median(lengths, axis=0), 1e-30)
-        self.most, self.least = max(self.most, factors.max()), min(self.least, factors[:, lengths.any(0)].min())
+        factors = np.where(lengths.any(0), lengths / np.maximum(np.median(lengths, axis=0), 1e-30), 1.0)
+        self.most, self.least = np.maximum(self.most, factors.max(0)).round(2), np.minimum(self.least, factors.min(0)).round(3)
+        if len(factors) == NUM_DEVICES:
+            self.logs, self.num_steps = self.logs + np.log(np.maximum(factors, 1e-3)), self.num_steps + 1
         self.of_limit = max(self.of_limit, (lengths / view_limits(scrutiny.config, layout)).max())
         able = [each for each in scrutiny.standings.values() if each.num_steps >= MIN_STEPS]
         if able:
             usual = float(np.median([each.mean for each in able]))
             self.direction = min(self.direction, *((each.mean + NUM_ERRORS * each.error) / usual for each in able))
+
+    def __str__(self) -> str:
+        steady = np.exp(self.logs / max(self.num_steps, 1))
+        ends = f"of a step {self.least} to {self.most}, of the mean {np.min(steady, 0).round(2)} to {np.max(steady, 0).round(2)}"
+        return f"lengths {ends}, {self.of_limit:.4f} of the limits, direction {self.direction:.2f} of the usual"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,10 +191,12 @@ def train(case: Case, attack: str, watched: Watched, *, checked: bool) -> tuple[
     for device in devices:
         rows = recipe.cameras_of(device)
         views = case.scene.views.select(rows)
-        if attack == OTHER and device in liars:
+        if attack == OTHER_START and device in liars:
             views = other_place(views, case.other.views)
         task = device_task(recipe.device_settings(device), case.scene.training.restricted_to(rows))
         prepared[device] = prepare_share(task, views, Recorder())
+        if attack == OTHER and device in liars:
+            prepared[device] = replace(prepared[device], views=other_place(prepared[device].views, case.other.views))
     start = begin_group({device: each.start for device, each in prepared.items()}, plan, recipe.train, Recorder())
     holders: dict[str, Any] = {device: hold_share(each, device, start, plan) for device, each in prepared.items()}
     for number, device in enumerate(liars):
@@ -231,15 +242,18 @@ def main() -> None:
     parser.add_argument("other", type=Path)
     parser.add_argument("--px", type=int, default=128)
     parser.add_argument("--views", type=int, default=1_000)
-    parser.add_argument("--attacks", default=",".join([ABSENT, HONEST, *ATTACKS, OTHER]))
+    parser.add_argument("--attacks", default=",".join([ABSENT, HONEST, *ATTACKS, OTHER, OTHER_START]))
     parser.add_argument("--unchecked", action="store_true")
     arguments = parser.parse_args()
+    names = arguments.attacks.split(",")
+    if unknown := set(names) - {ABSENT, HONEST, OTHER, OTHER_START, *ATTACKS}:
+        parser.error(f"no attack is called {', '.join(unknown)}: choose from {', '.join(ATTACKS)}")
     torch.set_num_threads(1)
     scene, other = (load_bench_scene(path, arguments.px) for path in (arguments.scene, arguments.other))
     settings = bench_settings(arguments.px, arguments.views)
     cell = deal_cell(scene, ModelCache(folder=Path("unused")), settings, Layout(num_edges=1, num_devices=NUM_DEVICES))
     case = Case(scene=scene, recipe=cell.recipe, other=other, num_views=arguments.views)
-    for attack in arguments.attacks.split(","):
+    for attack in names:
         begun_s = time.process_time()
         watched = Watched()
         splats, inbox = train(case, attack, watched, checked=not arguments.unchecked)

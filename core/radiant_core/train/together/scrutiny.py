@@ -2,7 +2,7 @@
 
     shape         seen, growth and loss as renderings make them                 each message alone
     limit         ‖∂loss/∂x‖ ≤ what any photograph can cause (below)            each message alone
-    usual size    within `FACTOR` of the running median of all senders          three senders or more
+    usual size    within a factor of the running median of all senders          three senders or more
     direction     the mean cosine to the others on rows that they show too      three senders or more
 
 Once per step where messages of devices arrive, after `codec.py` refused what is damaged. Neighbours
@@ -49,14 +49,22 @@ from radiant_core.train.together.gradients import Layout, StepGradients
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 MAX_COLOR = 4.0
 """Times white: no model of photographs is brighter."""
-FACTOR = 6.0
-"""By which a tensor's length may differ from the usual one, in one step."""
+FACTORS = {"logit_opacities": 16.0, "sh0": 8.0, "shN": 8.0, "growth": 8.0}
+FACTOR = 40.0
+"""By which a tensor's length, here of the others, may differ from the usual one in one step: single
+needles that a view looks along have long gradients."""
+STEADY_FACTOR = 4.0
+"""By which lengths, the median over tensors, may differ in the mean over steps."""
+STEADY_STEPS = 8
+"""Before which nobody is left out for that."""
 USUAL_STEPS = 16
 """Over which the usual length is the median of all senders'."""
 MIN_SENDERS = 3
 """Fewer cannot say who of them is wrong."""
-MIN_STEPS = 12
+MIN_STEPS = 4
 """Before which nobody is left out for a direction."""
+MIN_SPREAD = 0.05
+"""A step's cosine is at least so uncertain, whatever few steps say."""
 DIRECTION_STEPS = 200
 """Over which cosines are averaged, later steps counting more."""
 MIN_SHARE = 0.3
@@ -68,6 +76,7 @@ SAMPLE = 8
 MIN_SHARED = 24
 """Gaussians compared that others show too; of fewer a direction says nothing."""
 GROWTH = "growth"
+_TINY = 1e-30
 _ROWS_AT_ONCE = 64
 """Rows whose columns are summed beside each other: numpy is slow along 24 numbers."""
 
@@ -131,12 +140,20 @@ def check_shape(gradients: StepGradients, config: TrainConfig, layout: Layout) -
 
 @dataclass(kw_only=True)
 class Standing:
-    """How the directions of a sender agree with those of the others: decayed sums over steps."""
+    """How a sender agrees with the others: decayed sums over steps of the cosine, its square and
+    the logarithm of its lengths over the usual ones."""
 
     weight: float = 0.0
     total: float = 0.0
     squares: float = 0.0
     num_steps: int = 0
+    sizes: float = 0.0
+    num_sizes: int = 0
+
+    def add_size(self, log: float) -> None:
+        """Count a step's lengths; the mean is over the first steps, then it follows the later."""
+        self.num_sizes += 1
+        self.sizes += (log - self.sizes) / min(self.num_sizes, DIRECTION_STEPS)
 
     def add(self, cosine: float) -> None:
         """Count a step."""
@@ -153,7 +170,7 @@ class Standing:
     def error(self) -> float:
         """The standard error of the mean."""
         spread = max(self.squares / max(self.weight, 1.0) - self.mean**2, 0.0)
-        return math.sqrt(spread / max(self.weight, 1.0))
+        return math.sqrt(max(spread, MIN_SPREAD**2) / max(self.weight, 1.0))
 
 
 @dataclass(kw_only=True)
@@ -180,38 +197,42 @@ class Scrutiny:
             reason = check_shape(gradients, self.config, layout) or _beyond(lengths[name], limits, layout)
             if reason is not None:
                 reasons[name] = reason
-        reasons |= self._unusual({name: each for name, each in lengths.items() if name not in reasons}, layout)
+        reasons |= self._unusual(step, {name: each for name, each in lengths.items() if name not in reasons}, layout)
         self._compare(step, {name: each for name, each in judged.items() if name not in reasons}, num_splats, layout)
         reasons |= {name: self.left_out[name] for name in judged if name in self.left_out}
         return reasons
 
     def state(self) -> dict[str, Any]:
         """What a checkpoint keeps, as JSON."""
-        standings = {name: [each.weight, each.total, each.squares, each.num_steps] for name, each in self.standings.items()}
+        standings = {name: vars(each).copy() for name, each in self.standings.items()}
         return {"secret": self.secret, "left_out": dict(self.left_out), "standings": standings, "recent": list(self.recent)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from `state`."""
         self.secret, self.left_out = int(state["secret"]), dict(state["left_out"])
-        names = ("weight", "total", "squares", "num_steps")
-        self.standings = {name: Standing(**dict(zip(names, each, strict=True))) for name, each in state["standings"].items()}
+        self.standings = {name: Standing(**each) for name, each in state["standings"].items()}
         self.recent = deque(state["recent"], maxlen=USUAL_STEPS)
 
-    def _unusual(self, lengths: Mapping[str, NDArray[np.float64]], layout: Layout) -> dict[str, str]:
-        """Those whose lengths differ by `FACTOR` from the median of all senders, in this step and
+    def _unusual(self, step: int, lengths: Mapping[str, NDArray[np.float64]], layout: Layout) -> dict[str, str]:
+        """Those whose lengths differ by a factor from the median of all senders, in this step and
         in the last ones: sizes of photographs and numbers of Gaussians change for all at once."""
         if len(lengths) < MIN_SENDERS:
             return {}
+        names, reasons = tensor_names(layout), dict[str, str]()
+        factors = np.array([FACTORS.get(name, FACTOR) for name in names])
         now = np.array(list(lengths.values()))
         self.recent.append(now.tolist())
         usual = np.median(now, axis=0), np.median(np.concatenate([np.array(each) for each in self.recent]), axis=0)
-        least, most = np.minimum(*usual) / FACTOR, np.maximum(*usual) * FACTOR
-        reasons = {}
+        least, most = np.minimum(*usual) / factors, np.maximum(*usual) * factors
         for name, each in lengths.items():
             wrong = np.flatnonzero((each > most) | (each < least))
             if len(wrong):
-                tensor, usually = tensor_names(layout)[wrong[0]], float(usual[1][wrong[0]])
-                reasons[name] = f"its {tensor} are {each[wrong[0]]:.3g} long, usual are {usually:.3g}"
+                reasons[name] = f"its {names[wrong[0]]} are {each[wrong[0]]:.3g} long, usual are {usual[1][wrong[0]]:.3g}"
+            standing = self.standings.setdefault(name, Standing())
+            standing.add_size(float(np.median(np.log(np.maximum(each, _TINY) / np.maximum(usual[0], _TINY)))))
+            if standing.num_sizes >= STEADY_STEPS and abs(standing.sizes) > math.log(STEADY_FACTOR):
+                times = math.exp(standing.sizes)
+                self.left_out[name] = f"left out from step {step + 1} on: its gradients are {times:.3g} times as long as those of others"
         return reasons
 
     def _compare(self, step: int, sent: Mapping[str, StepGradients], num_splats: int, layout: Layout) -> None:
@@ -253,7 +274,7 @@ def _cosines(sent: Mapping[str, StepGradients], phase: int, num_splats: int, lay
         sampled = np.flatnonzero(gradients.rows % SAMPLE == phase)
         at = gradients.rows[sampled] // SAMPLE
         part = np.concatenate([gradients.values[sampled, columns] for columns in compared], axis=1)
-        part /= max(float(np.linalg.norm(part)), 1e-30)
+        part /= max(float(np.linalg.norm(part)), _TINY)
         total[at] += part
         count[at] += 1
         parts[name] = at, part

@@ -19,9 +19,9 @@ from radiant_core.train.together.codec import encode_gradients
 from radiant_core.train.together.gradients import Layout, StepGradients
 from radiant_core.train.together.roles import Inbox
 from radiant_core.train.together.scrutiny import (
-    FACTOR,
     MAX_COLOR,
     SAMPLE,
+    STEADY_STEPS,
     Scrutiny,
     check_shape,
     pixel_limit,
@@ -136,7 +136,7 @@ def test_poison_is_refused_by_name_in_the_first_step(name: str) -> None:
 def test_who_contradicts_the_others_is_left_out_for_good(kind: str) -> None:
     scrutiny, rng, refused_at = Scrutiny(config=CONFIG), np.random.default_rng(5), {}
     for step in range(60):
-        sent = step_of(6, step)
+        sent = step_of(6, step, agree=0.5)
         for name in ("d1", "d4"):
             values = sent[name].values.copy()
             gradient = values[:, : LAYOUT.growth]
@@ -158,7 +158,7 @@ def test_two_senders_do_not_judge_each_other() -> None:
     scrutiny = Scrutiny(config=CONFIG)
     for step in range(60):
         sent = step_of(2, step)
-        sent["d1"] = replace(sent["d1"], values=np.abs(sent["d1"].values) * np.float32(2 * FACTOR))
+        sent["d1"] = replace(sent["d1"], values=np.abs(sent["d1"].values) * np.float32(20))
         assert scrutiny.refuse(step, sent, NUM_SPLATS, LAYOUT) == {}
 
 
@@ -178,6 +178,16 @@ def test_a_restored_scrutiny_decides_as_the_one_that_went_on() -> None:
     assert one == two
     assert "d3" in whole.left_out
     assert second.state() == whole.state()
+
+
+def test_who_is_always_much_longer_is_left_out() -> None:
+    scrutiny = Scrutiny(config=CONFIG)
+    for step in range(STEADY_STEPS + 1):
+        sent = step_of(4, step)
+        sent["d2"] = replace(sent["d2"], values=np.float32(6) * sent["d2"].values)
+        reasons = scrutiny.refuse(step, sent, NUM_SPLATS, LAYOUT)
+    assert set(reasons) == {"d2"}
+    assert "times as long as those of others" in scrutiny.left_out["d2"]
 
 
 def test_a_change_of_size_for_all_is_no_poison() -> None:
