@@ -16,6 +16,7 @@ from radiant_core.train.results import TrainResult
 from radiant_core.train.together.codec import ErrorFeedback, decode_gradients, decode_limits, encode_limits, peek_gradients
 from radiant_core.train.together.gradients import Layout, StepGradients, sum_gradients
 from radiant_core.train.together.replica import Group, Replica
+from radiant_core.train.together.scrutiny import Scrutiny
 
 
 class Holder:
@@ -61,25 +62,31 @@ class Inbox:
     most_views: Mapping[str, int]
     """Views of a step that each sender has at most."""
     refused: dict[str, list[str]] = field(default_factory=dict)
+    scrutiny: Scrutiny | None = None
+    """Refuses what no photographs cause; None: all that is finite counts."""
 
     def read(self, messages: Mapping[str, bytes], step: int, num_splats: int, layout: Layout) -> list[StepGradients]:
         """The gradients that can be used, in the order of the senders."""
-        usable = []
+        sent, reasons = dict[str, StepGradients](), dict[str, str]()
         for name in self.most_views:
             if name not in messages:
                 continue
             try:
-                usable.append(decode_gradients(messages[name], step, num_splats, layout, self.most_views[name]))
+                sent[name] = decode_gradients(messages[name], step, num_splats, layout, self.most_views[name])
             except BadInput as error:
-                self.refused.setdefault(name, []).append(f"step {step + 1}: {error}")
-        return usable
+                reasons[name] = str(error)
+        if self.scrutiny is not None:
+            reasons |= self.scrutiny.refuse(step, sent, num_splats, layout)
+        for name, reason in reasons.items():
+            self.refused.setdefault(name, []).append(f"step {step + 1}: {reason}")
+        return [gradients for name, gradients in sent.items() if name not in reasons]
 
 
 class Relay:
     """An edge that sums what its holders send, for a root above it."""
 
     def __init__(self, most_views: Mapping[str, int], layout: Layout, group: Group) -> None:
-        self.inbox = Inbox(most_views=most_views)
+        self.inbox = Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config))
         self._layout, self._group = layout, group
         self.feedback = ErrorFeedback()
         self.num_sent = 0
@@ -100,7 +107,7 @@ class Root:
 
     def __init__(self, replica: Replica, most_views: Mapping[str, int], camera_centers: FloatArray, group: Group) -> None:
         """`camera_centers` (C,3) of all photographs; `most_views` of a step by sender."""
-        self.replica, self.inbox = replica, Inbox(most_views=most_views)
+        self.replica, self.inbox = replica, Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config))
         self._centers, self._group = camera_centers, group
         self.feedback = ErrorFeedback()
 

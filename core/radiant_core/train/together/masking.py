@@ -1,0 +1,177 @@
+"""Masks that cancel in a sum: who sums gradients sees the sum, and noise from each device.
+
+    q     round(x / 2^e) of all N rows, int32; e per column, from the total of the step before
+    sent  q_i + Σ_{j > i} r_ij − Σ_{j < i} r_ji   (mod 2³²),   r_ij = ChaCha20(K_ij, step) on both
+    Σ     of what all D send = Σ q_i (mod 2³²), exact in any order
+
+Once per step and device, O(D N K). Bonawitz 2017 without its shares: a device that is lost in a
+step takes the step with it, `unmask_sum` refuses the sum, and the step is repeated or left out.
+K_ij is from X25519 of the pair, the public keys signed as all messages are, and a run's id.
+
+Whether a Gaussian is shown would say where cameras look, so that all rows travel, and how often it
+is seen is one of the columns. What stays open: the loss and the number of views in the head, which
+are sums only at the receiver; with D − 1 devices that collude with it, the gradient of the last;
+with two devices, each knows the other's from the sum. `Scrutiny` cannot look at one device behind
+a mask: of its rules only `check_sum`, on the sum, is left.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
+from cryptography.hazmat.primitives.ciphers import Cipher
+from cryptography.hazmat.primitives.ciphers.algorithms import ChaCha20
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.kdf.hkdf import HKDF
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.together.gradients import Layout, StepGradients
+from radiant_core.train.together.scrutiny import tensor_lengths, tensor_names, view_limits
+
+_HEAD = struct.Struct("<4sxxxxQQQ")
+"""Mark, step, Gaussians of the model, columns."""
+_MARK = b"RSM1"
+HEAD_ROOM_BITS = 6
+"""A value may be 2⁶ times the largest of the step before; beyond it is cut."""
+FIRST_EXPONENT = -26
+"""Of the unit of the first step, before which no total says how large gradients are."""
+LOSS_UNIT = 2.0**-20
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskKeys:
+    """What a device shares with each other device of its sum: 32 bytes by name; its own name is
+    not among them."""
+
+    name: str
+    pairs: Mapping[str, bytes]
+
+    @staticmethod
+    def agree(name: str, private: X25519PrivateKey, publics: Mapping[str, bytes], run_id: str) -> MaskKeys:
+        """The keys of a run, from the raw public keys of all other devices; BadInput for one that
+        is none."""
+        pairs = {}
+        for other, public in publics.items():
+            if other == name:
+                continue
+            try:
+                shared = private.exchange(X25519PublicKey.from_public_bytes(public))
+            except ValueError as error:
+                raise BadInput(f"{other} sends no X25519 key of 32 bytes: it has to send its public key again.") from error
+            first, second = sorted((name, other))
+            info = f"radiant masks {run_id} {first} {second}".encode()
+            pairs[other] = HKDF(algorithm=SHA256(), length=32, salt=None, info=info).derive(shared)
+        return MaskKeys(name=name, pairs=pairs)
+
+    def mask(self, step: int, count: int) -> NDArray[np.uint32]:
+        """What this device adds to `count` numbers of a step (from 0)."""
+        total = np.zeros(count, np.uint32)
+        # The counter of ChaCha20 begins at 0 in each step: 256 GB of one stream.
+        nonce = struct.pack("<QQ", 0, step)
+        for other, key in self.pairs.items():
+            stream = Cipher(ChaCha20(key, nonce), mode=None).encryptor().update(bytes(4 * count))
+            drawn = np.frombuffer(stream, "<u4")
+            total = total + drawn if self.name < other else total - drawn
+        return total
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FixedPoint:
+    """The units 2^e of the columns of a step, exponents (K,) int64: those of a layout; then how
+    often a Gaussian is seen, which is whole."""
+
+    exponents: NDArray[np.int64]
+
+    @staticmethod
+    def first(layout: Layout) -> FixedPoint:
+        """Of the first step."""
+        return FixedPoint(exponents=np.full(layout.num_columns, FIRST_EXPONENT))
+
+    def next(self, total: StepGradients, num_senders: int, layout: Layout) -> FixedPoint:
+        """Of the step after `total`: by tensor, so that `num_senders` values 2^`HEAD_ROOM_BITS`
+        times its largest do not overflow. All who took the total get the same."""
+        if not len(total.rows):
+            return self
+        exponents = self.exponents.copy()
+        bits = 31 - HEAD_ROOM_BITS - int(np.ceil(np.log2(max(num_senders, 2))))
+        for columns in [*layout.columns.values(), slice(layout.growth, layout.growth + 1)]:
+            largest = float(np.abs(total.values[:, columns]).max(initial=0))
+            if largest > 0:
+                exponents[columns] = int(np.frexp(largest)[1]) - bits
+        return FixedPoint(exponents=exponents)
+
+    def quantise(self, gradients: StepGradients, num_splats: int, num_senders: int) -> NDArray[np.int32]:
+        """(N K' + 2,) of all rows, K' columns and `seen`, then views and loss; cut where a sum of
+        `num_senders` could overflow."""
+        columns = len(self.exponents) + 1
+        numbers = np.zeros(num_splats * columns + 2, np.int32)
+        table = numbers[:-2].reshape(num_splats, columns)
+        most = (2**31 - 1) // num_senders
+        wanted = np.rint(np.ldexp(gradients.values.astype(np.float64), -self.exponents))
+        table[gradients.rows, :-1] = np.clip(wanted, -most, most)
+        table[gradients.rows, -1] = gradients.seen
+        numbers[-2:] = gradients.num_views, np.clip(round(gradients.loss / LOSS_UNIT), -most, most)
+        return numbers
+
+    def restore(self, numbers: NDArray[np.int32], num_splats: int) -> StepGradients:
+        """What a sum of numbers stands for: the rows that are seen or not 0."""
+        table = numbers[:-2].reshape(num_splats, len(self.exponents) + 1)
+        rows = np.flatnonzero(table.any(axis=1))
+        values = np.ldexp(table[rows, :-1].astype(np.float64), self.exponents).astype(np.float32)
+        seen = np.clip(table[rows, -1], 0, np.iinfo(np.uint16).max).astype(np.uint16)
+        num_views = int(np.clip(numbers[-2], 0, np.iinfo(np.uint16).max))
+        return StepGradients(num_views=num_views, loss=float(numbers[-1]) * LOSS_UNIT, rows=rows, values=values, seen=seen)
+
+
+def encode_masked(gradients: StepGradients, step: int, num_splats: int, unit: FixedPoint, keys: MaskKeys) -> bytes:
+    """The masked message of a device for a step (from 0); BadInput for radii on screen, whose
+    largest is no sum."""
+    if gradients.radii_px is not None:
+        raise BadInput("radii on screen do not travel under masks: set prune_radius_px to none, or do not mask.")
+    numbers = unit.quantise(gradients, num_splats, len(keys.pairs) + 1).view(np.uint32)
+    masked = numbers + keys.mask(step, len(numbers))
+    return _HEAD.pack(_MARK, step, num_splats, len(unit.exponents)) + masked.astype("<u4").tobytes()
+
+
+def sum_masked(messages: Sequence[bytes], step: int, num_splats: int, num_columns: int) -> NDArray[np.uint32]:
+    """Σ mod 2³² of the numbers of messages of one step and model; BadInput where one is not."""
+    count = num_splats * (num_columns + 1) + 2
+    total = np.zeros(count, np.uint32)
+    for message in messages:
+        if len(message) != _HEAD.size + 4 * count:
+            raise BadInput(f"masked gradients are {len(message)} bytes, expected {_HEAD.size + 4 * count}.")
+        mark, *head = _HEAD.unpack_from(message)
+        if mark != _MARK or head != [step, num_splats, num_columns]:
+            raise BadInput(f"masked gradients are of step {head[0]} and {head[1]} Gaussians, expected step {step} and {num_splats}.")
+        total += np.frombuffer(message, "<u4", count, _HEAD.size)
+    return total
+
+
+def unmask_sum(messages: Mapping[str, bytes], senders: Sequence[str], step: int, num_splats: int, unit: FixedPoint) -> StepGradients:
+    """The sum of a step whose masks cancel. BadInput where a sender is missing: masks stay then,
+    and all senders must send the step again without it, under keys without it."""
+    missing = [name for name in senders if name not in messages]
+    if missing:
+        raise BadInput(f"step {step + 1} has no message of {', '.join(missing)}, and masks cancel only in the sum of all: repeat the step.")
+    total = sum_masked([messages[name] for name in senders], step, num_splats, len(unit.exponents))
+    return unit.restore(total.view(np.int32), num_splats)
+
+
+def check_sum(total: StepGradients, most_views: int, config: TrainConfig, layout: Layout) -> str | None:
+    """Why the sum of a step counts for nothing, in words, or None: all that can be looked at under
+    masks, where one device that lies takes the step of all with it."""
+    if not 0 < total.num_views <= most_views:
+        return f"the sum is of {total.num_views} views, expected 1 to {most_views}"
+    if len(total.seen) and int(total.seen.max()) > total.num_views:
+        return f"a Gaussian is seen in {int(total.seen.max())} of {total.num_views} views"
+    lengths = tensor_lengths(total.values, layout) / total.num_views
+    wrong = np.flatnonzero(~(lengths <= view_limits(config, layout)))
+    if len(wrong):
+        return f"{tensor_names(layout)[wrong[0]]} of the sum are longer than photographs cause"
+    return None

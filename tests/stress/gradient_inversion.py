@@ -1,0 +1,188 @@
+"""What the gradient of a step tells of its photographs: python -m tests.stress.gradient_inversion SCENE [--px 64] [--steps 30,300]
+[--cases 1:float32,1:bfloat16,2:bfloat16,4:bfloat16] [--iterations 150].
+
+The attacker is who receives a message: it has the model before the step, the settings, which Gaussians the views show and
+their gradient, and is given the cameras (that rows tell them is measured first). It renders with the plain renderer, which
+has second derivatives, and moves the pixels of the photographs until the gradient that they would cause is the one that
+came (Geiping 2020; the model is known, so that the renders are where it starts). L1 has no second derivative: |x| is
+√(x² + τ²) in the attacker's loss, τ falling. SCENE is a folder of `radiant sfm`. PSNR, mean over the views: what is recovered, beside
+the render of the model at these cameras, which whoever has the joined model and the cameras can make as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from radiant_app.bench.cells import bench_settings, load_bench_scene
+from radiant_core.cameras import Cameras
+from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.hierarchy.device import prepare_training
+from radiant_core.hierarchy.messages import DeviceTask
+from radiant_core.hierarchy.reporter import Recorder
+from radiant_core.render.contract import SplatTensors
+from radiant_core.render.rasterize import rasterize
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.densify.policies import NoDensification
+from radiant_core.train.losses import ssim_map
+from radiant_core.train.together.codec import decode_gradients, encode_gradients
+from radiant_core.train.together.gradients import Layout, StepFormat
+from radiant_core.train.together.replica import Group, Replica, Share
+from radiant_core.train.trainer import FitOptions, fit_splats
+from radiant_core.train.views import TrainingViews
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """What an attacker has of a step: rows (R,), dense gradients by tensor, as they came."""
+
+    rows: np.ndarray
+    gradients: dict[str, Tensor]
+
+
+def send(splats: Splats, views: TrainingViews, config: TrainConfig, form: StepFormat) -> Message:
+    """The gradient of all of `views`, as it travels."""
+    config = replace(config, start_scale=1.0, density=NoDensification(), drop_gaussians="none")
+    group = Group(config=config, num_photographs=len(views), views_per_step=len(views), extent=1.0, form=form)
+    replica = Replica(splats, group, FitOptions(backend="native"), Share(views=views, num_views=len(views), first=0))
+    message = encode_gradients(replica.contribute(), 0, len(splats), replica.layout, form)
+    came = decode_gradients(message, 0, len(splats), replica.layout, len(views))
+    return Message(rows=came.rows, gradients=_dense(came.values, came.rows, replica.layout, splats))
+
+
+def _dense(values: np.ndarray, rows: np.ndarray, layout: Layout, splats: Splats) -> dict[str, Tensor]:
+    dense = {}
+    for name, columns in layout.columns.items():
+        table = torch.zeros(splats.arrays()[name].shape)
+        table[rows] = torch.from_numpy(values[:, columns]).reshape(len(rows), *table.shape[1:])
+        dense[name] = table
+    return dense
+
+
+def attack(
+    splats: Splats, cameras: Cameras, message: Message, config: TrainConfig, iterations: int
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What is recovered, and the renders, (H,W,3) of each camera."""
+    tensors = SplatTensors.from_splats(splats)
+    leaves = {name: tensor.requires_grad_() for name, tensor in tensors.tensors().items()}
+    width, height = cameras.sizes_wh[0]
+    renders = []
+    for view in range(len(cameras)):
+        viewmat, K = (torch.tensor(array[view : view + 1]).float() for array in (cameras.cam_from_world, cameras.Ks))
+        output = rasterize(replace(tensors, **leaves), viewmat, K, int(width), int(height), sh_degree=config.sh_degree, backend="reference")
+        renders.append(output.images[0])
+    pictures = [render.detach().clone().clamp(0, 1).requires_grad_() for render in renders]
+    adam = torch.optim.Adam(pictures, lr=0.02)
+    wanted = {name: message.gradients[name] for name in message.gradients if message.gradients[name].numel()}
+    lengths = {name: float(each.norm()) for name, each in wanted.items()}
+    for iteration in range(iterations):
+        share = iteration / iterations
+        for each in adam.param_groups:
+            each["lr"] = 0.02 * (1 - share) + 0.001
+        soft = 0.05 * 0.02**share
+        loss = sum((_loss(x, y, config.ssim_weight, soft) for x, y in zip(renders, pictures, strict=True)), torch.zeros(()))
+        made = torch.autograd.grad(loss, [leaves[name] for name in wanted], create_graph=True)
+        miss = torch.stack([((g - wanted[name]) ** 2).sum() / lengths[name] ** 2 for name, g in zip(wanted, made, strict=True)]).sum()
+        smooth = torch.stack([(y.diff(dim=0).abs().mean() + y.diff(dim=1).abs().mean()) for y in pictures]).sum()
+        adam.zero_grad()
+        moved = torch.autograd.grad(miss + 1e-3 * smooth, pictures, retain_graph=True)
+        for picture, gradient in zip(pictures, moved, strict=True):
+            picture.grad = gradient
+        adam.step()
+        with torch.no_grad():
+            for picture in pictures:
+                picture.clamp_(0, 1)
+    return [each.detach().numpy() for each in pictures], [each.detach().clamp(0, 1).numpy() for each in renders]
+
+
+def _loss(image: Tensor, target: Tensor, ssim_weight: float, soft: float) -> Tensor:
+    errors = (1 - ssim_weight) * ((image - target) ** 2 + soft**2).sqrt().mean()
+    return errors + ssim_weight * (1 - ssim_map(image, target).mean())
+
+
+def rows_at(splats: Splats, camera: Cameras) -> np.ndarray:
+    """Which Gaussians (N,) bool a camera shows."""
+    width, height = camera.sizes_wh[0]
+    viewmat, K = torch.tensor(camera.cam_from_world).float(), torch.tensor(camera.Ks).float()
+    with torch.no_grad():
+        output = rasterize(SplatTensors.from_splats(splats), viewmat, K, int(width), int(height), sh_degree=0, backend="native")
+    return output.visible.numpy()
+
+
+def find_camera(splats: Splats, camera: Cameras, rows: np.ndarray, tries: int) -> tuple[float, float]:
+    """How far, m and °, from `camera` a search ends that knows `rows` and starts some metres beside it: the pose whose rows
+    overlap most, by random steps that shrink."""
+    shown = np.zeros(len(splats), bool)
+    shown[rows] = True
+    rng = np.random.default_rng(0)
+    distance = float(np.median(np.linalg.norm(splats.means[rows] - camera.centers[0], axis=1)))
+
+    def moved(pose: np.ndarray, share: float) -> np.ndarray:
+        turn, _ = np.linalg.qr(np.eye(3) + share * rng.normal(size=(3, 3)) * (1 - np.eye(3)))
+        turn *= np.sign(np.diag(turn))
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = turn, share * distance * rng.normal(size=3)
+        return step @ pose
+
+    def overlap(pose: np.ndarray) -> float:
+        there = rows_at(splats, replace(camera, cam_from_world=pose[None]))
+        return float((there & shown).sum() / max((there | shown).sum(), 1))
+
+    best = moved(camera.cam_from_world[0], 0.1)
+    score, share = overlap(best), 0.1
+    for _ in range(tries):
+        candidate = moved(best, share)
+        if (reached := overlap(candidate)) > score:
+            best, score = candidate, reached
+        else:
+            share = max(1e-3, 0.985 * share)
+    true, found = camera.cam_from_world[0], best
+    center_m = float(np.linalg.norm(found[:3, :3].T @ found[:3, 3] - true[:3, :3].T @ true[:3, 3]))
+    cosine = (np.trace(found[:3, :3] @ true[:3, :3].T) - 1) / 2
+    return center_m, float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def main() -> None:
+    """Print a row per model and message."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--px", type=int, default=64)
+    parser.add_argument("--steps", default="30,300")
+    parser.add_argument("--cases", default="1:float32,1:bfloat16,2:bfloat16,4:bfloat16")
+    parser.add_argument("--iterations", type=int, default=150)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    scene = load_bench_scene(arguments.scene, arguments.px)
+    for steps in map(int, arguments.steps.split(",")):
+        train = replace(bench_settings(arguments.px, steps).train, light="none")
+        prepared = prepare_training(DeviceTask(scene=scene.training, train=train, backend="native"), scene.views, Recorder())
+        splats = fit_splats(prepared.initial, prepared.views, prepared.config, prepared.options).splats
+        first = prepared.views.select([0])
+        rows = send(splats, first, train, "float32").rows
+        away_m, away_deg = find_camera(splats, first.cameras, rows, 400)
+        print(
+            f"{steps} steps, {len(splats)} Gaussians, {len(rows)} shown: camera by rows {away_m:.2f} m, {away_deg:.2f} deg off", flush=True
+        )
+        for case in arguments.cases.split(","):
+            begun_s = time.process_time()
+            count, form = int(case.split(":")[0]), case.split(":")[1]
+            views = prepared.views.select(range(count))
+            message = send(splats, views, train, "float32" if form == "float32" else "bfloat16")
+            recovered, renders = attack(splats, views.cameras, message, train, arguments.iterations)
+            photographs = [np.asarray(image) / 255 for image in views.images]
+            ours, theirs = (
+                np.mean([psnr_db(a, b) for a, b in zip(pictures, photographs, strict=True)]) for pictures in (recovered, renders)
+            )
+            cpu_s = time.process_time() - begun_s
+            print(f"    {count} views, {form}: recovered {ours:.2f} dB, render {theirs:.2f} dB, {cpu_s:.0f} CPU s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
