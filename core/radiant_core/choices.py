@@ -22,7 +22,8 @@ CutBy = Literal["auto", "positions", "looks"]
 """positions: regions and strips are cut where cameras stand; looks: where they look; auto: where
 they look if that makes strips hold clearly more of what their own devices see."""
 DevicesUsed = Literal["auto", "all"]
-"""auto: as many devices as one owner's photographs are worth, the fastest; all: every one."""
+"""auto: as many devices as one owner's photographs are worth, the fastest; all: every one of the
+system. A number of devices is what this machine is divided into where there is no system."""
 StepPolicy = Literal["per_photograph", "fixed"]
 """per_photograph: a device's steps follow its photographs, so that all together take as many as
 with a fixed number each; fixed: every device takes the same number."""

@@ -24,6 +24,8 @@ class Plan:
     system: System
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
+    num_workers: int | None = None
+    """Trainings that this machine's memory holds side by side; None: as many as it has cores."""
 
 
 class Source(Photographs, Protocol):

@@ -12,11 +12,12 @@ import pytest
 from radiant_app.commands.doctor_forecast import forecast
 from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.events import Decided, Event, Warned
-from radiant_app.files.system_file import even_system
+from radiant_app.files.system_file import dump_system, even_system
 from radiant_app.run import few_photographs, pooled
 from radiant_app.run.few_photographs import ENOUGH_PER_DEVICE, FEW_AT_ALL, FEW_PER_DEVICE, choose_workforce, num_devices_worth
 from radiant_app.run.pipeline import run
 from radiant_app.run.predictions import planned_training
+from radiant_app.run.this_machine import MACHINE_NAME
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
 from radiant_core.plan.profiles.cost_curves import CostCurve
@@ -108,7 +109,8 @@ def test_all_devices_work_where_they_are_asked_for(plan: PlanOptions, said: str)
 def test_a_run_of_few_photographs_is_one_devices_and_says_so(hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pooled, "choose_workforce", few_photographs.choose_workforce)
     events: list[Event] = []
-    config = RunConfig(source=hamlet, out=tmp_path / "run", train=TINY)
+    (tmp_path / "system.toml").write_text(dump_system(even_system(2, 2)))
+    config = RunConfig(source=hamlet, system=tmp_path / "system.toml", out=tmp_path / "run", train=TINY)
     result = run(config, events.append)
     _, edge_plans = load_plan(config.out / "plan.json")
     assert [plan.device_ids for plan in edge_plans] == [("edge-1-1",)]
@@ -134,9 +136,10 @@ def test_a_run_begun_before_there_was_a_choice_goes_on_with_all_devices(finished
     del record["config"]["plan"]["devices"]
     del record["sha256"]
     (before.out / "manifest.json").write_text(json.dumps(record))
+    (before.out / MACHINE_NAME).unlink()
     with pytest.raises(BadInput, match="begun with another --devices"):
         run(replace(before, plan=PlanOptions()), resume=True)
-    again = run(before, resume=True)
+    again = run(replace(before, plan=PlanOptions(devices="all")), resume=True)
     assert again.metrics["psnr_db"] == result.metrics["psnr_db"]
 
 
