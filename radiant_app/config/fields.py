@@ -65,13 +65,13 @@ class ConfigField:
     @property
     def typed_kind(self) -> Any:
         """The type of its option's value, as a job file has it too."""
-        return str | self.checked_kind if self.option is not None and self.option.parse is not None else self.checked_kind
+        return str if self.option is not None and self.option.parse is not None else self.checked_kind
 
     def of_option(self, value: Any) -> Any:
         """The value of an option of that type."""
         if self.is_path:
             return path_of_text(str(value), self.option_name)
-        return self.option.parse(value) if self.option is not None and self.option.parse is not None and isinstance(value, str) else value
+        return self.option.parse(value) if self.option is not None and self.option.parse is not None else value
 
     def read(self, value: Any, kind: str | None = None) -> Any:
         """The value in a `kind` of file, or the text given to `--set`; "none" is None. BadInput
