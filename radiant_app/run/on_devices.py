@@ -29,7 +29,7 @@ from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.run.source import Plan
 from radiant_app.run.stages import costs_of_run, load_plan_before_capture, load_plan_in_frame, plan_stage, warn_about_predictions
-from radiant_app.run.this_machine import divide, divided_system
+from radiant_app.run.this_machine import divide, system_divided
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_app.workers.scores import Claimable
 from radiant_app.workers.tasks import HELD_OUT_NAME, FieldTask, PlacingTask, SfmSettings
@@ -111,8 +111,9 @@ class DevicePhotographs:
         if len(positions) < 2:
             raise BadInput(f"{len(positions)} training photographs have a position, expected at least 2: give more photographs with GPS.")
         if self.folders is None:
-            division = divide(config, planned_training(config.train.preset, config.train.overrides), len(positions))
-            system = divided_system(config, system, division, progress)
+            division = divide(config, system, planned_training(config.train.preset, config.train.overrides), len(positions))
+            if division is not None:
+                system = system_divided(config, division, progress)
             system, cloud, edges = plan_stage(config, system, positions, captured.origin, progress)
             return Plan(system=system, cloud=cloud, edges=edges, num_workers=None if division is None else division.at_once)
         if captured.cell_middles is None and config.cell_m is not None:

@@ -25,7 +25,7 @@ from radiant_app.run.scoring import Scoring, ScoringMachine, lpips_network_of
 from radiant_app.run.source import Plan
 from radiant_app.run.source_key import source_key
 from radiant_app.run.stages import plan_stage
-from radiant_app.run.this_machine import divide, divided_system
+from radiant_app.run.this_machine import divide, system_divided
 from radiant_app.workers.sources import sfm_task
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME
 from radiant_core.aggregate.tree import Tree
@@ -84,8 +84,9 @@ class PooledPhotographs:
         config, training = self.config, self.training
         train = planned_training(config.train.preset, config.train.overrides)
         pixels = training.cameras.scaled(train.long_side_px).sizes_wh.prod(axis=1)
-        division = divide(config, train, len(training.cameras), float(pixels.mean()))
-        system = divided_system(config, system, division, progress)
+        division = divide(config, system, train, len(training.cameras), float(pixels.mean()))
+        if division is not None:
+            system = system_divided(config, division, progress)
         if division is None or division.forced:
             working = choose_workforce(config, system, len(training.cameras), train)
         else:

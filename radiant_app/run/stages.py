@@ -221,7 +221,7 @@ def make_recipe(config: RunConfig, plan: Plan, num_devices: int, progress: Progr
 
 
 def workers_of(config: RunConfig, plan: Plan) -> int:
-    """Processes at a time of a run: as many as the user asks for, else as cores and memory allow."""
+    """Processes at a time: as many as the user asks for, else as cores and memory allow."""
     asked = config.execution
     return asked.num_workers if asked.max_workers or plan.num_workers is None else min(asked.num_workers, plan.num_workers)
 

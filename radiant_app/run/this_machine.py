@@ -32,7 +32,7 @@ from radiant_core.train.memory import TrainingMemory, training_memory
 MACHINE_NAME = "this_machine.json"
 """The choice, in the run's folder."""
 MEMORY_SHARE = 0.8
-"""Of free memory, for trainings; the rest is left to the run itself and to what else happens here."""
+"""Of free memory, for trainings; the rest is left to the run itself and to what else runs here."""
 LEAST_PHOTOGRAPHS = 10
 """Of a device: below, a joined model is worse whatever memory says (`few_photographs.py`)."""
 NUM_PLAYED = 4
@@ -114,8 +114,8 @@ class Division:
 
 
 def machine_of(num_devices: int) -> System:
-    """So many equal devices, on at most as many edges as each of these has devices. The edge of a lone
-    device passes its model on."""
+    """So many equal devices, on at most as many edges as each of these has devices. The edge of a
+    lone device passes its model on."""
     num_edges = max(count for count in range(1, math.isqrt(num_devices) + 1) if num_devices % count == 0)
     system = even_system(num_edges, num_devices // num_edges)
     if num_devices > 1:
@@ -138,10 +138,12 @@ def system_of(config: RunConfig) -> System:
 
 
 def is_one_device(config: RunConfig) -> bool:
-    """Whether a run is this machine's alone, which names no other. It is not where machines work
-    elsewhere (a cluster, a network), where devices have folders of their own, where a plan, a method
-    of dividing or the paper's joining is asked for, and where an earlier version began it: these
-    have `NUM_PLAYED` devices."""
+    """Whether a run that names no machines is this one's alone.
+
+    It is not where others work (a cluster, a network), where devices have folders of their own,
+    where a plan, a method of dividing or the paper's joining is asked for, and where an earlier
+    version began it: these have `NUM_PLAYED` devices.
+    """
     plan, elsewhere = config.plan, config.execution.executor != "local"
     if config.system_file is not None or elsewhere or plan.file is not None or plan.method != "exact" or config.aggregate.preset == "paper":
         return False
@@ -150,11 +152,14 @@ def is_one_device(config: RunConfig) -> bool:
     return config.frames == "shared" or device_folders(config.source, machine_of(NUM_PLAYED)) is None
 
 
-def divide(config: RunConfig, train: TrainConfig, num_photographs: int, pixels_each: float | None = None) -> Division | None:
+def divide(
+    config: RunConfig, system: System, train: TrainConfig, num_photographs: int, pixels_each: float | None = None
+) -> Division | None:
     """How this machine divides a run of so many training photographs.
 
     Args:
         config: the run; what was decided for it once stays.
+        system: that of the run, as `system_of` has it.
         train: the training of its devices.
         num_photographs: those of all devices together.
         pixels_each: of one at the size of the training, in the mean; None: 4:3.
@@ -169,18 +174,16 @@ def divide(config: RunConfig, train: TrainConfig, num_photographs: int, pixels_e
     if path.is_file():
         return Division(**read_json(path, [each.name for each in fields(Division)]))
     asked = config.plan.devices if isinstance(config.plan.devices, int) else None
-    if asked is None and not is_one_device(config):
+    if asked is None and (len(system.devices) > 1 or not is_one_device(config)):
         return None
     division = divided(lambda count: training_memory(train, count, pixels_each), num_photographs, available_bytes(), asked)
     write_json(path, asdict(division))
     return division
 
 
-def divided_system(config: RunConfig, system: System, division: Division | None, progress: Progress) -> System:
-    """The system of a division, its models in the bytes of the run's uploads; says what was decided.
-    Without a division the system stays."""
-    if division is None:
-        return system
+def system_divided(config: RunConfig, division: Division, progress: Progress) -> System:
+    """The system of a division, its models in the bytes of the run's uploads; says what was
+    decided."""
     progress.listen(Decided(decision=division.decision))
     if division.warning is not None:
         progress.listen(Warned(stage="plan", message=division.warning))

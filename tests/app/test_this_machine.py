@@ -233,8 +233,8 @@ def test_devices_are_given_by_options_settings_and_files() -> None:
 
 def test_the_choice_is_kept_whole(tmp_path: Path) -> None:
     config = RunConfig(source=tmp_path, out=tmp_path)
-    made = this_machine.divide(config, TRAIN, 50)
-    assert isinstance(made, Division) and this_machine.divide(config, TRAIN, 70) == made
+    made = this_machine.divide(config, machine_of(1), TRAIN, 50)
+    assert isinstance(made, Division) and this_machine.divide(config, machine_of(1), TRAIN, 70) == made
     (tmp_path / MACHINE_NAME).write_text('{"num_devices": 1}')
     with pytest.raises(BadInput, match=r"this_machine\.json is no JSON object with"):
-        this_machine.divide(config, TRAIN, 50)
+        this_machine.divide(config, machine_of(1), TRAIN, 50)

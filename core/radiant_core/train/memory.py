@@ -102,9 +102,16 @@ class TrainingMemory:
 
 
 def training_memory(config: TrainConfig, num_photographs: int, pixels_each: float | None = None) -> TrainingMemory:
-    """What a training of so many photographs of `pixels_each`, at the size of the training, takes by
-    the model above on `PROCESS_BYTES`; None: of 4:3. Growth goes as far as `needs.most_splats` lets
-    it."""
+    """What a training of so many photographs takes, by the model above on `PROCESS_BYTES`.
+
+    Args:
+        config: the training; growth goes as far as `needs.most_splats` lets it.
+        num_photographs: all that it is trained on.
+        pixels_each: of one at the size of the training, in the mean; None: 4:3.
+
+    Returns:
+        Its bytes, with little and with all that the loss keeps.
+    """
     pixels = 0.75 * config.long_side_px**2 if pixels_each is None else pixels_each
     per_splat = pixels_per_splat(fit_dropping(config, num_photographs)[0], num_photographs)
     planned = config.max_num_splats if per_splat is None else max(MIN_PLANNED, int(num_photographs * pixels / per_splat))
