@@ -31,7 +31,7 @@ from radiant_core.plan.profiles.curve_fit import FittedCurve
 from radiant_core.plan.profiles.profile import Profile
 from radiant_core.plan.timeline.refining import AT_CLOUD, AT_EDGE, AT_EDGE_LATER, predict_round
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.memory import most_cameras, training_memory
+from radiant_core.train.memory import training_memory
 from radiant_core.train.needs import Overrides
 
 FAR = 2.0
@@ -54,8 +54,8 @@ class Forecast:
     machine: str
     key: str
     """The training that the times hold for."""
-    most_photographs: int | None = None
-    """The most photographs of a device that memory holds; None where all fit."""
+    shortage: str | None = None
+    """What to do where memory holds no training, however photographs are divided; None: it does."""
 
     @property
     def text(self) -> str:
@@ -77,8 +77,6 @@ def forecast(num_photographs: int, profile: Path, free_bytes: int) -> Forecast:
     division = divided(lambda count: training_memory(train, count), num_trained, free_bytes)
     alone = division.num_devices == 1
     stages = list(_stages_of_one(curves, num_photographs) if alone else _stages(curves, train, num_photographs, division))
-    each = math.ceil(num_trained / division.num_devices)
-    most = most_cameras(train, division.budget_bytes, lambda count: float(train.max_num_splats), each)
     return Forecast(
         num_photographs=num_photographs,
         parts_s={stage: seconds for stage, seconds, _ in stages if seconds is not None},
@@ -86,7 +84,7 @@ def forecast(num_photographs: int, profile: Path, free_bytes: int) -> Forecast:
         extrapolated=tuple(stage for stage, _, far in stages if far),
         machine=curves.machine,
         key=str(curves.key),
-        most_photographs=None if division.warning is None else most,
+        shortage=division.warning,
     )
 
 

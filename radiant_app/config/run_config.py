@@ -312,9 +312,9 @@ class RunConfig:
     out: Path
     """Folder of the run, new or empty; a batch has one beside its file."""
     system: Path | None = None
-    """TOML of edges and devices; else this machine is the only device, or two edges with two devices
-    each where photographs lie in folders of devices, or a plan, another method of dividing, the
-    paper's preset or a cluster is asked for."""
+    """TOML of edges and devices; else this machine is the only device, or two edges with two
+    devices each where photographs lie in folders of devices, or a plan, another method of dividing,
+    the paper's preset or a cluster is asked for."""
     emulate: Path | None = None
     """System whose speeds and uplinks are played on this machine."""
     frames: Frames = "shared"

@@ -60,7 +60,7 @@ def room_for(num_photographs: int) -> int:
 def test_a_run_is_one_training_where_memory_holds_it(curves: Path) -> None:
     found = forecast(80, curves, free_bytes=64 * 10**9)
     assert found.parts_s == pytest.approx({"structure from motion": 160.0, "device": 4 + 10 + 80})
-    assert found.unknown == ("edge",) and found.most_photographs is None
+    assert found.unknown == ("edge",) and found.shortage is None
 
 
 def test_a_run_takes_what_its_stages_take_one_wave_after_another(curves: Path) -> None:
@@ -76,12 +76,14 @@ def test_a_run_takes_what_its_stages_take_one_wave_after_another(curves: Path) -
     at_edges, devices_s = (1 + 2 * 0.5) * math.ceil(2 / workers) * 4, math.ceil(4 / workers) * (1.2 * 4 + 1.4 * 31 * 168 / 1500)
     assert more == pytest.approx(rounds * (devices_s + 0.5 * 4) + at_edges)
     assert found.unknown == ("cloud",) and found.extrapolated == ("structure from motion",)
-    assert found.most_photographs is None and "unknown: cloud; extrapolated: structure from motion;" in found.text
+    assert found.shortage is None and "unknown: cloud; extrapolated: structure from motion;" in found.text
 
 
-def test_memory_limits_the_photographs_of_a_device(curves: Path) -> None:
-    enough, little = (forecast(4000, curves, free_bytes=gigabytes * 10**9).most_photographs for gigabytes in (64, 2))
-    assert enough is None and little is not None and little < 1000
+def test_memory_divides_a_run_and_what_is_too_little_is_said(curves: Path) -> None:
+    whole, divided, none = (forecast(4000, curves, free_bytes=round(gigabytes * 1e9)) for gigabytes in (64, 2, 0.4))
+    assert "device" in whole.parts_s and "devices" in divided.parts_s
+    assert whole.shortage is None and divided.shortage is None
+    assert none.shortage is not None and "lower --max-splats or --long-side-px" in none.shortage
 
 
 def test_every_lack_has_a_line_with_what_mends_it(monkeypatch: pytest.MonkeyPatch) -> None:
