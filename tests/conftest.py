@@ -38,7 +38,7 @@ from tests import forked
 pytest.MonkeyPatch().setattr(local, "LEAST_FORKED", 1)
 pytest.MonkeyPatch().setattr(local, "open_server", forked.open_server_of_tests)
 pytest.MonkeyPatch().setattr(local, "start_server", forked.start_server_of_tests)
-# Runs of the smallest scene are dealt to all four devices; tests of `--devices auto` undo this.
+# Runs of the smallest scene are dealt to all devices of their system; tests of `--devices auto` undo this.
 pytest.MonkeyPatch().setattr(pooled, "choose_workforce", lambda config, system, *rest: Workforce(system=system))
 forked.keep_until_the_end()
 atexit.register(forked.end_all)

@@ -22,7 +22,8 @@ CutBy = Literal["auto", "positions", "looks"]
 """positions: regions and strips are cut where cameras stand; looks: where they look; auto: where
 they look if that makes strips hold clearly more of what their own devices see."""
 DevicesUsed = Literal["auto", "all"]
-"""auto: as many devices as one owner's photographs are worth, the fastest; all: every one."""
+"""auto: as many devices as one owner's photographs are worth, the fastest; all: every one of the
+system. A number of devices is what this machine is divided into where there is no system."""
 TrainedAs = Literal["auto", "together", "joined"]
 """together: machines train one model and add up gradients in every step; joined: each trains a
 model of its own, and these are joined; auto: what is done sooner by the predicted times."""

@@ -168,6 +168,6 @@ def _run_of(num_photographs: int, profile: Path | None, *, has_scenes: bool) -> 
         return Finding(name=name, ok=False, needed=False, found=ELSEWHERE, advice=advice)
     found = forecast(num_photographs, profile, available_bytes())
     text = found.text
-    if found.most_photographs is not None:
-        text += f"; memory holds {found.most_photographs} photographs per device at full size, beyond that Gaussians get fewer"
+    if found.shortage is not None:
+        text += f"; {found.shortage}"
     return Finding(name=name, ok=True, needed=False, found=text)

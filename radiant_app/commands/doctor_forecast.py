@@ -1,14 +1,16 @@
 """What a run of so many photographs will take on this machine, by curves of `radiant profile`.
 
-A run without options: two edges with two devices each, `num_workers` processes at a time.
-
-    sfm(N) + ⌈4 / W⌉ (G + F) + ⌈2 / W⌉ F_m(N/2) + merge(N)
-    + rounds (⌈4 / W⌉ r + G / 2) + (rounds + 1) / 2 · ⌈2 / W⌉ G
-
-seconds, with W workers, G and F of N/4 photographs and r what `plan.timeline.refining` says of a
-device's round. Few photographs are one device's, whose model nobody joins or refines:
+A run without options is one device's, whose model nobody joins or refines:
 
     sfm(N) + G(N) + F(N) + F_m(N) of one device
+
+Where memory does not hold a training of all N photographs, it is that of D devices on E edges, W
+processes at a time (`run.this_machine`), and takes, in seconds,
+
+    sfm(N) + ⌈D / W⌉ (G + F) + ⌈E / W⌉ F_m(N/E) + merge(N)
+    + rounds (⌈D / W⌉ r + G / 2) + (rounds + 1) / 2 · ⌈E / W⌉ G
+
+with G and F of N/D photographs and r what `plan.timeline.refining` says of a device's round.
 
 Scoring and the report come on top. Once per call.
 """
@@ -22,17 +24,16 @@ from pathlib import Path
 
 from radiant_app.config.run_config import ExecutionOptions
 from radiant_app.files.profile_file import load_profile
-from radiant_app.run.few_photographs import num_devices_worth
 from radiant_app.run.predictions import joining_shares, planned_training, refining_law_of
+from radiant_app.run.this_machine import Division, divided
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.plan.profiles.curve_fit import FittedCurve
 from radiant_core.plan.profiles.profile import Profile
 from radiant_core.plan.timeline.refining import AT_CLOUD, AT_EDGE, AT_EDGE_LATER, predict_round
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.memory import most_cameras
+from radiant_core.train.memory import training_memory
 from radiant_core.train.needs import Overrides
 
-NUM_DEVICES, NUM_EDGES = 4, 2
 FAR = 2.0
 """A curve is extrapolated beyond so many times the photographs it was measured with."""
 Stage = tuple[str, float | None, bool]
@@ -53,8 +54,8 @@ class Forecast:
     machine: str
     key: str
     """The training that the times hold for."""
-    most_photographs: int | None = None
-    """The most photographs of a device that memory holds; None where all fit."""
+    shortage: str | None = None
+    """What to do where memory holds no training, however photographs are divided; None: it does."""
 
     @property
     def text(self) -> str:
@@ -70,15 +71,12 @@ class Forecast:
 def forecast(num_photographs: int, profile: Path, free_bytes: int) -> Forecast:
     """Predict a run without options from a curve file; BadInput for a file that is none."""
     curves = load_profile(profile)
-    workers = min(NUM_DEVICES, ExecutionOptions().num_workers)
     train = planned_training("default", Overrides())
     # Every eighth is held out of training.
-    if alone := num_devices_worth(num_photographs - math.ceil(num_photographs / 8), NUM_DEVICES) == 1:
-        stages = list(_stages_of_one(curves, num_photographs))
-    else:
-        stages = list(_stages(curves, train, num_photographs, workers))
-    each = num_photographs if alone else math.ceil(num_photographs / NUM_DEVICES)
-    most = most_cameras(train, free_bytes / (1 if alone else workers), lambda count: float(train.max_num_splats), each)
+    num_trained = num_photographs - math.ceil(num_photographs / 8)
+    division = divided(lambda count: training_memory(train, count), num_trained, free_bytes)
+    alone = division.num_devices == 1
+    stages = list(_stages_of_one(curves, num_photographs) if alone else _stages(curves, train, num_photographs, division))
     return Forecast(
         num_photographs=num_photographs,
         parts_s={stage: seconds for stage, seconds, _ in stages if seconds is not None},
@@ -86,15 +84,17 @@ def forecast(num_photographs: int, profile: Path, free_bytes: int) -> Forecast:
         extrapolated=tuple(stage for stage, _, far in stages if far),
         machine=curves.machine,
         key=str(curves.key),
-        most_photographs=most if most < each else None,
+        shortage=division.warning,
     )
 
 
-def _stages(curves: Profile, train: TrainConfig, num_photographs: int, workers: int) -> Iterator[Stage]:
-    per_device, per_edge = (math.ceil(num_photographs / parts) for parts in (NUM_DEVICES, NUM_EDGES))
-    at_edges, at_cloud = joining_shares(train, AggregateConfig(), num_photographs, NUM_DEVICES)
+def _stages(curves: Profile, train: TrainConfig, num_photographs: int, division: Division) -> Iterator[Stage]:
+    num_devices, num_edges = division.num_devices, len(division.system.edges)
+    workers = min(num_devices, division.at_once, ExecutionOptions().num_workers)
+    per_device, per_edge = (math.ceil(num_photographs / parts) for parts in (num_devices, num_edges))
+    at_edges, at_cloud = joining_shares(train, AggregateConfig(), num_photographs, num_devices)
     share_of = {"edges": at_edges, "cloud": at_cloud}
-    waves_of = {"devices": math.ceil(NUM_DEVICES / workers), "edges": math.ceil(NUM_EDGES / workers)}
+    waves_of = {"devices": math.ceil(num_devices / workers), "edges": math.ceil(num_edges / workers)}
     for stage, fits, count in (
         ("structure from motion", (curves.sfm_s,), num_photographs),
         ("devices", (curves.init_s, curves.train_s), per_device),
@@ -102,7 +102,7 @@ def _stages(curves: Profile, train: TrainConfig, num_photographs: int, workers: 
         ("cloud", (curves.merge_s,), num_photographs),
     ):
         yield _stage(stage, fits, count, share_of.get(stage, 1.0) * waves_of.get(stage, 1))
-    law = refining_law_of(train, AggregateConfig(), num_photographs, NUM_DEVICES)
+    law = refining_law_of(train, AggregateConfig(), num_photographs, num_devices)
     beside_s, trained_s = (float(fit.curve(per_device)) for fit in (curves.init_s, curves.train_s))
     device_s = predict_round(law, beside_s=beside_s, train_s=trained_s, num_photographs=per_device)
     at_edges = waves_of["edges"] * (AT_EDGE + (law.num_rounds - 1) * AT_EDGE_LATER)

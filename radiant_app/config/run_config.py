@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
@@ -48,6 +48,8 @@ SIZES = ("long_side_px", "num_steps", "max_num_splats")
 """Fields of `TrainConfig` that have an option of their own."""
 MAX_SEED = 2**31 - 1
 """What numpy, torch and COLMAP all take."""
+MAX_DEVICES = 1_000
+"""Devices that one machine is divided into; each is a process of its own."""
 
 RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
     "default": {},
@@ -65,6 +67,16 @@ RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
     },
 }
 """Preset of a run → path of a field → its value where that is not the field's default."""
+
+
+def _devices_of(text: str) -> DevicesUsed | int:
+    """The devices that a user types: auto, all or a number of them."""
+    if (choice := text.strip().lower()) in get_args(DevicesUsed):
+        return cast("DevicesUsed", choice)
+    try:
+        return int(choice)
+    except ValueError:
+        raise BadInput(f"--devices is {text!r}, expected auto, all, or a number of devices of this machine.") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,9 +182,10 @@ class PlanOptions:
     cut_by: CutBy = "auto"
     """positions: regions and strips are cut where cameras stand; looks: at what they look at; auto:
     at that where it makes devices see clearly more of their own strips."""
-    devices: DevicesUsed = "auto"
-    """auto: where one owner's photographs are few, the fastest devices alone, which was better in
-    six of seven cells; all: every device, as gps and known do anyway."""
+    devices: Annotated[DevicesUsed | int, Option(metavar="auto|all|N", shown="auto", parse=_devices_of)] = "auto"
+    """auto: of a system, the fastest devices alone where one owner's photographs are few, which was
+    better in six of seven cells; without one, this machine as one device where memory holds all
+    photographs. all: every device, as gps and known do anyway. N: this machine as so many."""
     within_edge: TrainedAs = "auto"
     """together: the devices of an edge train one model and add up gradients in every step; joined:
     each trains its own; auto: what is predicted to be done sooner, by speeds, links and size."""
@@ -201,6 +214,8 @@ class PlanOptions:
             raise BadInput(f"{names} is for Alg. 1 and the plan's method is {self.method}: use paper or paper-literal, or leave it out.")
         if self.between_edges == "together" and self.within_edge == "joined":
             raise BadInput("--between-edges together and --within-edge joined exclude each other: leave one of them out.")
+        if isinstance(self.devices, int) and not 1 <= self.devices <= MAX_DEVICES:
+            raise BadInput(f"--devices is {self.devices}, expected auto, all, or 1 to {MAX_DEVICES} devices of this machine.")
         if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:
             raise BadInput(f"raster_cell_m is {self.raster_cell_m}, expected a side in metres, or 0 to plan from positions.")
         if self.file is not None and self.method != "exact":
@@ -322,7 +337,9 @@ class RunConfig:
     out: Path
     """Folder of the run, new or empty; a batch has one beside its file."""
     system: Path | None = None
-    """TOML of edges and devices; else two edges with two each."""
+    """TOML of edges and devices; else this machine is the only device, or two edges with two
+    devices each where photographs lie in folders of devices, or a plan, another method of dividing,
+    the paper's preset or a cluster is asked for."""
     emulate: Path | None = None
     """System whose speeds and uplinks are played on this machine."""
     frames: Frames = "shared"
@@ -364,6 +381,11 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.system is not None and self.emulate is not None:
             raise BadInput("--system and --emulate both name a system: keep one of them.")
+        if isinstance(self.plan.devices, int) and (self.system_file is not None or self.execution.executor == "network"):
+            raise BadInput(
+                f"--devices {self.plan.devices} divides this machine, and the run has machines of its own: use --devices all, or leave out "
+                "the system or the network."
+            )
         if self.emulated and self.execution.max_workers:
             raise BadInput("an emulated run runs all its devices at once: leave the number of workers out.")
         if self.execution.executor == "ray" and (self.emulated or self.execution.max_workers):

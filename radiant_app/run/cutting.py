@@ -99,6 +99,11 @@ def choose_cut(scene: SfmScene | None, wanted: CutBy, method: PlanMethod, make: 
     return Cut(looks=looks if takes else None, decision=decision)
 
 
+def leave_whole() -> Cut:
+    """No cut, where one device has all photographs."""
+    return _stand("auto", "one device has all photographs, so that nothing is cut")
+
+
 def looks_pay(stand: float | None, look: float | None) -> bool:
     """Whether κ of a plan that is cut where cameras stand and of one where they look are those of a
     scene that gains from the latter; None: κ cannot be told."""

@@ -25,10 +25,12 @@ from radiant_app.run.dealing import Dealer, count_received
 from radiant_app.run.delivered import save_delivered
 from radiant_app.run.grouping import choose_run_groups
 from radiant_app.run.prediction_error import save_system
+from radiant_app.run.predictions import planned_training
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.run.source import Plan
 from radiant_app.run.stages import costs_of_run, load_plan_before_capture, load_plan_in_frame, plan_stage, warn_about_predictions
+from radiant_app.run.this_machine import divide, system_divided
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_app.workers.scores import Claimable
 from radiant_app.workers.tasks import HELD_OUT_NAME, FieldTask, PlacingTask, SfmSettings
@@ -110,8 +112,12 @@ class DevicePhotographs:
         if len(positions) < 2:
             raise BadInput(f"{len(positions)} training photographs have a position, expected at least 2: give more photographs with GPS.")
         if self.folders is None:
+            division = divide(config, system, planned_training(config.train.preset, config.train.overrides), len(positions))
+            if division is not None:
+                system = system_divided(config, division, progress)
             system, cloud, edges = plan_stage(config, system, positions, captured.origin, progress)
-            return Plan(system=system, cloud=cloud, edges=edges, groups=choose_run_groups(config, system, edges, progress))
+            groups = choose_run_groups(config, system, edges, progress.listen) if division is None or division.holds_all else ()
+            return Plan(system=system, cloud=cloud, edges=edges, groups=groups, num_workers=None if division is None else division.at_once)
         if captured.cell_middles is None and config.cell_m is not None:
             positions = middles_of_cells(positions, config.cell_m)
         weighed = weigh_claims(owners, progress)
@@ -121,7 +127,7 @@ class DevicePhotographs:
         save_plan(config.out / "plan.json", cloud, edges, warnings=warn_about_predictions(config, system, edges, progress, note))
         save_system(config.out, system)
         self._warn_of_idle(system, set(owners), progress)
-        groups = choose_run_groups(config, system, edges, progress, photographs_move=False)
+        groups = choose_run_groups(config, system, edges, progress.listen, photographs_move=False)
         return Plan(system=system, cloud=cloud, edges=edges, groups=groups)
 
     def _plan_of_owners(

@@ -107,7 +107,7 @@ class CloudRun:
         scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
         progress.manifest.keep_stages({*nodes, *refines, *scores})
         progress.listen(Outlined(stages=(*nodes, *refines, *scores)))
-        listen = make_time_left_listener(self.config, plan.system, plan.edges, progress)
+        listen = make_time_left_listener(self.config, plan, progress)
         for row in planned_stages(plan.system, plan.edges):
             self.expected_s[row.node] = self.expected_s.get(row.node, 0.0) + row.seconds
         self._executor(progress, listen).fold(tree, lambda node: self._prepare(node, dealer, devices), listen)

@@ -22,7 +22,6 @@ from radiant_app.executors.fork_server import keep_servers
 from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
 from radiant_app.files.run_folder import Manifest, open_run
-from radiant_app.files.system_file import even_system, load_system
 from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
 from radiant_app.report.ground_control import placing_of_run, survey_of_run
@@ -47,6 +46,7 @@ from radiant_app.run.stages import (
     require_plan,
     scale_for_uploads,
 )
+from radiant_app.run.this_machine import system_of
 from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
 from radiant_app.workers.sources import SURVEY, detect_source
@@ -148,7 +148,7 @@ def _check_system(config: RunConfig) -> System:
     """Load the system and check the settings against it, before any stage runs."""
     if config.frames == "shared":
         detect_source(config.source)
-    system = even_system(2, 2) if config.system_file is None else load_system(config.system_file)
+    system = system_of(config)
     if config.emulated:
         require_emulable(system)
     if config.plan.file is not None:
@@ -200,13 +200,13 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     progress.manifest.keep_stages({*before, *after, *nodes, *expected})
     located = [stage for stage in before if stage in progress.manifest.stages]
     progress.listen(Outlined(stages=(*located, *nodes, *expected, *after)))
-    listen = make_time_left_listener(config, plan.system, plan.edges, progress)
+    listen = make_time_left_listener(config, plan, progress)
     retry_policy = RetryPolicy(may_fail=photographs.may_fail, deadlines=listen)
     if photographs.positions is not None:
         reassignment = Reassignment(dealer=dealer, positions=photographs.positions, tree=tree, first_plan_key=first_key, listen=listen)
         retry_policy = replace(retry_policy, on_given_up=reassignment)
     retry_policy = replace(retry_policy, on_given_up=tell_parents(config.out, recipe, retry_policy.on_given_up))
-    executor = make_executor(config, plan.system, progress, retry_policy)
+    executor = make_executor(config, plan, progress, retry_policy)
     executor.fold(tree, dealer.prepare, listen)
     end_groups(config.out, recipe)
     if not dealer.has_model("cloud"):
@@ -218,21 +218,21 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     absent = {f"devices/{device}/score" for device in dealer.missing_devices()}
     after = [stage for stage in after if stage not in absent]
     progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refines, *after)))
-    rounds = _refine(config, rounds, plan.system, progress)
+    rounds = _refine(config, rounds, plan, progress)
     refined = [node.id for each in rounds for node in each.tree or () if each.is_done(node.id)]
     progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refined, *after)))
     photographs.score(dealer, executor, progress)
     return dealer, tree, rounds
 
 
-def _refine(config: RunConfig, rounds: Sequence[Refining], system: System, progress: Progress) -> tuple[Refining, ...]:
+def _refine(config: RunConfig, rounds: Sequence[Refining], plan: Plan, progress: Progress) -> tuple[Refining, ...]:
     """Refine the joined scene on the devices; it stays as it is where none of them can."""
 
     def fold(refining: Refining, tree: Tree) -> None:
         times = expected_times(refining, progress.manifest)
         deadlines = RefiningDeadlines(expected_s=times, deadline_factor=config.execution.deadline_factor)
         policy = RetryPolicy(may_fail=lambda node, error: True, deadlines=deadlines)
-        make_executor(config, system, progress, policy).fold(tree, refining.prepare, progress.listen)
+        make_executor(config, plan, progress, policy).fold(tree, refining.prepare, progress.listen)
 
     return fold_rounds(rounds, fold, progress.listen)
 

@@ -18,7 +18,7 @@ from radiant_app.events import Decided, Warned
 from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.dealing import Dealer, count_received, deal_files, deal_masks
-from radiant_app.run.few_photographs import choose_workforce
+from radiant_app.run.few_photographs import Workforce, choose_workforce
 from radiant_app.run.grouping import choose_run_groups
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.progress import Progress
@@ -26,6 +26,7 @@ from radiant_app.run.scoring import Scoring, ScoringMachine, lpips_network_of
 from radiant_app.run.source import Plan
 from radiant_app.run.source_key import source_key
 from radiant_app.run.stages import plan_stage
+from radiant_app.run.this_machine import divide, system_divided
 from radiant_app.workers.sources import sfm_task
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME
 from radiant_core.aggregate.tree import Tree
@@ -83,15 +84,22 @@ class PooledPhotographs:
         """The plan of the training photographs."""
         config, training = self.config, self.training
         train = planned_training(config.train.preset, config.train.overrides)
-        working = choose_workforce(config, system, len(training.cameras), train)
+        pixels = training.cameras.scaled(train.long_side_px).sizes_wh.prod(axis=1)
+        division = divide(config, system, train, len(training.cameras), float(pixels.mean()))
+        if division is not None:
+            system = system_divided(config, division, progress)
+        if division is None or division.forced:
+            working = choose_workforce(config, system, len(training.cameras), train)
+        else:
+            working = Workforce(system=system)
         if working.decision is not None:
             progress.listen(Decided(decision=working.decision))
         origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
         system, cloud, edges = plan_stage(config, working.system, training.cameras.centers[:, :2], origin, progress, training)
         if working.warning is not None:
             progress.listen(Warned(stage="plan", message=working.warning))
-        groups = choose_run_groups(config, system, edges, progress)
-        return Plan(system=system, cloud=cloud, edges=edges, groups=groups)
+        groups = choose_run_groups(config, system, edges, progress.listen) if division is None or division.holds_all else ()
+        return Plan(system=system, cloud=cloud, edges=edges, groups=groups, num_workers=None if division is None else division.at_once)
 
     def check(self, train: TrainConfig) -> None:
         """Raise BadInput where photographs cannot be scored at the size of the training."""

@@ -27,6 +27,8 @@ class Plan:
     edges: tuple[EdgePlan, ...]
     groups: tuple[GroupPlan, ...] = ()
     """Machines that train together; none where all models are joined."""
+    num_workers: int | None = None
+    """Trainings that this machine's memory holds side by side; None: as many as it has cores."""
 
 
 class Source(Photographs, Protocol):

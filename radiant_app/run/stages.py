@@ -13,7 +13,7 @@ from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.run.cloud_planning import place_edges_by_raster, plan_at_cloud
-from radiant_app.run.cutting import choose_cut, plan_places
+from radiant_app.run.cutting import choose_cut, leave_whole, plan_places
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import (
     planned_training,
@@ -127,7 +127,10 @@ def _make_plan(
         return place_edges_by_raster(system, places, origin, config.cell_m, config.seed)
 
     method, paper = config.plan.method, config.plan.paper
-    cut = choose_cut(scene, config.plan.cut_by, method, lambda places: plan_places(places, place(places), method, paper))
+    if len(system.devices) == 1 and config.plan.cut_by == "auto":
+        cut = leave_whole()
+    else:
+        cut = choose_cut(scene, config.plan.cut_by, method, lambda places: plan_places(places, place(places), method, paper))
     progress.listen(Decided(decision=cut.decision))
     places = cut.places_of(positions)
     system = place(places)
@@ -217,15 +220,21 @@ def make_recipe(config: RunConfig, plan: Plan, num_devices: int, progress: Progr
     return recipe
 
 
-def make_executor(config: RunConfig, system: System, progress: Progress, retry_policy: RetryPolicy) -> Executor:
+def workers_of(config: RunConfig, plan: Plan) -> int:
+    """Processes at a time: as many as the user asks for, else as cores and memory allow."""
+    asked = config.execution
+    return asked.num_workers if asked.max_workers or plan.num_workers is None else min(asked.num_workers, plan.num_workers)
+
+
+def make_executor(config: RunConfig, plan: Plan, progress: Progress, retry_policy: RetryPolicy) -> Executor:
     """Return the executor of a run: local, emulated or a Ray cluster."""
     retry_policy = replace(retry_policy, max_attempts=ATTEMPTS)
     if config.execution.address is not None:
         from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
 
         return RayExecutor(address=config.execution.address, log=config.out / LOG_NAME, clock=progress.clock, retry_policy=retry_policy)
-    local = LocalExecutor(num_workers=config.execution.num_workers, clock=progress.clock, retry_policy=retry_policy)
-    return EmulatedExecutor(system=system, local=local) if config.emulated else local
+    local = LocalExecutor(num_workers=workers_of(config, plan), clock=progress.clock, retry_policy=retry_policy)
+    return EmulatedExecutor(system=plan.system, local=local) if config.emulated else local
 
 
 def begin_executor(config: RunConfig) -> None:
@@ -234,13 +243,13 @@ def begin_executor(config: RunConfig) -> None:
         LocalExecutor(num_workers=config.execution.num_workers).begin()
 
 
-def make_time_left_listener(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> TimeLeftListener:
+def make_time_left_listener(config: RunConfig, plan: Plan, progress: Progress) -> TimeLeftListener:
     """Return a listener that forwards events and adds the time left after devices and edges."""
     return TimeLeftListener(
         listen=progress.listen,
-        system=system,
-        edge_plans=edge_plans,
-        num_workers=config.execution.num_workers,
+        system=plan.system,
+        edge_plans=plan.edges,
+        num_workers=workers_of(config, plan),
         emulated=config.emulated,
         clock=progress.clock,
         deadline_factor=config.execution.deadline_factor,

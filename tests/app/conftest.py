@@ -17,7 +17,7 @@ from radiant_app.run.pipeline import run
 from radiant_core.hierarchy import refining_plan
 from radiant_core.sfm.config import SfmConfig
 from tests.app.blank_reports import blank_pictures
-from tests.app.pipeline_kit import ALL, TINY, Finished
+from tests.app.pipeline_kit import FOUR, TINY, Finished
 
 __all__ = ["blank_pictures", "finished", "hamlet", "hamlet_scene", "paper_models", "short_rounds"]
 
@@ -33,7 +33,7 @@ def finished(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Finished
     shutil.copytree(hamlet, folder / "photos")
     whole = next(hamlet.iterdir()).read_bytes()
     (folder / "photos" / "cut.jpg").write_bytes(whole[: len(whole) // 2])
-    config = RunConfig(source=folder / "photos", out=folder / "hamlet", train=TINY, plan=ALL)
+    config = RunConfig(source=folder / "photos", out=folder / "hamlet", train=TINY, plan=FOUR)
     events: list[Event] = []
     return config, run(config, events.append), events
 

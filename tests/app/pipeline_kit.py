@@ -12,8 +12,8 @@ from tests.forked import run_module
 Finished = tuple[RunConfig, RunResult, list[Event]]
 """A finished run, as the fixture `finished` gives it to all tests of a session."""
 TINY = TrainOptions(long_side_px=96, num_steps=100, max_num_splats=1500)
-ALL = PlanOptions(devices="all")
-"""Its ten photographs are few: processes of their own would leave three of four devices out."""
+FOUR = PlanOptions(devices=4)
+"""Two edges with two devices each, which a machine alone would not be."""
 TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats)
 
 

@@ -12,9 +12,12 @@ from typer.testing import CliRunner
 from radiant_app.cli.app import app
 from radiant_app.commands import doctor
 from radiant_app.commands.doctor_forecast import duration_text, forecast
-from radiant_app.config.run_config import ExecutionOptions
+from radiant_app.run.predictions import planned_training
+from radiant_app.run.this_machine import MEMORY_SHARE
 from radiant_core.errors import BadInput
 from radiant_core.extras import EXTRAS
+from radiant_core.train.memory import training_memory
+from radiant_core.train.needs import Overrides
 
 CURVES = """
 kind = "measured"
@@ -49,24 +52,38 @@ def curves(tmp_path: Path) -> Path:
     return tmp_path / "machine.toml"
 
 
-def test_a_run_takes_what_its_stages_take_one_wave_after_another(curves: Path) -> None:
+def room_for(num_photographs: int) -> int:
+    """Free bytes with room for one training of so many photographs, and of no more."""
+    return round(training_memory(planned_training("default", Overrides()), num_photographs).needed_bytes / MEMORY_SHARE) + 1
+
+
+def test_a_run_is_one_training_where_memory_holds_it(curves: Path) -> None:
     found = forecast(80, curves, free_bytes=64 * 10**9)
-    workers = min(4, ExecutionOptions().num_workers)
+    assert found.parts_s == pytest.approx({"structure from motion": 160.0, "device": 4 + 10 + 80})
+    assert found.unknown == ("edge",) and found.shortage is None
+
+
+def test_a_run_takes_what_its_stages_take_one_wave_after_another(curves: Path) -> None:
+    free = room_for(18)
+    found = forecast(80, curves, free_bytes=free)
+    workers = 1
     devices_s, edges_s = math.ceil(4 / workers) * (4 + 10 + 20), math.ceil(2 / workers) * 20.0
     # 75 times 80 photographs are 6,000 steps, as four devices take them: one round of 160 steps, 1.4 times as long as in a training.
     round_s = math.ceil(4 / workers) * (1.2 * 4 + 1.4 * 30 * 160 / 1500) + (math.ceil(2 / workers) + 0.5) * 4
     assert found.parts_s == pytest.approx({"structure from motion": 160.0, "devices": devices_s, "edges": edges_s, "refining": round_s})
-    more, rounds = forecast(84, curves, free_bytes=64 * 10**9).parts_s["refining"], 3
+    more, rounds = forecast(84, curves, free_bytes=room_for(19)).parts_s["refining"], 3
     # An edge counts what photographs show in the first round alone.
     at_edges, devices_s = (1 + 2 * 0.5) * math.ceil(2 / workers) * 4, math.ceil(4 / workers) * (1.2 * 4 + 1.4 * 31 * 168 / 1500)
     assert more == pytest.approx(rounds * (devices_s + 0.5 * 4) + at_edges)
     assert found.unknown == ("cloud",) and found.extrapolated == ("structure from motion",)
-    assert found.most_photographs is None and "unknown: cloud; extrapolated: structure from motion;" in found.text
+    assert found.shortage is None and "unknown: cloud; extrapolated: structure from motion;" in found.text
 
 
-def test_memory_limits_the_photographs_of_a_device(curves: Path) -> None:
-    enough, little = (forecast(4000, curves, free_bytes=gigabytes * 10**9).most_photographs for gigabytes in (64, 2))
-    assert enough is None and little is not None and little < 1000
+def test_memory_divides_a_run_and_what_is_too_little_is_said(curves: Path) -> None:
+    whole, divided, none = (forecast(4000, curves, free_bytes=round(gigabytes * 1e9)) for gigabytes in (64, 2, 0.4))
+    assert "device" in whole.parts_s and "devices" in divided.parts_s
+    assert whole.shortage is None and divided.shortage is None
+    assert none.shortage is not None and "lower --max-splats or --long-side-px" in none.shortage
 
 
 def test_every_lack_has_a_line_with_what_mends_it(monkeypatch: pytest.MonkeyPatch) -> None:

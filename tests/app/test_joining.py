@@ -24,6 +24,7 @@ from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import load_upload
 from radiant_core.plan.regions.claims import claims_of_polygons
 from radiant_core.splats import Splats, concatenate_splats
+from tests.app.pipeline_kit import FOUR
 from tests.joined_again import held_out_db, joined_again
 
 
@@ -41,7 +42,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def config_of(source: Path, out: Path) -> RunConfig:
     # By default the cloud would fit nothing after so short trainings.
     aggregate = AggregateOptions(settings={"edge_epochs": 2, "num_epochs": 2})
-    return RunConfig(source=source, out=out, train=TrainOptions(long_side_px=128, num_steps=200), aggregate=aggregate)
+    return RunConfig(source=source, out=out, train=TrainOptions(long_side_px=128, num_steps=200), aggregate=aggregate, plan=FOUR)
 
 
 def plainly_cut(trained: Path) -> Splats:

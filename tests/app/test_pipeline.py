@@ -30,7 +30,7 @@ from radiant_core.io.records import load_plan, load_scene, load_splats
 from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import load_upload
 from tests.app.alex_weights import write_alex_weights
-from tests.app.pipeline_kit import ALL, TINY, TINY_OPTIONS, Finished, radiant
+from tests.app.pipeline_kit import FOUR, TINY, TINY_OPTIONS, Finished, radiant
 from tests.told import stages_done
 
 
@@ -153,7 +153,7 @@ def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: Finished, tmp_pa
     damaged[-5] ^= 1
     model.write_bytes(damaged)
     events: list[Event] = []
-    run(RunConfig(source=config.source, out=copy, train=TINY, plan=ALL), events.append, resume=True)
+    run(RunConfig(source=config.source, out=copy, train=TINY, plan=FOUR), events.append, resume=True)
     assert stages_done(events) == ["cloud"]
     assert model.read_bytes() == (config.out / "cloud" / "scene.ply").read_bytes()
 
@@ -176,7 +176,7 @@ def test_photographs_that_would_become_too_narrow_are_refused_before_training(fi
     manifest["config"]["train"]["long_side_px"] = 14
     del manifest["sha256"]
     (copy / "manifest.json").write_text(json.dumps(manifest))
-    narrow = RunConfig(source=config.source, out=copy, train=replace(TINY, long_side_px=14), plan=ALL)
+    narrow = RunConfig(source=config.source, out=copy, train=replace(TINY, long_side_px=14), plan=FOUR)
     with pytest.raises(BadInput, match="expected 11 or more a side"):
         run(narrow, resume=True)
 
@@ -221,7 +221,7 @@ def test_a_truncated_photograph_is_skipped_named_and_no_failure(finished: Finish
     assert "cut.jpg" not in load_scene(config.out / "sfm" / "scene.safetensors").cameras.names
     assert any("cut.jpg" in warning for warning in json.loads((config.out / "manifest.json").read_text())["warnings"])
     assert "cut.jpg" in result.report.read_text()
-    again = radiant("run", config.source, "--out", config.out, "--resume", "--devices", "all", *TINY_OPTIONS)
+    again = radiant("run", config.source, "--out", config.out, "--resume", "--devices", "4", *TINY_OPTIONS)
     assert again.returncode == 0 and "cut.jpg" in again.stdout + again.stderr, again.stderr
 
 
@@ -272,7 +272,7 @@ def test_ctrl_c_ends_with_130_and_the_run_can_be_resumed(finished: Finished, tmp
         str(out),
         *map(str, TINY_OPTIONS),
         "--devices",
-        "all",
+        "4",
         "--resume",
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -285,7 +285,7 @@ def test_ctrl_c_ends_with_130_and_the_run_can_be_resumed(finished: Finished, tmp
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "--resume" in errors
     assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()], "workers must end with the run"
-    result = run(RunConfig(source=config.source, out=out, train=TINY, plan=ALL), resume=True)
+    result = run(RunConfig(source=config.source, out=out, train=TINY, plan=FOUR), resume=True)
     assert result.metrics["psnr_db"] > 5
 
 

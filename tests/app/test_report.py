@@ -21,6 +21,7 @@ from radiant_app.run.pipeline import RunResult, run
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_viewer.pictures.turntable import MARGIN, crop_to, turntable
+from tests.app.pipeline_kit import FOUR
 from tests.browsers import chromium
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -37,7 +38,8 @@ def heard() -> list[Event]:
 def finished(tmp_path_factory: pytest.TempPathFactory, heard: list[Event]) -> RunResult:
     out = tmp_path_factory.mktemp("reports") / "run"
     images = sample_scenes_folder() / "hamlet" / "images"
-    return run(RunConfig(source=images, out=out, train=TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)), heard.append)
+    train = TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)
+    return run(RunConfig(source=images, out=out, train=train, plan=FOUR), heard.append)
 
 
 @pytest.fixture

@@ -23,6 +23,7 @@ from radiant_app.executors.ray_cluster import RayExecutor
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import SEAL_NAME, read_json
+from tests.app.pipeline_kit import FOUR
 from tests.contract.ray_machines import Cluster, ray_cluster
 from tests.stress.test_kill_run import hamlet_in
 
@@ -39,7 +40,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Tree, dict[str, NodeT
     hamlet_in(folder)
     training = TrainOptions(long_side_px=160, num_steps=2000, max_num_splats=3000)
     execution = ExecutionOptions(max_workers=1)
-    config = RunConfig(source=folder / "hamlet", out=folder / "run", train=training, execution=execution)
+    config = RunConfig(source=folder / "hamlet", out=folder / "run", train=training, execution=execution, plan=FOUR)
     radiant_app.run.pipeline.run(config)
     tree = tree_of_plan(*load_plan(config.out / "plan.json"))
     tasks = {}

@@ -19,6 +19,7 @@ from radiant_app.run.pipeline import RunResult, run
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import read_json
+from tests.app.pipeline_kit import FOUR
 from tests.app.test_masks import HELD_OUT, TINY, USED, masked_hamlet
 
 
@@ -30,7 +31,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def finished(project: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult]:
     out = tmp_path_factory.mktemp("out") / "run"
-    config = RunConfig(source=project, out=out, sfm=SfmOptions(masks=project / "masks"), train=TINY)
+    config = RunConfig(source=project, out=out, sfm=SfmOptions(masks=project / "masks"), train=TINY, plan=FOUR)
     return config, run(config)
 
 

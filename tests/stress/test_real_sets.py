@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
-from radiant_app.run import few_photographs, pooled
 from radiant_app.run.pipeline import run
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
@@ -26,7 +25,7 @@ def test_a_real_set_becomes_a_scene(name: str, tmp_path: Path) -> None:
     if not (DATA / name).is_dir():
         pytest.skip(f"{name} is not in {DATA}: set RADIANT_DATA to the folder of the real sets")
     out = tmp_path / "run"
-    metrics = run(RunConfig(source=DATA / name / "images", out=out)).metrics
+    metrics = run(RunConfig(source=DATA / name / "images", out=out, plan=PlanOptions(devices=4))).metrics
     names = load_scene(out / "sfm" / "scene.safetensors").cameras.names
     training = sorted(name for name, held in zip(names, held_out_mask(names), strict=True) if not held)
     assert sorted(path.name for path in out.glob("devices/*/photos/*")) == training
@@ -46,14 +45,13 @@ def test_a_real_set_becomes_a_scene(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.stress
-def test_few_photographs_are_better_off_with_one_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_photographs_are_better_off_with_one_device(tmp_path: Path) -> None:
     if not (DATA / "brighton").is_dir():
         pytest.skip(f"brighton is not in {DATA}: set RADIANT_DATA to the folder of the real sets")
-    monkeypatch.setattr(pooled, "choose_workforce", few_photographs.choose_workforce)
     train = TrainOptions(preset="draft", num_steps=500, long_side_px=384)
     config = RunConfig(source=DATA / "brighton" / "images", out=tmp_path / "one", train=train)
     one = run(config).metrics
-    all_four = run(replace(config, out=tmp_path / "all", plan=PlanOptions(devices="all"))).metrics
+    all_four = run(replace(config, out=tmp_path / "all", plan=PlanOptions(devices=4))).metrics
     print(f"one device {one['psnr_db']:.2f} dB, four {all_four['psnr_db']:.2f} dB")
     assert [path.name for path in (tmp_path / "one" / "devices").iterdir()] == ["edge-1-1"]
     assert len(list((tmp_path / "all" / "devices").iterdir())) == 4

@@ -132,7 +132,10 @@ class Recipe:
         groups = {}
         for plan in plans:
             below = [own for own in self.edge_plans if own.edge_id in plan.edges]
-            views = {own.edge_id: {name: plan.views[name] for name in own.device_ids if name in plan.views} for own in below}
+            views = {
+                own.edge_id: {name: plan.views[name] for name in own.device_ids if name in plan.views and len(own.cameras_of(name))}
+                for own in below
+            }
             views = {edge: devices for edge, devices in views.items() if devices}
             num_steps = sum(self.training_of(device).num_steps for devices in views.values() for device in devices)
             root = "cloud" if plan.level == "cloud" else f"edges/{plan.edges[0]}"

@@ -23,6 +23,7 @@ from radiant_core.errors import BadInput
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+from radiant_core.train.needs import MIN_PLANNED, fit_dropping, pixels_per_splat
 
 BASE_BYTES = 95_000_000
 COPIES = 7.0
@@ -87,6 +88,38 @@ def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[
         middle = (low + high) // 2
         low, high = (middle, high) if fits(middle) else (low, middle)
     return low
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingMemory:
+    """What one training takes, before there is any."""
+
+    needed_bytes: int
+    """With all the Gaussians that its photographs call for, where `memory_plan` limits what the
+    loss keeps."""
+    ample_bytes: int
+    """With all that the loss would keep."""
+
+
+def training_memory(config: TrainConfig, num_photographs: int, pixels_each: float | None = None) -> TrainingMemory:
+    """What a training of so many photographs takes, by the model above on `PROCESS_BYTES`.
+
+    Args:
+        config: the training; growth goes as far as `needs.most_splats` lets it.
+        num_photographs: all that it is trained on.
+        pixels_each: of one at the size of the training, in the mean; None: 4:3.
+
+    Returns:
+        Its bytes, with little and with all that the loss keeps.
+    """
+    pixels = 0.75 * config.long_side_px**2 if pixels_each is None else pixels_each
+    per_splat = pixels_per_splat(fit_dropping(config, num_photographs)[0], num_photographs)
+    planned = config.max_num_splats if per_splat is None else max(MIN_PLANNED, int(num_photographs * pixels / per_splat))
+    splats = min(config.max_num_splats, planned) * bytes_per_splat(config.sh_degree)
+    fixed = _fixed_bytes(config, num_photographs * pixels, pixels, PROCESS_BYTES)
+    kept = min(STATISTICS_BYTES_PER_PX * num_photographs * pixels, STATISTICS_BUDGET_BYTES)
+    needed = fixed + splats / (1 - MAX_STATISTICS_SHARE)
+    return TrainingMemory(needed_bytes=round(needed), ample_bytes=round(max(needed, fixed + splats + kept)))
 
 
 def memory_plan(
