@@ -92,7 +92,7 @@ class MaskKeys:
         for other, key in self.pairs.items():
             stream = Cipher(ChaCha20(key, nonce), mode=None).encryptor().update(bytes(4 * count))
             drawn = np.frombuffer(stream, "<u4")
-            total = total + drawn if self.name < other else total - drawn
+            (np.add if self.name < other else np.subtract)(total, drawn, out=total)
         return total
 
 
