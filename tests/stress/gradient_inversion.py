@@ -6,7 +6,8 @@ and their gradient, and is given the cameras (where they stood a message of one 
 with the plain renderer, which has second derivatives, and moves the pixels of the photographs until the gradient that they
 would cause is the one that came (Geiping 2020; the model is known, so that the renders are where it starts). L1 has no
 second derivative: |x| is √(x² + τ²) in the attacker's loss. SCENE is a folder of `radiant sfm`. PSNR, mean over
-the views: what is recovered, beside the render of the model at these cameras, which whoever has the joined model and the cameras can make as well.
+the views: what is recovered, beside the render of the model at these cameras, which whoever has the joined model and the
+cameras can make as well.
 """
 
 from __future__ import annotations

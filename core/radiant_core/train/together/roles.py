@@ -130,8 +130,8 @@ class Root:
     def __init__(
         self, replica: Replica, most_views: Mapping[str, int], camera_centers: FloatArray, group: Group, *, sums_edges: bool = False
     ) -> None:
-        """`camera_centers` (C,3) of all photographs; `most_views` of a step by sender; `sums_edges`:
-        senders are edges, which took off the masks."""
+        """`camera_centers` (C,3) of all photographs; `most_views` of a step by sender;
+        `sums_edges`: senders are edges, which took off the masks."""
         masked = group.masked and not sums_edges
         self.replica = replica
         self.inbox = Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config), masked=masked)

@@ -1,9 +1,9 @@
 """`Scrutiny`: which gradients of a step do not count, and who is left out of a training for good.
 
-    shape         seen, growth and loss as renderings make them                 each message alone
-    limit         ‖∂loss/∂x‖ ≤ what any photograph can cause (below)            each message alone
-    usual size    within a factor of the running median of all senders          three senders or more
-    direction     the mean cosine to the others on rows that they show too      three senders or more
+    shape         seen, growth and loss as renderings make them             each message alone
+    limit         ‖∂loss/∂x‖ ≤ what any photograph can cause (below)        each message alone
+    usual size    within a factor of the running median of all senders      three senders or more
+    direction     the mean cosine to the others on rows that they show too  three senders or more
 
 Once per step where messages of devices arrive, after `codec.py` refused what is damaged. Neighbours
 judge: as with models that are joined, two that contradict each other both stay.
@@ -21,7 +21,7 @@ A pixel blends Σ w_i ≤ 1, w_i = α_i T_i, of colours c ≤ `MAX_COLOR`; α |�
 where q = ½ dᵀΣ'⁻¹d ≤ ln 255. So sums over all Gaussians of one view are at most
 
     sh0                SH_C0 G
-    shN                G max_d Σ_k |Y_k(d)| ≤ G √(n ((L + 1)² − 1) / 4π), n functions of degree 1 to L
+    shN                G max_d Σ_k |Y_k(d)| ≤ G √(n ((L + 1)² − 1) / 4π), n of degree 1 to L
     logit_opacities    MAX_COLOR G                                       ∂α/∂logit = α (1 − o)
     log_scales         2 ln 255 MAX_COLOR G                              Σ_k |∂q/∂log s_k| ≤ 2 q
     growth             ½ side_px √(2 ln 255 / 0.3) MAX_COLOR G           |Σ'⁻¹ d| ≤ √(2 q / 0.3 px²)
