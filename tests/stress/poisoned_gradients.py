@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -19,6 +19,7 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from radiant_app.bench.cells import BenchScene, Layout, ModelCache, bench_settings, deal_cell, load_bench_scene
 from radiant_core.evaluate.image_error import psnr_db
@@ -35,6 +36,7 @@ from radiant_core.train.together import gradients as together
 from radiant_core.train.together.codec import decode_gradients, encode_gradients
 from radiant_core.train.together.fold import GroupMembers
 from radiant_core.train.together.gradients import StepGradients
+from radiant_core.train.together.masking import MaskKeys
 from radiant_core.train.together.roles import Holder, Inbox, Root
 from radiant_core.train.together.scrutiny import MIN_STEPS, NUM_ERRORS, Scrutiny, tensor_lengths, view_limits
 from radiant_core.train.views import TrainingViews
@@ -178,7 +180,7 @@ def watch(scrutiny: Scrutiny | None, watched: Watched) -> None:
     vars(scrutiny)["refuse"] = refuse
 
 
-def train(case: Case, attack: str, watched: Watched, *, checked: bool) -> tuple[Splats, Inbox]:
+def train(case: Case, attack: str, watched: Watched, *, checked: bool, masked: bool = False) -> tuple[Splats, Inbox]:
     """The group's model, and what its root refused."""
     recipe, liars = case.recipe, () if attack == HONEST else LIARS
     devices = [device for device in recipe.edge_plans[0].device_ids if attack != ABSENT or device not in LIARS]
@@ -198,7 +200,12 @@ def train(case: Case, attack: str, watched: Watched, *, checked: bool) -> tuple[
         if attack == OTHER and device in liars:
             prepared[device] = replace(prepared[device], views=other_place(prepared[device].views, case.other.views))
     start = begin_group({device: each.start for device, each in prepared.items()}, plan, recipe.train, Recorder())
-    holders: dict[str, Any] = {device: hold_share(each, device, start, plan) for device, each in prepared.items()}
+    group = replace(start.group, masked=masked)
+    holders: dict[str, Any] = {}
+    keys = mask_keys(devices) if masked else {}
+    for device, each in prepared.items():
+        open_holder = hold_share(each, device, start, plan)
+        holders[device] = Holder(open_holder.replica, group, keys[device]) if masked else open_holder
     for number, device in enumerate(liars):
         if attack in ATTACKS:
             holders[device] = Liar(holders[device], ATTACKS[attack], number)
@@ -206,8 +213,8 @@ def train(case: Case, attack: str, watched: Watched, *, checked: bool) -> tuple[
     options = fit_options(recipe.backend, Recorder(), Machine(), lambda: "")
     roots: list[Root] = []
 
-    def root(*arguments: Any) -> Root:
-        roots.append(Root(*arguments))
+    def root(*arguments: Any, **named: Any) -> Root:
+        roots.append(Root(*arguments, **named))
         if not checked:
             roots[-1].inbox.scrutiny = None
         elif attack in (HONEST, ABSENT):
@@ -215,8 +222,23 @@ def train(case: Case, attack: str, watched: Watched, *, checked: bool) -> tuple[
         return roots[-1]
 
     with patch.object(fold, "Root", root):
-        result, _ = fold.fit_in_process(start.initial, start.group, members, start.camera_centers, options)
+        result, _ = fold.fit_in_process(start.initial, group, members, start.camera_centers, options)
     return result.splats, roots[0].inbox
+
+
+def mask_keys(devices: Sequence[str]) -> dict[str, MaskKeys]:
+    """New keys of each pair."""
+    privates = {device: X25519PrivateKey.generate() for device in devices}
+    publics = {device: private.public_key().public_bytes_raw() for device, private in privates.items()}
+    return {device: MaskKeys.agree(device, private, publics, "stress") for device, private in privates.items()}
+
+
+def case_of(source: Path, foreign: Path, px: int, num_views: int) -> Case:
+    """A scene dealt to one edge with six devices."""
+    scene, other = (load_bench_scene(path, px) for path in (source, foreign))
+    settings = bench_settings(px, num_views)
+    cell = deal_cell(scene, ModelCache(folder=Path("unused")), settings, Layout(num_edges=1, num_devices=NUM_DEVICES))
+    return Case(scene=scene, recipe=cell.recipe, other=other, num_views=num_views)
 
 
 def honest_psnr(case: Case, splats: Splats) -> float:
@@ -249,10 +271,7 @@ def main() -> None:
     if unknown := set(names) - {ABSENT, HONEST, OTHER, OTHER_START, *ATTACKS}:
         parser.error(f"no attack is called {', '.join(unknown)}: choose from {', '.join(ATTACKS)}")
     torch.set_num_threads(1)
-    scene, other = (load_bench_scene(path, arguments.px) for path in (arguments.scene, arguments.other))
-    settings = bench_settings(arguments.px, arguments.views)
-    cell = deal_cell(scene, ModelCache(folder=Path("unused")), settings, Layout(num_edges=1, num_devices=NUM_DEVICES))
-    case = Case(scene=scene, recipe=cell.recipe, other=other, num_views=arguments.views)
+    case = case_of(arguments.scene, arguments.other, arguments.px, arguments.views)
     for attack in names:
         begun_s = time.process_time()
         watched = Watched()

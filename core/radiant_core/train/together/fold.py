@@ -71,7 +71,7 @@ def fit_in_process(
     relays = {edge: Relay(views, top.layout, group) for edge, views in members.edges.items()}
     of_edges = {edge: sum(views.values()) for edge, views in members.edges.items()}
     of_root = of_edges if members.has_relays else {name: views for each in members.edges.values() for name, views in each.items()}
-    root = Root(top, of_root, camera_centers, group)
+    root = Root(top, of_root, camera_centers, group, sums_edges=members.has_relays)
     cost, waiting = GroupCost(), list[bytes]()
 
     def timed(where: list[float], work: Callable[[], bytes]) -> bytes:
@@ -86,6 +86,7 @@ def fit_in_process(
         first.take(waiting[0])
         for holder in others:
             holder.replica.share_model(first.replica)
+            holder.unit = first.unit
         cost.take_s.append(clock() - begun_s)
         waiting.clear()
 

@@ -5,8 +5,10 @@
     Σ     of what all D send = Σ q_i (mod 2³²), exact in any order
 
 Once per step and device, O(D N K). Bonawitz 2017 without its shares: a device that is lost in a
-step takes the step with it, `unmask_sum` refuses the sum, and the step is repeated or left out.
-K_ij is from X25519 of the pair, the public keys signed as all messages are, and a run's id.
+step takes the step with it. The step is left out and the others go on without the device
+(`MaskKeys.without`). It is never repeated: who had the sums with and without a device would know
+its gradient, so that a device masks each step once. K_ij is from X25519 of the pair, the public
+keys signed as all messages are, and a run's id.
 
 Whether a Gaussian is shown would say where cameras look, so that all rows travel, and how often it
 is seen is one of the columns. What stays open: the loss and the number of views in the head, which
@@ -34,23 +36,26 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.together.gradients import Layout, StepGradients
 from radiant_core.train.together.scrutiny import tensor_lengths, tensor_names, view_limits
 
-_HEAD = struct.Struct("<4sxxxxQQQ")
-"""Mark, step, Gaussians of the model, columns."""
+_HEAD = struct.Struct("<4sIQQ")
+"""Mark, columns, step, Gaussians of the model; then an exponent of 16 bits for each column."""
 _MARK = b"RSM1"
 HEAD_ROOM_BITS = 6
 """A value may be 2⁶ times the largest of the step before; beyond it is cut."""
 FIRST_EXPONENT = -26
 """Of the unit of the first step, before which no total says how large gradients are."""
 LOSS_UNIT = 2.0**-20
+_MOST_EXPONENT = 140
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class MaskKeys:
     """What a device shares with each other device of its sum: 32 bytes by name; its own name is
     not among them."""
 
     name: str
     pairs: Mapping[str, bytes]
+    next_step: int = 0
+    """The first step that it has not masked yet."""
 
     @staticmethod
     def agree(name: str, private: X25519PrivateKey, publics: Mapping[str, bytes], run_id: str) -> MaskKeys:
@@ -69,15 +74,25 @@ class MaskKeys:
             pairs[other] = HKDF(algorithm=SHA256(), length=32, salt=None, info=info).derive(shared)
         return MaskKeys(name=name, pairs=pairs)
 
+    def without(self, lost: str) -> MaskKeys:
+        """Those of the steps after one in which a device was lost."""
+        return MaskKeys(name=self.name, pairs={name: key for name, key in self.pairs.items() if name != lost}, next_step=self.next_step)
+
     def mask(self, step: int, count: int) -> NDArray[np.uint32]:
-        """What this device adds to `count` numbers of a step (from 0)."""
+        """What this device adds to `count` numbers of a step (from 0); BadInput for one that it
+        has masked, or where nobody else is left."""
+        if step < self.next_step:
+            raise BadInput(f"{self.name} has masked step {step + 1} already: two sums of one step tell a gradient, so leave the step out.")
+        if not self.pairs:
+            raise BadInput(f"{self.name} has nobody to share masks with: its gradient would travel open.")
+        self.next_step = step + 1
         total = np.zeros(count, np.uint32)
         # The counter of ChaCha20 begins at 0 in each step: 256 GB of one stream.
         nonce = struct.pack("<QQ", 0, step)
         for other, key in self.pairs.items():
             stream = Cipher(ChaCha20(key, nonce), mode=None).encryptor().update(bytes(4 * count))
             drawn = np.frombuffer(stream, "<u4")
-            total = total + drawn if self.name < other else total - drawn
+            (np.add if self.name < other else np.subtract)(total, drawn, out=total)
         return total
 
 
@@ -99,11 +114,11 @@ class FixedPoint:
         if not len(total.rows):
             return self
         exponents = self.exponents.copy()
-        bits = 31 - HEAD_ROOM_BITS - int(np.ceil(np.log2(max(num_senders, 2))))
+        largest_bits = 31 - HEAD_ROOM_BITS - int(np.ceil(np.log2(max(num_senders, 2))))
         for columns in [*layout.columns.values(), slice(layout.growth, layout.growth + 1)]:
             largest = float(np.abs(total.values[:, columns]).max(initial=0))
             if largest > 0:
-                exponents[columns] = int(np.frexp(largest)[1]) - bits
+                exponents[columns] = max(-_MOST_EXPONENT, int(np.frexp(largest)[1]) - largest_bits)
         return FixedPoint(exponents=exponents)
 
     def quantise(self, gradients: StepGradients, num_splats: int, num_senders: int) -> NDArray[np.int32]:
@@ -136,30 +151,47 @@ def encode_masked(gradients: StepGradients, step: int, num_splats: int, unit: Fi
         raise BadInput("radii on screen do not travel under masks: set prune_radius_px to none, or do not mask.")
     numbers = unit.quantise(gradients, num_splats, len(keys.pairs) + 1).view(np.uint32)
     masked = numbers + keys.mask(step, len(numbers))
-    return _HEAD.pack(_MARK, step, num_splats, len(unit.exponents)) + masked.astype("<u4").tobytes()
+    head = _HEAD.pack(_MARK, len(unit.exponents), step, num_splats)
+    return head + unit.exponents.astype("<i2").tobytes() + masked.astype("<u4").tobytes()
 
 
-def sum_masked(messages: Sequence[bytes], step: int, num_splats: int, num_columns: int) -> NDArray[np.uint32]:
-    """Σ mod 2³² of the numbers of messages of one step and model; BadInput where one is not."""
+def peek_masked(message: bytes | memoryview) -> tuple[int, int] | None:
+    """Of which step and of how many Gaussians a masked message says it is; None: it is none."""
+    if len(message) < _HEAD.size:
+        return None
+    mark, _, step, count = _HEAD.unpack_from(message)
+    return (step, count) if mark == _MARK else None
+
+
+def sum_masked(messages: Sequence[bytes], step: int, num_splats: int, num_columns: int) -> tuple[NDArray[np.uint32], FixedPoint]:
+    """Σ mod 2³² of the numbers of messages of one step and model, and their units; BadInput where
+    one is not, or has other units."""
     count = num_splats * (num_columns + 1) + 2
-    total = np.zeros(count, np.uint32)
+    start = _HEAD.size + 2 * num_columns
+    total, units = np.zeros(count, np.uint32), set[bytes]()
     for message in messages:
-        if len(message) != _HEAD.size + 4 * count:
-            raise BadInput(f"masked gradients are {len(message)} bytes, expected {_HEAD.size + 4 * count}.")
-        mark, *head = _HEAD.unpack_from(message)
-        if mark != _MARK or head != [step, num_splats, num_columns]:
-            raise BadInput(f"masked gradients are of step {head[0]} and {head[1]} Gaussians, expected step {step} and {num_splats}.")
-        total += np.frombuffer(message, "<u4", count, _HEAD.size)
-    return total
+        if len(message) != start + 4 * count:
+            raise BadInput(f"masked gradients are {len(message)} bytes, expected {start + 4 * count}.")
+        mark, columns, of_step, of_count = _HEAD.unpack_from(message)
+        if (mark, columns, of_step, of_count) != (_MARK, num_columns, step, num_splats):
+            raise BadInput(f"masked gradients are of step {of_step} and {of_count} Gaussians, expected step {step} and {num_splats}.")
+        units.add(bytes(message[_HEAD.size : start]))
+        total += np.frombuffer(message, "<u4", count, start)
+    if len(units) != 1:
+        raise BadInput(f"masked gradients of step {step + 1} are in {len(units)} units, expected one of all.")
+    exponents = np.frombuffer(units.pop(), "<i2").astype(np.int64)
+    if np.abs(exponents).max(initial=0) > _MOST_EXPONENT:
+        raise BadInput(f"masked gradients have units up to 2^{np.abs(exponents).max()}, expected 2^{_MOST_EXPONENT} at most.")
+    return total, FixedPoint(exponents=exponents)
 
 
-def unmask_sum(messages: Mapping[str, bytes], senders: Sequence[str], step: int, num_splats: int, unit: FixedPoint) -> StepGradients:
+def unmask_sum(messages: Mapping[str, bytes], senders: Sequence[str], step: int, num_splats: int, layout: Layout) -> StepGradients:
     """The sum of a step whose masks cancel. BadInput where a sender is missing: masks stay then,
-    and all senders must send the step again without it, under keys without it."""
+    and the step is left out."""
     missing = [name for name in senders if name not in messages]
     if missing:
-        raise BadInput(f"step {step + 1} has no message of {', '.join(missing)}, and masks cancel only in the sum of all: repeat the step.")
-    total = sum_masked([messages[name] for name in senders], step, num_splats, len(unit.exponents))
+        raise BadInput(f"nothing of {', '.join(missing)} came, and masks cancel only in the sum of all: the step is left out.")
+    total, unit = sum_masked([messages[name] for name in senders], step, num_splats, layout.num_columns)
     return unit.restore(total.view(np.int32), num_splats)
 
 

@@ -53,6 +53,8 @@ class Group:
     gradients are of the model one step before."""
     form: StepFormat = "bfloat16"
     """How gradients travel."""
+    masked: bool = False
+    """Whether devices add masks to what they send, which cancel in the sum (`masking.py`)."""
 
     @property
     def stepping(self) -> TrainConfig:

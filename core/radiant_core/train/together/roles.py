@@ -15,6 +15,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.train.results import TrainResult
 from radiant_core.train.together.codec import ErrorFeedback, decode_gradients, decode_limits, encode_limits, peek_gradients
 from radiant_core.train.together.gradients import Layout, StepGradients, sum_gradients
+from radiant_core.train.together.masking import FixedPoint, MaskKeys, check_sum, encode_masked, peek_masked, unmask_sum
 from radiant_core.train.together.replica import Group, Replica
 from radiant_core.train.together.scrutiny import Scrutiny
 
@@ -22,8 +23,13 @@ from radiant_core.train.together.scrutiny import Scrutiny
 class Holder:
     """A machine that has photographs of a group."""
 
-    def __init__(self, replica: Replica, group: Group) -> None:
-        self.replica, self._group = replica, group
+    def __init__(self, replica: Replica, group: Group, masks: MaskKeys | None = None) -> None:
+        """`masks`: the keys of a group that is `masked`."""
+        if group.masked != (masks is not None):
+            raise BadInput("a device of a masked group needs keys for its masks, and one of another has none.")
+        self.replica, self._group, self.masks = replica, group, masks
+        self.unit = FixedPoint.first(replica.layout)
+        """That of the next masked message."""
         self.feedback = ErrorFeedback()
         self.num_sent = replica.step
         """Steps that it has contributed to."""
@@ -43,7 +49,10 @@ class Holder:
         """The gradients of its views of the next step that it has not contributed to."""
         replica = self.replica
         gradients = replica.contribute(self.num_sent)
-        message = self.feedback.encode(gradients, self.num_sent, replica.num_splats, replica.layout, self._group.form)
+        if self.masks is not None:
+            message = encode_masked(gradients, self.num_sent, replica.num_splats, self.unit, self.masks)
+        else:
+            message = self.feedback.encode(gradients, self.num_sent, replica.num_splats, replica.layout, self._group.form)
         self.num_sent += 1
         return message
 
@@ -52,6 +61,8 @@ class Holder:
         replica, count = self.replica, self.replica.num_splats
         limits, at = decode_limits(total, count)
         gradients = decode_gradients(memoryview(total)[at:], replica.step, count, replica.layout, self._group.views_per_step, checks=False)
+        if self.masks is not None:
+            self.unit = self.unit.next(gradients, len(self.masks.pairs) + 1, replica.layout)
         replica.take(gradients, limits)
 
 
@@ -64,9 +75,13 @@ class Inbox:
     refused: dict[str, list[str]] = field(default_factory=dict)
     scrutiny: Scrutiny | None = None
     """Refuses what no photographs cause; None: all that is finite counts."""
+    masked: bool = False
+    """Whether messages are masked, so that only the sum of all can be looked at."""
 
     def read(self, messages: Mapping[str, bytes], step: int, num_splats: int, layout: Layout) -> list[StepGradients]:
-        """The gradients that can be used, in the order of the senders."""
+        """The gradients that can be used, in the order of the senders; of masked ones their sum."""
+        if self.masked:
+            return self._read_masked(messages, step, num_splats, layout)
         sent, reasons = dict[str, StepGradients](), dict[str, str]()
         for name in self.most_views:
             if name not in messages:
@@ -81,19 +96,31 @@ class Inbox:
             self.refused.setdefault(name, []).append(f"step {step + 1}: {reason}")
         return [gradients for name, gradients in sent.items() if name not in reasons]
 
+    def _read_masked(self, messages: Mapping[str, bytes], step: int, num_splats: int, layout: Layout) -> list[StepGradients]:
+        try:
+            total = unmask_sum(messages, list(self.most_views), step, num_splats, layout)
+            reason = None if self.scrutiny is None else check_sum(total, sum(self.most_views.values()), self.scrutiny.config, layout)
+        except BadInput as error:
+            total, reason = None, str(error)
+        if total is not None and reason is None:
+            return [total]
+        # Behind masks nobody knows whose fault it is.
+        self.refused.setdefault("all", []).append(f"step {step + 1}: {reason}")
+        return []
+
 
 class Relay:
     """An edge that sums what its holders send, for a root above it."""
 
     def __init__(self, most_views: Mapping[str, int], layout: Layout, group: Group) -> None:
-        self.inbox = Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config))
+        self.inbox = Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config), masked=group.masked)
         self._layout, self._group = layout, group
         self.feedback = ErrorFeedback()
         self.num_sent = 0
 
     def message(self, messages: Mapping[str, bytes]) -> bytes:
         """The sum of a step: of the step and the model that most of the messages are of."""
-        heads = [head for message in messages.values() if (head := peek_gradients(message)) is not None]
+        heads = [head for message in messages.values() if (head := peek_gradients(message) or peek_masked(message)) is not None]
         heads = [(step, count) for step, count in heads if count <= self._group.config.max_num_splats]
         step, count = max(set(heads), key=heads.count) if heads else (self.num_sent, 0)
         total = sum_gradients(self.inbox.read(messages, step, count, self._layout), count, self._layout)
@@ -105,9 +132,14 @@ class Relay:
 class Root:
     """The machine at which all gradients of a group arrive, which has its model."""
 
-    def __init__(self, replica: Replica, most_views: Mapping[str, int], camera_centers: FloatArray, group: Group) -> None:
-        """`camera_centers` (C,3) of all photographs; `most_views` of a step by sender."""
-        self.replica, self.inbox = replica, Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config))
+    def __init__(
+        self, replica: Replica, most_views: Mapping[str, int], camera_centers: FloatArray, group: Group, *, sums_edges: bool = False
+    ) -> None:
+        """`camera_centers` (C,3) of all photographs; `most_views` of a step by sender;
+        `sums_edges`: senders are edges, which took off the masks."""
+        masked = group.masked and not sums_edges
+        self.replica = replica
+        self.inbox = Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config), masked=masked)
         self._centers, self._group = camera_centers, group
         self.feedback = ErrorFeedback()
 

@@ -1,9 +1,9 @@
 """`Scrutiny`: which gradients of a step do not count, and who is left out of a training for good.
 
-    shape         seen, growth and loss as renderings make them                 each message alone
-    limit         ‖∂loss/∂x‖ ≤ what any photograph can cause (below)            each message alone
-    usual size    within a factor of the running median of all senders          three senders or more
-    direction     the mean cosine to the others on rows that they show too      three senders or more
+    shape         seen, growth and loss as renderings make them             each message alone
+    limit         ‖∂loss/∂x‖ ≤ what any photograph can cause (below)        each message alone
+    usual size    within a factor of the running median of all senders      three senders or more
+    direction     the mean cosine to the others on rows that they show too  three senders or more
 
 Once per step where messages of devices arrive, after `codec.py` refused what is damaged. Neighbours
 judge: as with models that are joined, two that contradict each other both stay.
@@ -21,7 +21,7 @@ A pixel blends Σ w_i ≤ 1, w_i = α_i T_i, of colours c ≤ `MAX_COLOR`; α |�
 where q = ½ dᵀΣ'⁻¹d ≤ ln 255. So sums over all Gaussians of one view are at most
 
     sh0                SH_C0 G
-    shN                G max_d Σ_k |Y_k(d)| ≤ G √(n ((L + 1)² − 1) / 4π), n functions of degree 1 to L
+    shN                G max_d Σ_k |Y_k(d)| ≤ G √(n ((L + 1)² − 1) / 4π), n of degree 1 to L
     logit_opacities    MAX_COLOR G                                       ∂α/∂logit = α (1 − o)
     log_scales         2 ln 255 MAX_COLOR G                              Σ_k |∂q/∂log s_k| ≤ 2 q
     growth             ½ side_px √(2 ln 255 / 0.3) MAX_COLOR G           |Σ'⁻¹ d| ≤ √(2 q / 0.3 px²)
@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_core import _native
 from radiant_core.render.contract import ALPHA_MIN, DILATION_PX2
 from radiant_core.splats import SH_C0
 from radiant_core.train.config import TrainConfig
@@ -71,9 +72,9 @@ MIN_SHARE = 0.3
 """A sender whose mean cosine is surely below this share of the median of all contradicts them."""
 NUM_ERRORS = 3.0
 """Standard errors of a mean cosine that make it sure."""
-SAMPLE = 8
-"""Every so manieth Gaussian is compared in a step, others in the next."""
-MIN_SHARED = 24
+SAMPLE = 16
+"""Of so many Gaussians one is compared in a step, others in the next; a power of two."""
+MIN_SHARED = 16
 """Gaussians compared that others show too; of fewer a direction says nothing."""
 GROWTH = "growth"
 _TINY = 1e-30
@@ -271,19 +272,21 @@ def _cosines(sent: Mapping[str, StepGradients], phase: int, num_splats: int, lay
     count = np.zeros(len(total), np.uint16)
     parts = {}
     for name, gradients in sent.items():
-        sampled = np.flatnonzero(gradients.rows % SAMPLE == phase)
-        at = gradients.rows[sampled] // SAMPLE
-        part = np.concatenate([gradients.values[sampled, columns] for columns in compared], axis=1)
-        part /= max(float(np.linalg.norm(part)), _TINY)
-        total[at] += part
+        sampled = np.flatnonzero((gradients.rows & (SAMPLE - 1)) == phase)
+        at = gradients.rows.take(sampled) // SAMPLE
+        whole = gradients.values.take(sampled, axis=0)
+        part = np.concatenate([whole[:, columns] for columns in compared], axis=1)
+        part /= max(math.sqrt(float(np.vdot(part, part))), _TINY)
+        _native.add_rows(total, at, part)
         count[at] += 1
         parts[name] = at, part
     cosines = {}
     for name, (at, part) in parts.items():
-        shared = np.flatnonzero(count[at] > 1)
+        shared = np.flatnonzero(count.take(at) > 1)
         if len(shared) < MIN_SHARED:
             continue
-        mine, others = part[shared], total[at[shared]] - part[shared]
-        length = float(np.linalg.norm(mine)) * float(np.linalg.norm(others))
+        mine = part.take(shared, axis=0)
+        others = total.take(at.take(shared), axis=0) - mine
+        length = math.sqrt(float(np.vdot(mine, mine)) * float(np.vdot(others, others)))
         cosines[name] = float(np.vdot(mine, others)) / length if length > 0 else 0.0
     return cosines

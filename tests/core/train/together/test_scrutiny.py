@@ -181,7 +181,7 @@ def test_a_restored_scrutiny_decides_as_the_one_that_went_on() -> None:
 
 
 def test_who_is_always_much_longer_is_left_out() -> None:
-    scrutiny = Scrutiny(config=CONFIG)
+    scrutiny, reasons = Scrutiny(config=CONFIG), {}
     for step in range(STEADY_STEPS + 1):
         sent = step_of(4, step)
         sent["d2"] = replace(sent["d2"], values=np.float32(6) * sent["d2"].values)
