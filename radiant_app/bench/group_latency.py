@@ -2,14 +2,15 @@
 
 A step of a group, k its devices, e its edges (without any the root sums for the devices):
 
-    gathered_e    max_k (contribute_k / v_k + bytes_k / B + L)
-    up            max_e (gathered_e + sum_e / v_e + bytes_e / B + L) + sum_root
-    down          bytes / B + L for each level, then take / min_k v_k
+    at e        max_k (sent_k + bytes_k / B + L)
+    at root     max_e (at e + sum_e / v_e + bytes_e / B + L), then sum_root
+    at k        at root + (bytes / B + L) for each level, then take / v_k, then contribute / v_k
 
-v are speeds, B the bandwidth of every link, L its latency. Devices that render for the next step
-meanwhile (`overlaps`) take the larger of what they compute and of what the rest takes. Before the
-first step stands the slowest device's preparation, what it sends, the root's start and that on its
-way down. What a tree sends has no latency: it sends a few times. Once per row of a benchmark.
+v are speeds, B the bandwidth of every link, L its latency. A device contributes to a step when it
+has taken the one before or, where it renders meanwhile (`overlaps`) and that one moves no rows, the
+one before that. Before the first step stands the slowest device's preparation, what it sends, the
+root's start and that on its way down. What a tree sends has no latency: it sends a few times. Once
+per row of a benchmark.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from radiant_app.bench.emulated_latency import CLOUD_SPEED, NodeWork, emulate_se
 from radiant_core.hierarchy.group_in_process import GroupRun
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.system import System
+from radiant_core.train.densify.policies import NoDensification
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +77,8 @@ class GroupWork:
     take_s: FloatArray
     bytes_up: Mapping[str, FloatArray]
     bytes_down: FloatArray
+    edits_every: int = 0
+    """Every so many steps Gaussians are added or removed; 0: never."""
 
 
 def work_of(run: GroupRun) -> GroupWork:
@@ -85,7 +89,9 @@ def work_of(run: GroupRun) -> GroupWork:
         name: {k: np.array(v[:steps], float) for k, v in getattr(cost, name).items()} for name in ("contribute_s", "sum_s", "bytes_up")
     }
     starts = {device: _start_bytes(run, device) for device in devices if device in run.starts}
+    density = run.start.group.stepping.density
     return GroupWork(
+        edits_every=0 if isinstance(density, NoDensification) else density.every,
         edges={edge: tuple(views) for edge, views in run.plan.views.items()},
         has_relays=run.plan.has_relays,
         overlaps=run.plan.overlaps,
@@ -107,33 +113,40 @@ def _start_bytes(run: GroupRun, device: str) -> int:
 
 
 def group_s(work: GroupWork, speeds: Mapping[str, float], link: Link) -> float:
-    """Seconds until the group's model is at its root; `speeds` of devices and edges by their id, 1
+    """Seconds until the group's root has its model; `speeds` of devices and edges by their id, 1
     where there is none."""
     root_speed = CLOUD_SPEED if work.has_relays else speeds.get(next(iter(work.edges)), 1.0)
     speed = {name: speeds.get(name, 1.0) for devices in work.edges.values() for name in devices}
-    slowest = min(speed.values())
     levels = 1 + work.has_relays
-    computes = {name: work.contribute_s[name] / speed[name] for name in speed}
-    sends = {name: link.spent_s(work.bytes_up[name]) for name in speed}
+    free_s, num_taken = dict.fromkeys(speed, 0.0), 0
+    down_s: list[float] = []
+    root_s = 0.0
+    for step in range(len(work.bytes_down)):
+        while num_taken < step - (work.overlaps and not _edits(work, step - 1)):
+            take_s, there_s = work.take_s[num_taken], down_s[num_taken]
+            free_s = {name: max(at_s, there_s) + take_s / speed[name] for name, at_s in free_s.items()}
+            num_taken += 1
+        free_s = {name: at_s + work.contribute_s[name][step] / speed[name] for name, at_s in free_s.items()}
+        root_s = max(root_s, _at_root_s(work, step, free_s, speeds, link)) + work.sum_s["root"][step] / root_speed
+        down_s.append(root_s + levels * float(link.spent_s(work.bytes_down[step])))
+    last_s = root_s + work.take_s[-1] / root_speed if len(work.take_s) else 0.0
+    return _before_s(work, speed, link, root_speed) + last_s
 
-    def gathered(device_s: Mapping[str, FloatArray]) -> FloatArray:
-        """When the root has summed, from when each device's message is at its edge (S,)."""
-        at_root = []
-        for edge, devices in work.edges.items():
-            there = np.max([device_s[name] for name in devices], axis=0)
-            if work.has_relays:
-                there = there + work.sum_s[edge] / speeds.get(edge, 1.0) + link.spent_s(work.bytes_up[edge])
-            at_root.append(there)
-        return np.max(at_root, axis=0) + work.sum_s["root"] / root_speed
 
-    down = levels * link.spent_s(work.bytes_down)
-    take = work.take_s / slowest
-    if work.overlaps:
-        own = np.max(list(computes.values()), axis=0) + take
-        steps_s = np.maximum(own, gathered(sends) + down)
-    else:
-        steps_s = gathered({name: computes[name] + sends[name] for name in speed}) + down + take
-    return _before_s(work, speed, link, root_speed) + float(np.sum(steps_s))
+def _edits(work: GroupWork, step: int) -> bool:
+    """Whether taking a step (from 0) adds or removes Gaussians."""
+    return work.edits_every > 0 and (step + 1) % work.edits_every == 0
+
+
+def _at_root_s(work: GroupWork, step: int, sent_s: Mapping[str, float], speeds: Mapping[str, float], link: Link) -> float:
+    """When all messages of a step are at the root, from when each device sends its own."""
+    at_root = []
+    for edge, devices in work.edges.items():
+        there = max(sent_s[name] + float(link.spent_s(work.bytes_up[name][step])) for name in devices)
+        if work.has_relays:
+            there += work.sum_s[edge][step] / speeds.get(edge, 1.0) + float(link.spent_s(work.bytes_up[edge][step]))
+        at_root.append(there)
+    return max(at_root)
 
 
 def _before_s(work: GroupWork, speed: Mapping[str, float], link: Link, root_speed: float) -> float:

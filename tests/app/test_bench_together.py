@@ -42,22 +42,47 @@ SPEEDS = {"e0d1": 0.5}
 def test_a_step_waits_for_its_slowest_edge_and_travels_twice_up_and_down() -> None:
     # Before: e0d0 2 + 0.11 = 2.11 < e0d1 1/0.5 + 0.21 = 2.21; the edge passes on 0.3 + 0.01; the root 0.5; down 2 × 1.01.
     before_s = 2.21 + 0.31 + 0.5 + 2.02
-    # Step 1: e0d1 0.9/0.5 + 0.11 = 1.91; e0 0.2 + 0.31 → 2.42; e1 1 + 0.11 + 0.1 + 0.31 = 1.52; the root 0.3; down 2 × 0.41; take 0.3/0.5.
-    first_s = 2.42 + 0.3 + 0.82 + 0.6
-    # Step 2: e1 5 + 0.21 + 0.1 + 0.31 = 5.62; the root 0.4; down 2 × 0.51; take 0.6.
-    second_s = 5.62 + 0.4 + 1.02 + 0.6
-    assert group_s(WORK, SPEEDS, LINK) == pytest.approx(before_s + first_s + second_s)
-    # Beside each other: computing 1.8 + 0.6 and 5 + 0.6; the rest is 0.11 + 0.2 + 0.31 + 0.3 + 0.82, less.
-    assert group_s(replace(WORK, overlaps=True), SPEEDS, LINK) == pytest.approx(before_s + 2.4 + 5.6)
-    slow = Link(bits_per_s=800.0, latency_s=0.0)
-    # 1 + 0.2 + 3 + 0.3 + 2 × 4 = 12.5 and 2 + 0.2 + 3 + 0.4 + 2 × 5 = 15.6 exceed computing; before: 2 + 2 + 3 + 0.5 + 20.
-    assert group_s(replace(WORK, overlaps=True), SPEEDS, slow) == pytest.approx(27.5 + 12.5 + 15.6)
+    # Step 1: e0d1 sends at 0.9/0.5; e0 1.8 + 0.11 + 0.2 + 0.31 = 2.42; e1 1 + 0.11 + 0.1 + 0.31; the root 2.72; down 3.54.
+    # Step 2: e1d0 takes until 3.84 and sends at 8.84; e1 8.84 + 0.21 + 0.1 + 0.31 = 9.46; the root 9.86, which takes until 10.16.
+    assert group_s(WORK, SPEEDS, LINK) == pytest.approx(before_s + 10.16)
+    # Nobody waits for step 1: e1d0 sends at 6; e1 6.62; the root 7.02, which takes until 7.32.
+    assert group_s(replace(WORK, overlaps=True), SPEEDS, LINK) == pytest.approx(before_s + 7.32)
+    assert group_s(replace(WORK, overlaps=True, edits_every=2), SPEEDS, LINK) == pytest.approx(before_s + 7.32)
+    # Step 1 moves rows: all wait for it.
+    assert group_s(replace(WORK, overlaps=True, edits_every=1), SPEEDS, LINK) == pytest.approx(before_s + 10.16)
 
 
 def test_without_relays_devices_send_to_their_edge_alone() -> None:
     alone = replace(WORK, has_relays=False, edges={"e0": ("e0d0", "e0d1")}, sum_s={"root": WORK.sum_s["root"]})
-    # The edge sums at half the speed. Before: 2.21 + 0.5/0.5 + 1.01; steps: 1.91 + 0.6 + 0.41 + 0.6 and 2.21 + 0.8 + 0.51 + 0.6.
-    assert group_s(alone, SPEEDS | {"e0": 0.5}, LINK) == pytest.approx(4.22 + 3.52 + 4.12)
+    # The edge sums at half the speed. Before: 2.21 + 0.5/0.5 + 1.01. Step 1: 1.91, the root 2.51, down 2.92.
+    # Step 2: e0d0 takes until 3.22, sends at 5.22, there 5.43; the root 6.23, which takes until 6.83.
+    assert group_s(alone, SPEEDS | {"e0": 0.5}, LINK) == pytest.approx(4.22 + 6.83)
+
+
+@pytest.mark.parametrize(("way_s", "period_s"), [(0.2, 0.5), (0.5, 0.5), (1.5, 1.0)])
+def test_a_step_that_overlaps_takes_its_computing_or_half_of_its_round(way_s: float, period_s: float) -> None:
+    """Two steps are on their way at most: one device, 0.4 s to contribute and 0.1 s to take."""
+
+    def work(num_steps: int) -> GroupWork:
+        every = np.ones(num_steps)
+        return GroupWork(
+            edges={"e": ("d",)},
+            has_relays=False,
+            overlaps=True,
+            prepare_s={"d": 0.0},
+            begin_s=0.0,
+            start_bytes={},
+            initial_bytes=0,
+            contribute_s={"d": 0.4 * every},
+            sum_s={"root": 0 * every},
+            take_s=0.1 * every,
+            bytes_up={"d": 0 * every},
+            bytes_down=0 * every,
+        )
+
+    link = Link(bits_per_s=1e9, latency_s=way_s / 2)
+    rise_s = (group_s(work(220), {}, link) - group_s(work(20), {}, link)) / 200
+    assert rise_s == pytest.approx(period_s)
 
 
 def test_an_edge_that_trained_a_model_sends_it_when_its_group_is_done() -> None:
