@@ -15,6 +15,7 @@ from typing import Any
 
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.photographs import Photographs
+from radiant_app.together.exchange import ENDED_NAME, GROUP_FOLDER
 from radiant_app.workers.delivering import DELIVERIES, exchange_keys, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
 from radiant_app.workers.nodes import CUT_SCENE, unseal_cut
@@ -79,6 +80,8 @@ class Dealer:
         inputs = [*(folder / name for name in names if name != TASK_NAME), *beside]
         # Of devices that train together their root receives nothing beforehand.
         below = [self.keys.get(child.id) for child in node.children] if node.tier != "device" and task.group is not None else []
+        # How an earlier try ended holds for its processes alone.
+        (folder / GROUP_FOLDER / ENDED_NAME).unlink(missing_ok=True)
         key = content_key(__version__, task_key(task), *inputs, *below)
         self._log_access(node, [*inputs, folder / DELIVERIES])
         kind = self.photographs.kind if node.tier == "device" else node.tier

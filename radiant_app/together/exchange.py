@@ -2,7 +2,6 @@
 
     up      START      of a device, or of all devices below an edge: their files, by name
             GRADIENTS  of the next step
-            DONE       what a machine has to write is written
     down    BEGIN      where the training stands, for devices that sent a start
             TOTAL      of a step
             END        there is no further step
@@ -21,7 +20,10 @@ from pathlib import Path
 from radiant_app.together.links import LinkLost, ParentLinks
 from radiant_core.errors import BadInput, StageFailed
 
-START, GRADIENTS, DONE, BEGIN, TOTAL, END = b"S", b"G", b"D", b"B", b"T", b"E"
+START, GRADIENTS, BEGIN, TOTAL, END = b"S", b"G", b"B", b"T", b"E"
+GROUP_FOLDER, ENDED_NAME = "group", "end.json"
+"""Folder of a node for what it says and hears before the first step, and in it the record that all
+steps were taken: its process may be started again after that."""
 LATE_S = 60.0
 """A machine that is linked and says nothing for so long is left out until it comes back."""
 GONE_S = 300.0
@@ -63,6 +65,16 @@ def meeting_of(folder: Path, parent: str) -> Path:
     parent, such as "edges/north"."""
     run = folder.parent if folder.name == "cloud" else folder.parent.parent
     return run / "together" / parent.replace("/", "_")
+
+
+def mark_done(meeting: Path, child: str) -> None:
+    """Say that a child has what it needs of a training that has ended."""
+    (meeting / f"{child}.done").touch()
+
+
+def is_done(meeting: Path, child: str) -> bool:
+    """Whether it has said so."""
+    return (meeting / f"{child}.done").is_file()
 
 
 def mark_gone(meeting: Path, child: str) -> None:
@@ -146,14 +158,19 @@ class Children:
         for name, lost in self.links.send_all({name: message for name in self.names if name in self.present}).items():
             self._lose(name, lost.reason)
 
-    def wait_until_done(self, wait_s: float) -> None:
-        """Wait until all that take part have written what they have to, or are gone."""
-        deadline_s = self.clock() + wait_s
-        while (
-            waiting := [name for name in self.names if name in self.present and name in self.links.linked]
-        ) and self.clock() < deadline_s:
-            for name, _, _ in self._receive(waiting):
-                self.present.discard(name)
+    def finish(self, answer: Answer) -> None:
+        """Send END to all, and serve those that come back for it, until each has written what the
+        training ended with."""
+        self.send(END)
+        begun_s = self.clock()
+        while missing := [name for name in self.names if name not in self.left_out and not is_done(self.meeting, name)]:
+            self.present -= set(self.links.poll())
+            for name, kind, payload in self._receive([name for name in missing if name in self.links.linked and name not in self.present]):
+                if kind == START:
+                    self._answer(name, payload, answer)
+                    self.links.send_all({name: END})
+            self._leave_out([name for name in missing if name not in self.links.linked], begun_s)
+            time.sleep(0.01)
 
     def _receive(self, names: Sequence[str]) -> list[tuple[str, bytes, bytes]]:
         """Child, kind and payload of a message of each child; lost ones are noted."""

@@ -11,20 +11,35 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, DONE, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, meeting_of, pack, unpack
+from radiant_app.together.exchange import (
+    BEGIN,
+    END,
+    ENDED_NAME,
+    GONE_S,
+    GRADIENTS,
+    GROUP_FOLDER,
+    LATE_S,
+    START,
+    TOTAL,
+    mark_done,
+    meeting_of,
+    pack,
+    unpack,
+)
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, Traffic, connect
 from radiant_app.workers.reporting import EventReporter
+from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, Seat
 from radiant_core.hierarchy.reporter import Machine
-from radiant_core.hierarchy.together import PreparedShare, join_share, prepare_share
-from radiant_core.io.group_messages import load_begin, save_start
+from radiant_core.hierarchy.together import Begun, PreparedShare, join_share, prepare_share
+from radiant_core.io.group_messages import load_begin, save_begin, save_start
+from radiant_core.io.messages import task_key
+from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.together.roles import Holder
 from radiant_core.train.views import TrainingViews
 
-GROUP_FOLDER = "group"
-"""Folder of a node for what it says and hears before the first step."""
 CONNECT_S = 600.0
 """So long a device waits for its edge, which may be waiting for others."""
 
@@ -52,7 +67,8 @@ def hold(folder: Path, task: DeviceTask, views: TrainingViews, reporter: EventRe
     place.mkdir(exist_ok=True)
     save_start(place / "start.safetensors", prepared.start)
     start = pack(START, {folder.name: (place / "start.safetensors").read_bytes()})
-    member = _Member(folder=folder, seat=seat, prepared=prepared, start=start, reporter=reporter)
+    key = content_key(__version__, task_key(task), start)
+    member = _Member(folder=folder, seat=seat, prepared=prepared, start=start, key=key, reporter=reporter)
     holder = member.run()
     result = holder.replica.outcome()
     summary = {**training_summary(result), "num_photographs": len(prepared.views), "num_points": len(prepared.scene.points)}
@@ -61,16 +77,23 @@ def hold(folder: Path, task: DeviceTask, views: TrainingViews, reporter: EventRe
 
 
 class _Member:
-    def __init__(self, *, folder: Path, seat: Seat, prepared: PreparedShare, start: bytes, reporter: EventReporter) -> None:
+    def __init__(
+        self, *, folder: Path, seat: Seat, prepared: PreparedShare, start: bytes, key: str, reporter: EventReporter
+    ) -> None:
         self._folder, self._seat, self._prepared, self._start, self._reporter = folder, seat, prepared, start, reporter
         # A parent waits for others before it answers.
         self._rules = LinkRules(limit_s=GONE_S + 2 * LATE_S)
         self.traffic = Traffic()
         self.initial = None
-        self.link: ChildLink | None = None
+        place = folder / GROUP_FOLDER
+        self._final, self._record = place / "end.safetensors", place / ENDED_NAME
+        self._key = key
 
     def run(self) -> Holder:
-        """Take all steps, over as many links as it takes."""
+        """Take all steps, over as many links as it takes; none where that was done before this
+        process was started again."""
+        if (ended := self._ended()) is not None:
+            return ended
         lost_s: float | None = None
         while True:
             try:
@@ -85,7 +108,6 @@ class _Member:
                 self._reporter.warn(f"{lost} It asks for another one.")
                 lost_s = now_s
             else:
-                link.send(DONE)
                 link.close()
                 return holder
 
@@ -108,7 +130,24 @@ class _Member:
                     continue
             holder.take(_expect(link, TOTAL))
         _expect(link, END)
+        save_begin(
+            self._final, Begun(group=begin.group, state=holder.replica.state(), offsets=begin.offsets, antialiased=begin.antialiased)
+        )
+        write_json(self._record, {"key": self._key})
+        self._say_done()
         return holder
+
+    def _ended(self) -> Holder | None:
+        """The holder as it was after the last step of this training."""
+        if not self._record.is_file() or read_json(self._record, ("key",))["key"] != self._key:
+            return None
+        begin = load_begin(self._final)
+        self.initial = begin.splats
+        self._say_done()
+        return join_share(self._prepared, self._folder.name, begin, self._seat)
+
+    def _say_done(self) -> None:
+        mark_done(meeting_of(self._folder, self._seat.parent), self._folder.name)
 
 
 def _received(link: ChildLink) -> tuple[bytes, bytes]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, END, TOTAL, Children, meeting_of, pack
+from radiant_app.together.exchange import BEGIN, ENDED_NAME, GROUP_FOLDER, TOTAL, Answer, Children, meeting_of, pack
 from radiant_app.together.links import LinkRules, ParentLinks
 from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
@@ -23,14 +23,12 @@ from radiant_core.hierarchy.messages import Training
 from radiant_core.hierarchy.reporter import Machine, fit_options
 from radiant_core.hierarchy.together import Begun, GroupStart, ShareStart, begin_group, check_start
 from radiant_core.io.group_messages import load_start, save_begin
-from radiant_core.io.run_store import content_key
+from radiant_core.io.messages import task_key
+from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.results import TrainResult
 from radiant_core.train.together.replica import Replica
 from radiant_core.train.together.roles import Root
 from radiant_core.train.trainer import Checkpoints
-
-DONE_WAIT_S = 120.0
-"""So long the root waits for the devices to have written their models."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,13 +81,15 @@ class _Leader:
         reporter: EventReporter,
         children: Children,
     ) -> None:
-        self._place, self._plan, self._task, self._num_dealt = folder / "group", plan, task, num_dealt
+        self._place, self._plan, self._task, self._num_dealt = folder / GROUP_FOLDER, plan, task, num_dealt
         self._reporter, self._children = reporter, children
         self._place.mkdir(exist_ok=True)
+        self._record, self._task_key = self._place / ENDED_NAME, content_key(__version__, task_key(task), dict(num_dealt))
         self.refused: dict[str, str] = {}
 
     def run(self, machine: Machine) -> Led:
-        sent = self._children.starts()
+        before = self._sent_before()
+        sent = self._children.starts() if before is None else before
         starts = self._admitted({device: data for parts in sent.values() for device, data in parts.items()})
         start = begin_group(starts, self._plan, self._task.train, self._reporter)
         options = fit_options(self._task.backend, self._reporter, machine, lambda: "")
@@ -97,11 +97,20 @@ class _Leader:
         checkpoints: Checkpoints = machine.checkpoints(lambda: self._key(start))
         if (state := checkpoints.load()) is not None:
             replica.restore(state)
-        root = Root(replica, self._plan.of_senders, start.camera_centers, start.group)
-        self._children.begin({name: self._begin(start, replica, parts) for name, parts in sent.items()})
-        self._take_steps(root, start, checkpoints)
-        self._children.send(END)
-        self._children.wait_until_done(DONE_WAIT_S)
+        root = Root(replica, self._plan.of_senders, start.camera_centers, start.group, sums_edges=self._plan.has_relays)
+
+        def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
+            if not any(device in self._plan.of_devices for device in self._admitted(parts)):
+                raise BadInput(f"{name} has nothing to train with")
+            return self._begin(start, replica, parts)
+
+        if before is None:
+            self._children.begin({name: self._begin(start, replica, parts) for name, parts in sent.items()})
+            self._take_steps(root, answer, checkpoints)
+            # What is done is done, whatever becomes of this process before its folder is sealed.
+            checkpoints.save(replica.step, replica.state)
+            write_json(self._record, {"key": self._task_key, "senders": {name: list(parts) for name, parts in sent.items()}})
+        self._children.finish(answer)
         for name, reasons in root.inbox.refused.items():
             self._reporter.warn(f"{len(reasons)} messages of {name} were refused, the first: {reasons[0]}")
         traffic = self._children.links.traffic.values()
@@ -114,23 +123,21 @@ class _Leader:
         report_result(start.group.config, start.initial, result, self._reporter)
         return Led(starts=starts, result=result, refused=self.refused, summary=summary)
 
-    def _take_steps(self, root: Root, start: GroupStart, checkpoints: Checkpoints) -> None:
+    def _sent_before(self) -> dict[str, dict[str, bytes]] | None:
+        """What devices began with, where all steps were taken before this process was started again."""
+        if not self._record.is_file() or (record := read_json(self._record, ("key", "senders")))["key"] != self._task_key:
+            return None
+        files = {name: {device: self._place / f"{device}.safetensors" for device in devices} for name, devices in record["senders"].items()}
+        return {name: {device: path.read_bytes() for device, path in paths.items()} for name, paths in files.items()}
+
+    def _take_steps(self, root: Root, answer: Answer, checkpoints: Checkpoints) -> None:
         replica = root.replica
-
-        def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
-            strangers = [device for device in self._admitted(parts) if device in self._plan.of_devices]
-            if not strangers:
-                raise BadInput(f"{name} has nothing to train with")
-            return self._begin(start, replica, parts)
-
         while not replica.is_done:
             messages = self._children.gradients(answer)
             message, total = root.total(messages)
             self._children.send(TOTAL, message)
             root.take(total)
             checkpoints.offer(replica.step, replica.state)
-        # What is done is done, whatever becomes of this process before its folder is sealed.
-        checkpoints.save(replica.step, replica.state)
 
     def _admitted(self, parts: Mapping[str, bytes]) -> dict[str, ShareStart]:
         """The starts that can be used; others are refused by name."""

@@ -13,13 +13,30 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, DONE, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, Children, meeting_of, pack, unpack
+from radiant_app.together.exchange import (
+    BEGIN,
+    END,
+    ENDED_NAME,
+    GONE_S,
+    GRADIENTS,
+    GROUP_FOLDER,
+    LATE_S,
+    START,
+    TOTAL,
+    Children,
+    mark_done,
+    meeting_of,
+    pack,
+    unpack,
+)
 from radiant_app.together.holding import CONNECT_S
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, ParentLinks, Traffic, connect
 from radiant_app.workers.reporting import EventReporter
+from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.io.group_messages import load_begin
+from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.together.roles import Relay
 
 
@@ -41,7 +58,7 @@ def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Mapping
     meeting = meeting_of(folder, f"edges/{folder.name}")
     meeting.mkdir(parents=True, exist_ok=True)
     links = ParentLinks(meeting, names, LinkRules())
-    relaying = _Relaying(folder=folder, plan=plan, links=links, reporter=reporter)
+    relaying = _Relaying(folder=folder, plan=plan, links=links, reporter=reporter, key=content_key(__version__, plan))
     try:
         return relaying.run()
     finally:
@@ -49,11 +66,12 @@ def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Mapping
 
 
 class _Relaying:
-    def __init__(self, *, folder: Path, plan: GroupTraining, links: ParentLinks, reporter: EventReporter) -> None:
+    def __init__(self, *, folder: Path, plan: GroupTraining, links: ParentLinks, reporter: EventReporter, key: str) -> None:
         self._folder, self._plan, self._links, self._reporter = folder, plan, links, reporter
         self._children = self._new_children()
         self._traffic = Traffic()
         self._num_refused = 0
+        self._record, self._key = folder / GROUP_FOLDER / ENDED_NAME, key
 
     def _new_children(self) -> Children:
         names, meeting = list(self._plan.of_devices), meeting_of(self._folder, f"edges/{self._folder.name}")
@@ -62,11 +80,12 @@ class _Relaying:
     def run(self) -> Mapping[str, float | int]:
         """Steps until the root ends them, over as many links as it takes."""
         while True:
-            starts = self._children.starts()
             try:
-                rules = LinkRules(limit_s=GONE_S + LATE_S)
-                up = connect(meeting_of(self._folder, self._plan.root), self._folder.name, CONNECT_S, rules, self._traffic)
-                self._steps(up, starts)
+                if self._has_ended:
+                    self._finish()
+                else:
+                    starts = self._children.starts()
+                    self._steps(self._connect(), starts)
             except LinkLost as lost:
                 if "no parent took" in lost.reason:
                     raise StageFailed(f"{self._plan.root} does not answer: {lost.reason}.") from lost
@@ -76,6 +95,7 @@ class _Relaying:
                 self._children = self._new_children()
                 time.sleep(0.2)
             else:
+                mark_done(meeting_of(self._folder, self._plan.root), self._folder.name)
                 traffic = [self._traffic, *self._links.traffic.values()]
                 return {
                     "sent_bytes": sum(each.sent_bytes for each in traffic),
@@ -85,7 +105,7 @@ class _Relaying:
 
     def _steps(self, up: ChildLink, starts: Mapping[str, Mapping[str, bytes]]) -> None:
         begin = self._ask(up, {device: data for parts in starts.values() for device, data in parts.items()})
-        place = self._folder / "group"
+        place = self._folder / GROUP_FOLDER
         place.mkdir(exist_ok=True)
         (place / "begin.safetensors").write_bytes(unpack(begin)["begin"])
         stands = load_begin(place / "begin.safetensors")
@@ -102,15 +122,38 @@ class _Relaying:
             if payload[:1] != TOTAL:
                 raise LinkLost(self._plan.root, f"it sent {payload[:1]!r} at step {step + 1} where a sum was due")
             self._children.send(TOTAL, payload[1:])
-        if up.receive().payload[:1] != END:
-            raise LinkLost(self._plan.root, "it did not end the training after the last step")
-        self._children.send(END)
-        self._children.wait_until_done(LATE_S)
+        _require_end(up, self._plan.root)
+        write_json(self._record, {"key": self._key})
         for name, reasons in relay.inbox.refused.items():
             self._reporter.warn(f"{len(reasons)} messages of {name} were refused, the first: {reasons[0]}")
             self._num_refused += len(reasons)
-        up.send(DONE)
+        # The root listens to whoever comes back for the end, over a new link.
         up.close()
+        self._finish()
+
+    def _finish(self) -> None:
+        """Let devices end; one that comes back for it is answered by the root."""
+        link: ChildLink | None = None
+
+        def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
+            nonlocal link
+            link = link or self._connect()
+            begin = self._ask(link, {name: parts[name]} if name in parts else {})
+            _require_end(link, self._plan.root)
+            return begin
+
+        self._children.finish(answer)
+        if link is not None:
+            link.close()
+
+    @property
+    def _has_ended(self) -> bool:
+        """Whether all steps were summed before this process was started again."""
+        return self._record.is_file() and read_json(self._record, ("key",))["key"] == self._key
+
+    def _connect(self) -> ChildLink:
+        rules = LinkRules(limit_s=GONE_S + LATE_S)
+        return connect(meeting_of(self._folder, self._plan.root), self._folder.name, CONNECT_S, rules, self._traffic)
 
     def _ask(self, up: ChildLink, starts: Mapping[str, bytes]) -> bytes:
         """BEGIN for devices that sent these starts."""
@@ -121,3 +164,8 @@ class _Relaying:
         if payload[:1] != BEGIN:
             raise LinkLost(self._plan.root, f"it answered a start with {payload[:1]!r}")
         return payload
+
+
+def _require_end(up: ChildLink, root: str) -> None:
+    if up.receive().payload[:1] != END:
+        raise LinkLost(root, "it did not end the training after the last step")

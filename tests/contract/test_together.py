@@ -37,7 +37,7 @@ def grouped(recipe: Recipe, roots: tuple[str, ...], **changes: object) -> Recipe
             plan.edge_id: {device: 1 + (index == 0) for index, device in enumerate(plan.device_ids) if len(plan.cameras_of(device))}
             for plan in plans
         }
-        groups[root] = replace(GroupTraining(root=root, views=views, num_steps=90), **changes)
+        groups[root] = replace(GroupTraining(root=root, views=views, num_steps=600), **changes)
     return replace(recipe, groups=groups)
 
 

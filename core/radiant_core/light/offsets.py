@@ -1,7 +1,7 @@
 """By how much the light of one device's photographs differs from another's. Once per training that
 machines share.
 
-    minimise  Σ over devices d and places p  ρ(y_dp − o_d − b_p)          per channel, Σ o_d = 0
+    minimise  Σ over devices d and places p  ρ(y_dp − o_d − b_p)          per channel, median o_d = 0
 
 y are mean log brightnesses of sparse points in a device's light; a place is a cell of a grid, so
 that devices whose points differ have places in common. Solved as the light of photographs is
@@ -43,7 +43,7 @@ class PointLogs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightOffsets:
-    """Log brightness (D,3) of each device's light above the mean of all, and what tells it."""
+    """Log brightness (D,3) of each device's light above the median of all, and what tells it."""
 
     offsets: FloatArray
     num_places: int
@@ -55,7 +55,7 @@ class LightOffsets:
 
     @property
     def spread(self) -> float:
-        """The largest difference from the mean."""
+        """The largest difference from the median."""
         return float(np.abs(self.offsets).max(initial=0.0))
 
     @property
@@ -110,7 +110,8 @@ def light_offsets(devices: Sequence[PointLogs]) -> LightOffsets:
         return LightOffsets(offsets=nothing.offsets, num_places=common)
     observed = Observations(view=of_device, squared_radii=np.zeros(len(pairs)), logs=means, place=of_place)
     lights = solve_lights(observed, _stand_ins(len(devices)))
-    return LightOffsets(offsets=lights.log_gains, num_places=common)
+    # By the median, so that one device whose brightness is a lie moves the light of no other.
+    return LightOffsets(offsets=lights.log_gains - np.median(lights.log_gains, axis=0), num_places=common)
 
 
 def _cell_m(devices: Sequence[PointLogs]) -> float:
