@@ -35,7 +35,7 @@ class GroupTraining:
     """Views that are shown in all, as steps of one machine."""
     overlaps: bool = False
     """As of a `Group`."""
-    form: StepFormat = "bfloat16"
+    form: StepFormat = "blocks"
 
     def __post_init__(self) -> None:
         if self.root != "cloud" and [self.root] != [f"edges/{edge}" for edge in self.views]:

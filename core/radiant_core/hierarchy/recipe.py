@@ -139,7 +139,7 @@ class Recipe:
             views = {edge: devices for edge, devices in views.items() if devices}
             num_steps = sum(self.training_of(device).num_steps for devices in views.values() for device in devices)
             root = "cloud" if plan.level == "cloud" else f"edges/{plan.edges[0]}"
-            groups[root] = GroupTraining(root=root, views=views, num_steps=num_steps)
+            groups[root] = GroupTraining(root=root, views=views, num_steps=num_steps, overlaps=plan.overlaps)
         return replace(self, groups=groups)
 
     def group_of(self, device: str) -> GroupTraining | None:

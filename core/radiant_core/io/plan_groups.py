@@ -26,6 +26,7 @@ class _Group(Strict):
     step_s: _Seconds
     start_s: _Seconds
     end_s: _Seconds
+    overlaps: bool
 
     def build(self) -> GroupPlan:
         return GroupPlan(**{**self.model_dump(), "edges": tuple(self.edges)})

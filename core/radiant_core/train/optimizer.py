@@ -27,7 +27,7 @@ from radiant_core import _native
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.render.finite import first_not_finite
 
-_BETA1, _BETA2 = 0.9, 0.999
+BETA1, _BETA2 = 0.9, 0.999
 _MAX_GRADIENT = 1e18
 
 
@@ -44,7 +44,7 @@ class SelectiveAdam:
     Float32 on the CPU is stepped by the native kernel, else by torch, to the same formula.
     """
 
-    def __init__(self, tensors: Mapping[str, Tensor], rates: Mapping[str, float], *, eps: float = 1e-15) -> None:
+    def __init__(self, tensors: Mapping[str, Tensor], rates: Mapping[str, float], *, eps: float = 1e-15, beta1: float = BETA1) -> None:
         """`rates` by name; BadInput where tensors differ in rows or are not contiguous, and where a
         rate or eps is no positive number."""
         num_rows = {tensor.shape[0] if tensor.ndim else -1 for tensor in tensors.values()}
@@ -66,11 +66,11 @@ class SelectiveAdam:
             )
             for name, tensor in tensors.items()
         }
-        self._eps = eps
+        self._eps, self._beta1 = eps, beta1
         self._step = 0
         device = next(iter(tensors.values())).device if tensors else torch.device("cpu")
         self._row_steps = torch.zeros(num_rows.pop() if num_rows else 0, dtype=torch.int32, device=device)
-        self._first_factors, self._second_factors = (factors.to(device) for factors in _bias_factors())
+        self._first_factors, self._second_factors = (factors.to(device) for factors in _bias_factors(beta1))
 
     def set_rate(self, name: str, rate: float) -> None:
         """Change a tensor's learning rate, if it is optimised. BadInput for no positive number."""
@@ -187,7 +187,7 @@ class SelectiveAdam:
             self._second_factors,
             self._step,
             group.rate,
-            _BETA1,
+            self._beta1,
             _BETA2,
             self._eps,
             torch.get_num_threads(),
@@ -196,12 +196,12 @@ class SelectiveAdam:
     def _step_together(self, groups: list[_Group], gradients: list[Tensor]) -> None:
         """All rows of all tensors by torch's operations on lists: on a GPU one launch each, where a
         launch takes longer than its arithmetic."""
-        first, second = (float(factors[min(self._step, len(factors)) - 1]) for factors in _bias_factors())
+        first, second = (float(factors[min(self._step, len(factors)) - 1]) for factors in _bias_factors(self._beta1))
         tensors = [group.tensor for group in groups]
         m, v = [group.first_moments for group in groups], [group.second_moments for group in groups]
         g = torch._foreach_clamp_max(gradients, _MAX_GRADIENT)
         torch._foreach_clamp_min_(g, -_MAX_GRADIENT)
-        torch._foreach_lerp_(m, g, 1 - _BETA1)
+        torch._foreach_lerp_(m, g, 1 - self._beta1)
         torch._foreach_mul_(v, _BETA2)
         torch._foreach_addcmul_(v, g, g, 1 - _BETA2)
         root = torch._foreach_sqrt(v)
@@ -213,7 +213,7 @@ class SelectiveAdam:
         at = self._row_steps[rows].clamp_max(len(self._first_factors)).long() - 1
         shape = (-1, *(1 for _ in gradient.shape[1:]))
         g = gradient[rows].clamp(-_MAX_GRADIENT, _MAX_GRADIENT)
-        m = group.first_moments[rows].lerp(g, 1 - _BETA1)
+        m = group.first_moments[rows].lerp(g, 1 - self._beta1)
         v = _BETA2 * group.second_moments[rows] + (1 - _BETA2) * g * g
         group.first_moments[rows], group.second_moments[rows] = m, v
         root = v.sqrt() * self._second_factors[at].view(shape).to(g)
@@ -230,10 +230,10 @@ def _require_rate(name: str, rate: float | None) -> None:
 
 
 @functools.cache
-def _bias_factors() -> tuple[Tensor, Tensor]:
+def _bias_factors(beta1: float) -> tuple[Tensor, Tensor]:
     """1 / (1 − β₁ᵗ), 1 / √(1 − β₂ᵗ) float32 (T,) for t = 1 … T, at and after which both are 1."""
     steps = np.arange(1, math.ceil(math.log(2.0**-26) / math.log(_BETA2)) + 1)
-    factors = 1 / (1 - _BETA1**steps), 1 / np.sqrt(1 - _BETA2**steps)
+    factors = 1 / (1 - beta1**steps), 1 / np.sqrt(1 - _BETA2**steps)
     return torch.from_numpy(factors[0].astype(np.float32)), torch.from_numpy(factors[1].astype(np.float32))
 
 

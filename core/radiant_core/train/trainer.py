@@ -30,7 +30,7 @@ from radiant_core.train.drop import DroppedGaussians
 from radiant_core.train.extent import working_extent
 from radiant_core.train.held import HeldRows
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
-from radiant_core.train.optimizer import SelectiveAdam
+from radiant_core.train.optimizer import BETA1, SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainProgress, TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes
@@ -138,6 +138,8 @@ class ModelFit:
     """A model between two steps, its optimizer, its parts and its figures: what a training has, and
     each replica of one that several machines share (`together/replica.py`)."""
 
+    _beta1 = BETA1
+
     def __init__(self, initial: Splats, config: TrainConfig, options: FitOptions, extent: float) -> None:
         """`extent` in world units."""
         self._config, self._options, self._extent = config, options, extent
@@ -226,7 +228,7 @@ class ModelFit:
         return result
 
     def _new_optimizer(self) -> tuple[SelectiveAdam, dict[str, float]]:
-        return _optimizer(self._splats, self._extent, self._config, self._options.steps)
+        return _optimizer(self._splats, self._extent, self._config, self._options.steps, self._beta1)
 
     def _progress_after(self, num_steps: int) -> float:
         share = num_steps / self._config.num_steps
@@ -375,7 +377,9 @@ def _arrays_of(part: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[
     return {name.removeprefix(f"{part}."): array for name, array in arrays.items() if name.startswith(f"{part}.")}
 
 
-def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: Steps) -> tuple[SelectiveAdam, dict[str, float]]:
+def _optimizer(
+    splats: SplatTensors, extent: float, config: TrainConfig, steps: Steps, beta1: float
+) -> tuple[SelectiveAdam, dict[str, float]]:
     rates = {
         "means": config.means_lr * extent,
         "quats": config.quats_lr,
@@ -387,4 +391,4 @@ def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: 
     moving = {name: rates[name] * getattr(steps, name) for name, tensor in splats.tensors().items() if tensor.numel()}
     moving = {name: rate for name, rate in moving.items() if rate > 0}
     tensors = {name: tensor for name, tensor in splats.tensors().items() if name in moving}
-    return SelectiveAdam(tensors, moving), moving
+    return SelectiveAdam(tensors, moving, beta1=beta1), moving

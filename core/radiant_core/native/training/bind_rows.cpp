@@ -68,6 +68,34 @@ void from_bfloat16(const Table<const std::uint16_t, 2>& values, const Table<floa
   radiant::from_bfloat16(values.data(), values.size(), target.data());
 }
 
+void check_groups(const Rows& bounds, std::size_t columns) {
+  if (bounds.shape(0) < 2 || bounds.data()[0] != 0) raise("groups of columns are bounded by 0 and their ends");
+  for (std::size_t i = 1; i < bounds.shape(0); ++i)
+    if (bounds.data()[i] <= bounds.data()[i - 1]) raise("the bounds of groups do not ascend");
+  if (static_cast<std::size_t>(bounds.data()[bounds.shape(0) - 1]) != columns) raise("the last group does not end with the columns");
+}
+
+template <class Values, class Exponents, class Fractions>
+void check_blocks(const Values& values, const Rows& bounds, const Exponents& exponents, const Fractions& fractions) {
+  check_groups(bounds, values.shape(1));
+  if (exponents.shape(0) != values.shape(0) || exponents.shape(1) != bounds.shape(0) - 1) raise("one exponent is needed per row and group");
+  if (fractions.shape(0) != values.shape(0) || fractions.shape(1) != values.shape(1)) raise("values and fractions differ in shape");
+}
+
+void to_blocks(const Table<const float, 2>& values, const Rows& bounds, const Table<std::uint8_t, 2>& exponents,
+               const Table<std::int8_t, 2>& fractions) {
+  check_blocks(values, bounds, exponents, fractions);
+  const nb::gil_scoped_release unlocked;
+  radiant::to_blocks(values.data(), values.shape(0), values.shape(1), bounds.data(), bounds.shape(0) - 1, exponents.data(), fractions.data());
+}
+
+void from_blocks(const Table<const std::uint8_t, 2>& exponents, const Table<const std::int8_t, 2>& fractions, const Rows& bounds,
+                 const Table<float, 2>& values) {
+  check_blocks(values, bounds, exponents, fractions);
+  const nb::gil_scoped_release unlocked;
+  radiant::from_blocks(exponents.data(), fractions.data(), values.shape(0), values.shape(1), bounds.data(), bounds.shape(0) - 1, values.data());
+}
+
 }  // namespace
 
 void bind_rows(nb::module_& module) {
@@ -81,5 +109,10 @@ void bind_rows(nb::module_& module) {
              "the other rows become 0.");
   module.def("to_bfloat16", &to_bfloat16, "values"_a, "target"_a.noconvert(),
              "Writes the nearest bfloat16 of values (R,K) float32 into target (R,K) uint16, ties to even.");
+  module.def("to_blocks", &to_blocks, "values"_a, "bounds"_a, "exponents"_a.noconvert(), "fractions"_a.noconvert(),
+             "Writes values (R,K) float32 as exponents (R,G) uint8, biased by 64, of groups of columns that end at bounds (G+1,) int64,\n"
+             "and fractions (R,K) int8 in units of 2^(exponent - 7).");
+  module.def("from_blocks", &from_blocks, "exponents"_a, "fractions"_a, "bounds"_a, "values"_a.noconvert(),
+             "Writes what `to_blocks` made into values (R,K) float32.");
   module.def("from_bfloat16", &from_bfloat16, "values"_a, "target"_a.noconvert(), "Writes bfloat16 values (R,K) uint16 into target (R,K) float32.");
 }

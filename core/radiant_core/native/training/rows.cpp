@@ -1,5 +1,7 @@
 #include "training/rows.h"
 
+#include <algorithm>
+#include <cmath>
 #include <cstring>
 
 namespace radiant {
@@ -47,6 +49,56 @@ void from_bfloat16(const std::uint16_t* values, std::int64_t count, float* targe
   for (std::int64_t i = 0; i < count; ++i) {
     const std::uint32_t bits = static_cast<std::uint32_t>(values[i]) << 16;
     std::memcpy(target + i, &bits, sizeof bits);
+  }
+}
+
+namespace {
+
+// 2^power for -126 to 127.
+float power_of_two(int power) {
+  const std::uint32_t bits = static_cast<std::uint32_t>(power + 127) << 23;
+  float value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+// The least e with value < 2^e, from -kExponentBias to kExponentBias - 1, for a value of 0 or more.
+int exponent_above(float value) {
+  std::uint32_t bits;
+  std::memcpy(&bits, &value, sizeof bits);
+  return std::min(std::max(static_cast<int>(bits >> 23) - 126, -kExponentBias), kExponentBias - 1);
+}
+
+}  // namespace
+
+void to_blocks(const float* values, std::int64_t count, std::int64_t columns, const std::int64_t* bounds, std::int64_t num_groups,
+               std::uint8_t* exponents, std::int8_t* fractions) {
+  for (std::int64_t i = 0; i < count; ++i) {
+    for (std::int64_t group = 0; group < num_groups; ++group) {
+      const float* from = values + i * columns;
+      float most = 0;
+      for (std::int64_t column = bounds[group]; column < bounds[group + 1]; ++column) most = std::max(most, std::fabs(from[column]));
+      const int power = exponent_above(most);
+      exponents[i * num_groups + group] = static_cast<std::uint8_t>(power + kExponentBias);
+      const float scale = power_of_two(7 - power);
+      for (std::int64_t column = bounds[group]; column < bounds[group + 1]; ++column) {
+        const float scaled = std::min(std::max(std::nearbyint(from[column] * scale), -127.0f), 127.0f);
+        fractions[i * columns + column] = static_cast<std::int8_t>(scaled);
+      }
+    }
+  }
+}
+
+void from_blocks(const std::uint8_t* exponents, const std::int8_t* fractions, std::int64_t count, std::int64_t columns,
+                 const std::int64_t* bounds, std::int64_t num_groups, float* values) {
+  for (std::int64_t i = 0; i < count; ++i) {
+    for (std::int64_t group = 0; group < num_groups; ++group) {
+      const int power = std::min<int>(exponents[i * num_groups + group], 2 * kExponentBias - 1) - kExponentBias;
+      const float scale = power_of_two(power - 7);
+      for (std::int64_t column = bounds[group]; column < bounds[group + 1]; ++column) {
+        values[i * columns + column] = scale * static_cast<float>(fractions[i * columns + column]);
+      }
+    }
   }
 }
 

@@ -37,6 +37,12 @@ _FASTEST, _SLOWEST = 1e6, 1e-6
 _HALVINGS = 45
 
 
+WORTH = 2.0
+"""How many times as long as joined models one that machines train together may take: with as many
+views it is 0.4 to 1.5 dB better, which joined ones do not reach with three times the steps
+(docs/experiments/together.md)."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class GroupRules:
     """What a plan's choices go by."""
@@ -103,7 +109,7 @@ def choose_within(edge: Edge, plan: EdgePlan, rules: GroupRules, *, refining_s: 
         return _group("edge", [at], views, num_photographs, rules.law, cost, start_cost([at], None, _shares(views), num_photographs))
 
     def difference_s(factor: float) -> float:
-        return group_at(factor).seconds - _joined_s(_with_links(edge, factor), plan) - refining_s
+        return group_at(factor).seconds - WORTH * (_joined_s(_with_links(edge, factor), plan) + refining_s)
 
     links = [device.uplink_bytes_per_s for device in edge.devices if device.id in views]
     cost = step_cost([edge], None, views, num_photographs, rules.law)
@@ -137,7 +143,7 @@ def choose_between(system: System, edge_plans: Sequence[EdgePlan], within: Seque
 
     def difference_s(factor: float) -> float:
         # The links of edges send joined models once, which hardly counts beside every step.
-        return group_at(factor).seconds - joined_s
+        return group_at(factor).seconds - WORTH * joined_s
 
     cost = step_cost([edge for edge, _ in busy], system.cloud, views, num_photographs, rules.law)
     assumed = _assumed([*(edge for edge, _ in busy), system.cloud])
@@ -162,7 +168,7 @@ def _assumed(machines: Sequence[Edge | Cloud]) -> str:
 
 def _chosen(asked: _Asked, group: GroupPlan, cost: StepCost, joined_s: float, level_bytes_per_s: float | None) -> GroupChoice:
     by_links = asked.law.view_s is not None
-    sooner = cost.exchange_s < cost.views_s if by_links else group.seconds < joined_s
+    sooner = cost.step_s < 2 * WORTH * cost.views_s if by_links else group.seconds < WORTH * joined_s
     together = asked.wanted == "together" or (asked.wanted == "auto" and sooner)
     each = " + ".join(map(str, group.views.values())) if len(group.views) <= 8 else f"{group.views_a_step}"
     who = f"{asked.about}: {len(group.views)} devices train together, {each} views a step"
@@ -171,12 +177,14 @@ def _chosen(asked: _Asked, group: GroupPlan, cost: StepCost, joined_s: float, le
     took = f"{sent}, {_ms(cost.exchange_s)} beside {_ms(cost.views_s)} of views"
     if by_links:
         figures = 1000 * cost.exchange_s, f"ms of exchange a step, {_ms(cost.views_s)} of views by an estimate"
-        reason = f"{sent}; the machines' times are not known, and joining takes about as long as training: an exchange may last as views do"
+        reason = f"{sent}; the machines' times are not known, and joining takes about as long as training: "
+        reason += f"a step may last {2 * WORTH:g} times its views"
     elif level_bytes_per_s is None:
         reason = took
     else:
         links = "" if asked.topic == WITHIN else " of the edges' links"
-        reason = f"{took}; at {level_bytes_per_s * 8 / 1e6:,.3g} Mbit/s{links} both would take as long"
+        at = f"at {level_bytes_per_s * 8 / 1e6:,.3g} Mbit/s{links}"
+        reason = f"{took}; {at} it would take {WORTH:g} times as long as joining, which its quality is worth"
     decision = Decision(
         stage=STAGE,
         topic=asked.topic,
@@ -259,7 +267,8 @@ def _group(  # noqa: PLR0913
         views=views,
         num_photographs=num_photographs,
         num_steps=group_steps(law.views_per_photograph * num_photographs, sum(views.values())),
-        step_s=cost.seconds,
+        step_s=cost.step_s,
+        overlaps=cost.overlaps,
         start_s=start_s,
         end_s=end_cost(edges[0], num_photographs) if level == "edge" else 0.0,
     )

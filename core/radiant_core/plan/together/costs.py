@@ -39,8 +39,12 @@ LATENCY_S = 0.001
 ADD_S_PER_BYTE = 2e-9
 """Of adding what one child sent, where nobody measured it: 1.4 to 2.2 ms a megabyte by
 `radiant profile` on two cores."""
-BESIDE_BYTES = 8
-"""Bytes of a row beside its gradients: its number, and its statistics of density."""
+BESIDE_BYTES = 10
+"""Bytes of a row beside its gradients: exponents of their blocks, its statistics of density, and its
+share of the bits that say which rows are sent."""
+OVERLAPPED_FROM = 0.5
+"""An exchange that lasts so many times what its views do is overlapped with the next ones, whose
+gradients are then of the model one step before: 0.1 to 0.2 dB less (docs/experiments/together.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +73,8 @@ class TogetherLaw:
 
     @property
     def row_bytes(self) -> float:
-        """Bytes of a Gaussian in what is sent in a step: 16 bits a float."""
-        return 2.0 * self.num_floats + BESIDE_BYTES
+        """Bytes of a Gaussian in what is sent in a step: 8 bits a float."""
+        return float(self.num_floats + BESIDE_BYTES)
 
     def num_splats(self, devices: Sequence[Device], num_photographs: int) -> float:
         """N: Gaussians of a model of so many photographs, the most that a curve has."""
@@ -100,6 +104,16 @@ class StepCost:
     def exchange_s(self) -> float:
         """All but the views."""
         return self.seconds - self.views_s
+
+    @property
+    def overlaps(self) -> bool:
+        """Whether views are rendered while the sum of the step before is on its way."""
+        return self.exchange_s > OVERLAPPED_FROM * self.views_s
+
+    @property
+    def step_s(self) -> float:
+        """From one step to the next."""
+        return max(self.views_s, self.exchange_s) if self.overlaps else self.seconds
 
 
 @dataclass(frozen=True, kw_only=True)

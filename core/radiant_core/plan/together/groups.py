@@ -56,6 +56,8 @@ class GroupPlan:
     """Predicted seconds before the first step."""
     end_s: float = 0.0
     """Predicted seconds from the last step to the model at the cloud."""
+    overlaps: bool = False
+    """Whether views are rendered while the sum of the step before is on its way."""
 
     def __post_init__(self) -> None:
         if self.level not in get_args(GroupLevel) or not self.edges or (self.level == "edge" and len(self.edges) != 1):

@@ -4,8 +4,9 @@
     down     head of limits, their Gaussians (a bit each), log scales; then as up
 
 The values of R Gaussians in K columns are float32; bfloat16 (8 bits of fraction, the range of
-float32); or blocks, an exponent for each tensor of a Gaussian and 8 bits for each value, whose
-rounding errors a sender adds to what it sends next (`ErrorFeedback`; Seide 2014, 1-bit SGD).
+float32); or blocks, an exponent for each tensor of a Gaussian and 8 bits for each value. No sender
+keeps what it rounded off: one that comes back would have lost it, and nothing is gained by it
+(docs/experiments/together.md).
 
 Every length follows from the head and is checked before anything is read, since a sender may be
 anybody.
@@ -14,7 +15,6 @@ anybody.
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -30,7 +30,6 @@ _HEAD = struct.Struct("<4sBxHIQQd")
 """Mark, format, views, Gaussians shown, Gaussians of the model, step, loss."""
 _LIMITS = struct.Struct("<4sI")
 _MARK, _LIMITS_MARK = b"RSG1", b"RSL1"
-_EXPONENT_BIAS = 64
 
 
 def encode_gradients(gradients: StepGradients, step: int, num_splats: int, layout: Layout, form: StepFormat) -> bytes:
@@ -118,27 +117,6 @@ def decode_limits(message: bytes | memoryview, num_splats: int) -> tuple[Limits 
     return Limits(rows=rows, log_scales=scales), end
 
 
-class ErrorFeedback:
-    """The rounding errors of a sender, (N,K) float32, which it adds to what it sends next."""
-
-    def __init__(self) -> None:
-        self.errors: NDArray[np.float32] | None = None
-
-    def encode(self, gradients: StepGradients, step: int, num_splats: int, layout: Layout, form: StepFormat) -> bytes:
-        """The message. Only `blocks` leave errors worth keeping; they begin anew with another
-        number of Gaussians, since an edit moved their rows."""
-        if form != "blocks":
-            return encode_gradients(gradients, step, num_splats, layout, form)
-        if self.errors is None or self.errors.shape != (num_splats, layout.num_columns):
-            self.errors = np.zeros((num_splats, layout.num_columns), np.float32)
-        rows = gradients.rows
-        wanted = gradients.values + self.errors[rows]
-        wanted[:, layout.growth] = gradients.values[:, layout.growth]
-        message = encode_gradients(replace(gradients, values=wanted), step, num_splats, layout, form)
-        self.errors[rows] = wanted - decode_gradients(message, step, num_splats, layout, gradients.num_views).values
-        return message
-
-
 def _rows_of(message: bytes | memoryview, at: int, num_splats: int, count: int) -> NDArray[np.int64]:
     bits = np.frombuffer(message, np.uint8, -(-num_splats // 8), at)
     rows = np.flatnonzero(np.unpackbits(bits, count=num_splats))
@@ -147,13 +125,14 @@ def _rows_of(message: bytes | memoryview, at: int, num_splats: int, count: int) 
     return rows
 
 
-def _groups(layout: Layout) -> list[slice]:
-    return [*layout.columns.values(), slice(layout.growth, layout.growth + 1)]
+def _bounds(layout: Layout) -> NDArray[np.int64]:
+    """Where the columns of each tensor, and of growth, begin, and the end."""
+    return np.array([*(columns.start for columns in layout.columns.values()), layout.growth, layout.num_columns], np.int64)
 
 
 def _bytes_per_row(layout: Layout, form: StepFormat) -> int:
     if form == "blocks":
-        return layout.num_columns + len(_groups(layout))
+        return layout.num_columns + len(_bounds(layout)) - 1
     return layout.num_columns * (4 if form == "float32" else 2)
 
 
@@ -164,14 +143,10 @@ def _encode_values(values: NDArray[np.float32], layout: Layout, form: StepFormat
         short = np.empty(values.shape, np.uint16)
         _native.to_bfloat16(np.ascontiguousarray(values, np.float32), short)
         return short.tobytes()
-    exponents, fractions = [], []
-    for columns in _groups(layout):
-        part = values[:, columns]
-        # |value| < 2^e, so that fractions of 2^(e − 7) stay below 128.
-        power = np.clip(np.frexp(np.abs(part).max(axis=1, initial=0))[1], -_EXPONENT_BIAS, _EXPONENT_BIAS - 1)
-        exponents.append((power + _EXPONENT_BIAS).astype(np.uint8))
-        fractions.append(np.clip(np.rint(np.ldexp(part, (7 - power)[:, None])), -127, 127).astype(np.int8))
-    return np.stack(exponents, axis=1).tobytes() + np.concatenate(fractions, axis=1).tobytes()
+    bounds = _bounds(layout)
+    exponents, fractions = np.empty((len(values), len(bounds) - 1), np.uint8), np.empty(values.shape, np.int8)
+    _native.to_blocks(np.ascontiguousarray(values, np.float32), bounds, exponents, fractions)
+    return exponents.tobytes() + fractions.tobytes()
 
 
 def _decode_values(message: bytes | memoryview, at: int, num_rows: int, layout: Layout, form: StepFormat) -> NDArray[np.float32]:
@@ -182,12 +157,10 @@ def _decode_values(message: bytes | memoryview, at: int, num_rows: int, layout: 
         values = np.empty(shape, np.float32)
         _native.from_bfloat16(np.frombuffer(message, np.uint16, num_rows * layout.num_columns, at).reshape(shape), values)
         return values
-    groups = _groups(layout)
-    exponents = (
-        np.frombuffer(message, np.uint8, num_rows * len(groups), at).reshape(num_rows, len(groups)).astype(np.int64) - _EXPONENT_BIAS
-    )
-    fractions = np.frombuffer(message, np.int8, num_rows * layout.num_columns, at + num_rows * len(groups)).reshape(shape)
+    bounds = _bounds(layout)
+    num_groups = len(bounds) - 1
+    exponents = np.frombuffer(message, np.uint8, num_rows * num_groups, at).reshape(num_rows, num_groups)
+    fractions = np.frombuffer(message, np.int8, num_rows * layout.num_columns, at + num_rows * num_groups).reshape(shape)
     values = np.empty(shape, np.float32)
-    for index, columns in enumerate(groups):
-        values[:, columns] = np.ldexp(fractions[:, columns].astype(np.float32), (exponents[:, index] - 7)[:, None])
+    _native.from_blocks(exponents, fractions, bounds, values)
     return values

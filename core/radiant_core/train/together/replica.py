@@ -51,10 +51,16 @@ class Group:
     overlaps: bool = True
     """Whether a holder renders for the next step while the sum of this one is on its way, so that
     gradients are of the model one step before."""
-    form: StepFormat = "bfloat16"
+    form: StepFormat = "blocks"
     """How gradients travel."""
     masked: bool = False
     """Whether devices add masks to what they send, which cancel in the sum (`masking.py`)."""
+
+    @property
+    def beta1(self) -> float:
+        """Adam's memory of gradients, shorter the more views a step has, and where they are a step
+        old (docs/experiments/together.md)."""
+        return float(np.clip(0.9 - 0.1 * (math.log2(self.views_per_step) - 2 + self.overlaps), 0.7, 0.9))
 
     @property
     def stepping(self) -> TrainConfig:
@@ -113,6 +119,7 @@ class Replica(ModelFit):
         """`share`: the photographs of this machine; None where it has none. BadInput for settings
         that cannot be shared."""
         require_shareable(group.config)
+        self._beta1 = group.beta1
         super().__init__(initial, group.stepping, options, group.extent)
         self._group, self._share = group, share
         self._parts = self._parts_of_group()

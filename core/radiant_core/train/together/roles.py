@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.train.results import TrainResult
-from radiant_core.train.together.codec import ErrorFeedback, decode_gradients, decode_limits, encode_limits, peek_gradients
+from radiant_core.train.together.codec import decode_gradients, decode_limits, encode_gradients, encode_limits, peek_gradients
 from radiant_core.train.together.gradients import Layout, StepGradients, sum_gradients
 from radiant_core.train.together.masking import FixedPoint, MaskKeys, check_sum, encode_masked, peek_masked, unmask_sum
 from radiant_core.train.together.replica import Group, Replica
@@ -30,7 +30,6 @@ class Holder:
         self.replica, self._group, self.masks = replica, group, masks
         self.unit = FixedPoint.first(replica.layout)
         """That of the next masked message."""
-        self.feedback = ErrorFeedback()
         self.num_sent = replica.step
         """Steps that it has contributed to."""
 
@@ -52,7 +51,7 @@ class Holder:
         if self.masks is not None:
             message = encode_masked(gradients, self.num_sent, replica.num_splats, self.unit, self.masks)
         else:
-            message = self.feedback.encode(gradients, self.num_sent, replica.num_splats, replica.layout, self._group.form)
+            message = encode_gradients(gradients, self.num_sent, replica.num_splats, replica.layout, self._group.form)
         self.num_sent += 1
         return message
 
@@ -115,7 +114,6 @@ class Relay:
     def __init__(self, most_views: Mapping[str, int], layout: Layout, group: Group) -> None:
         self.inbox = Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config), masked=group.masked)
         self._layout, self._group = layout, group
-        self.feedback = ErrorFeedback()
         self.num_sent = 0
 
     def message(self, messages: Mapping[str, bytes]) -> bytes:
@@ -124,7 +122,7 @@ class Relay:
         heads = [(step, count) for step, count in heads if count <= self._group.config.max_num_splats]
         step, count = max(set(heads), key=heads.count) if heads else (self.num_sent, 0)
         total = sum_gradients(self.inbox.read(messages, step, count, self._layout), count, self._layout)
-        message = self.feedback.encode(total, step, count, self._layout, self._group.form)
+        message = encode_gradients(total, step, count, self._layout, self._group.form)
         self.num_sent = step + 1
         return message
 
@@ -141,7 +139,6 @@ class Root:
         self.replica = replica
         self.inbox = Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config), masked=masked)
         self._centers, self._group = camera_centers, group
-        self.feedback = ErrorFeedback()
 
     @property
     def senders(self) -> Sequence[str]:
@@ -153,7 +150,7 @@ class Root:
         replica, count, layout = self.replica, self.replica.num_splats, self.replica.layout
         self._limits = replica.limits(self._centers)
         total = sum_gradients(self.inbox.read(messages, replica.step, count, layout), count, layout)
-        message = self.feedback.encode(total, replica.step, count, layout, self._group.form)
+        message = encode_gradients(total, replica.step, count, layout, self._group.form)
         # What it takes is what it says, rounded.
         said = decode_gradients(message, replica.step, count, layout, self._group.views_per_step, checks=False)
         return encode_limits(self._limits, count) + message, said
