@@ -7,7 +7,8 @@ placement, seed).
                     nothing joined
     crop            device models cut at the plan's borders
     paper           concatenate and retrain at the edges and at the cloud, ten epochs each
-    together        all devices train one model, step by step; `together per edge`: those of an edge
+    together        all devices train one model, step by step; `together overlapped`: with sums on
+                    their way; `together per edge`: those of an edge
     ours            the default of `radiant run`; in a run's own cell, the run's settings
     ours once       all device models joined at once, as without edges, in five epochs or the run's
     paper once      the same by the paper's preset: one tier in place of two

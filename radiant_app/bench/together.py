@@ -1,6 +1,7 @@
 """Devices that train as one model, as arms of `radiant bench methods`; and how they scale.
 
 together            all devices of all edges train the scene, in the sums of the cloud
+together overlapped the same, a device renders while the sum of the step before is on its way
 together per edge   each edge's devices train its model; the cloud joins, devices refine
 """
 
@@ -107,5 +108,6 @@ def _training_px(run: GroupRun) -> int:
 
 TOGETHER: Sequence[Arm] = (
     Arm(name="together", make=make_together, recipe=lambda cell: grouped(cell.recipe, "cloud")),
+    Arm(name="together overlapped", make=make_together, recipe=lambda cell: grouped(cell.recipe, "cloud", overlaps=True)),
     Arm(name="together per edge", make=make_together, recipe=lambda cell: grouped(cell.recipe, "edges")),
 )
