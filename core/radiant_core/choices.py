@@ -26,7 +26,7 @@ DevicesUsed = Literal["auto", "all"]
 system. A number of devices is what this machine is divided into where there is no system."""
 TrainedAs = Literal["auto", "together", "joined"]
 """together: machines train one model and add up gradients in every step; joined: each trains a
-model of its own, and these are joined; auto: what is done sooner by the predicted times."""
+model of its own, and these are joined; auto: by the predicted times of both."""
 StepPolicy = Literal["per_photograph", "fixed"]
 """per_photograph: a device's steps follow its photographs, so that all together take as many as
 with a fixed number each; fixed: every device takes the same number."""

@@ -6,7 +6,7 @@
             TOTAL      of a step
             END        there is no further step
 
-A child that is linked sends START first, whenever that is: at the beginning, or where it comes back.
+A child that is linked sends START first, whenever that is: at the beginning, or when it is back.
 """
 
 from __future__ import annotations

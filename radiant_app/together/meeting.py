@@ -36,7 +36,7 @@ ANSWER_S = 5.0
 up."""
 
 _Gloo: Any = dist.ProcessGroupGloo  # its options and devices are not in torch's stubs
-_GLOO_CONNECTS = 5  # gloo waits this many times its timeout for a connection that the other end opens
+_GLOO_CONNECTS = 5  # times its timeout that gloo waits for a connection which the other end opens
 
 
 class Attempt:

@@ -1,7 +1,7 @@
 """By how much the light of one device's photographs differs from another's. Once per training that
 machines share.
 
-    minimise  Σ over devices d and places p  ρ(y_dp − o_d − b_p)          per channel, median o_d = 0
+    minimise  Σ over devices d and places p  ρ(y_dp − o_d − b_p)         per channel, median o_d = 0
 
 y are mean log brightnesses of sparse points in a device's light; a place is a cell of a grid, so
 that devices whose points differ have places in common. Solved as the light of photographs is

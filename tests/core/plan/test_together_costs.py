@@ -13,11 +13,11 @@ from radiant_core.plan.system import Cloud, Device, Edge
 from radiant_core.plan.together.costs import LATENCY_S, TogetherLaw, end_cost, shown_share, start_cost, step_cost
 
 LAW = TogetherLaw(views_per_photograph=10.0, steps_of=lambda count: 10.0 * count, num_floats=23, splat_bytes=100.0)
-"""54 bytes a row."""
+"""33 bytes a row."""
 CLOUD = Cloud(latency_s=0.02, add_s_per_byte=2e-8)
 
 
-def device(name: str, speed: float = 1.0, bytes_per_s: float = 2.7e6) -> Device:
+def device(name: str, speed: float = 1.0, bytes_per_s: float = 1.65e6) -> Device:
     """0.1 s a view at speed 1; 10,000 Gaussians with 32 photographs."""
     return Device(
         id=name,
@@ -53,29 +53,47 @@ def test_photographs_show_gaussians_that_others_show_too() -> None:
 
 def test_a_step_of_an_edge_is_what_its_parts_add_up_to() -> None:
     cost = step_cost([UNEQUAL], None, VIEWS, 32, LAW)
-    sent = 54 * 10_000 * np.array([0.75, 0.5, 0.875])  # up by a1, by a2, down
-    ready_s = max(2 * 0.1 + sent[0] / 2.7e6, 1 * 0.1 / 0.6 + sent[1] / 2.7e6)
+    sent = 33 * 10_000 * np.array([0.75, 0.5, 0.875])  # up by a1, by a2, down
+    ready_s = max(2 * 0.1 + sent[0] / 1.65e6, 1 * 0.1 / 0.6 + sent[1] / 1.65e6)
     assert ready_s == pytest.approx(0.35)
-    assert cost.seconds == pytest.approx(ready_s + 0.01 + 1e-8 * (sent[0] + sent[1]) + 0.01 + sent[2] / 2.7e6, rel=1e-12)
-    assert (cost.up_bytes, cost.down_bytes) == pytest.approx((405_000, 472_500), rel=1e-12)
-    assert (cost.views_s, cost.exchange_s) == pytest.approx((0.2, 0.35175), rel=1e-12)
+    assert cost.seconds == pytest.approx(ready_s + 0.01 + 1e-8 * (sent[0] + sent[1]) + 0.01 + sent[2] / 1.65e6, rel=1e-12)
+    assert (cost.up_bytes, cost.down_bytes) == pytest.approx((247_500, 288_750), rel=1e-12)
+    assert (cost.views_s, cost.exchange_s) == pytest.approx((0.2, 0.349125), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("bytes_per_s", "exchange_s", "overlaps", "step_s"),
+    [
+        (8.25e6, 0.089125, False, 0.289125),  # less than half of the views: one after the other
+        (3.3e6, 0.186625, True, 0.2),  # hidden behind the views
+        (1.65e6, 0.349125, True, 0.349125),  # the views are hidden behind it
+    ],
+)
+def test_an_exchange_longer_than_half_of_the_views_is_overlapped(
+    bytes_per_s: float, exchange_s: float, overlaps: bool, step_s: float
+) -> None:
+    """Views take 0.2 s, the exchange (247,500 + 288,750) / bytes_per_s + 0.02 + 0.004125 s."""
+    at = edge("a", device("a1", bytes_per_s=bytes_per_s), device("a2", 0.6, bytes_per_s))
+    cost = step_cost([at], None, VIEWS, 32, LAW)
+    assert cost.overlaps == overlaps
+    assert (cost.exchange_s, cost.step_s) == pytest.approx((exchange_s, step_s), rel=1e-12)
 
 
 def test_a_step_of_all_edges_goes_through_the_cloud_and_back() -> None:
-    edges = [UNEQUAL, edge("b", device("b1", bytes_per_s=5.4e6), bytes_per_s=2e7)]
+    edges = [UNEQUAL, edge("b", device("b1", bytes_per_s=3.3e6), bytes_per_s=2e7)]
     cost = step_cost(edges, CLOUD, {**VIEWS, "b1": 1}, 32, LAW)
-    rows_a, rows_b, down = 472_500.0, 270_000.0, 54 * 10_000 * (1 - 0.5**4)
-    at_a = 0.35 + 0.01 + 1e-8 * 675_000
-    at_b = 0.1 + 270_000 / 5.4e6 + 0.01 + 1e-8 * 270_000
+    rows_a, rows_b, down = 288_750.0, 165_000.0, 33 * 10_000 * (1 - 0.5**4)
+    at_a = 0.35 + 0.01 + 1e-8 * 412_500
+    at_b = 0.1 + 165_000 / 3.3e6 + 0.01 + 1e-8 * 165_000
     up_s = max(at_a + rows_a / 1e7, at_b + rows_b / 2e7) + 0.02
-    down_s = 0.02 + max(down / 1e7 + 0.01 + down / 2.7e6, down / 2e7 + 0.01 + down / 5.4e6)
+    down_s = 0.02 + max(down / 1e7 + 0.01 + down / 1.65e6, down / 2e7 + 0.01 + down / 3.3e6)
     assert cost.seconds == pytest.approx(up_s + 2e-8 * (rows_a + rows_b) + down_s, rel=1e-12)
 
 
 def test_a_group_begins_when_the_first_model_is_down_and_ends_when_its_model_is_at_the_cloud() -> None:
     shares = {"a1": 2 / 3, "a2": 1 / 3}
-    assert start_cost([UNEQUAL], None, shares, 32) == pytest.approx(2.0 + 1e6 / 2.7e6 + 0.02, rel=1e-12)
-    assert start_cost([UNEQUAL], CLOUD, shares, 32) == pytest.approx(2.0 + 1e6 / 2.7e6 + 0.02 + 1e6 / 1e7 + 0.04, rel=1e-12)
+    assert start_cost([UNEQUAL], None, shares, 32) == pytest.approx(2.0 + 1e6 / 1.65e6 + 0.02, rel=1e-12)
+    assert start_cost([UNEQUAL], CLOUD, shares, 32) == pytest.approx(2.0 + 1e6 / 1.65e6 + 0.02 + 1e6 / 1e7 + 0.04, rel=1e-12)
     assert end_cost(UNEQUAL, 32) == pytest.approx(1.0 + 1e6 / 1e7, rel=1e-12)
 
 
@@ -95,7 +113,7 @@ def test_latency_counts_twice_a_level() -> None:
 
 def test_a_limit_of_gaussians_and_an_estimate_of_a_view_count_in_place_of_curves() -> None:
     limited = step_cost([UNEQUAL], None, VIEWS, 32, replace(LAW, max_num_splats=1000))
-    assert limited.up_bytes == pytest.approx(40_500, rel=1e-12)
+    assert limited.up_bytes == pytest.approx(24_750, rel=1e-12)
     assert step_cost([UNEQUAL], None, VIEWS, 32, replace(LAW, view_s=0.5)).views_s == 1.0
 
 

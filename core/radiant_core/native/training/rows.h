@@ -1,5 +1,5 @@
-// Rows of tables of floats: gathered, added and spread by their indices, and made shorter to send; once per step of machines that
-// train together.
+// Rows of tables of floats: gathered, added and spread by their indices, and made shorter to send;
+// once per step of machines that train together.
 #pragma once
 
 #include <cstdint>
@@ -23,8 +23,9 @@ void to_bfloat16(const float* values, std::int64_t count, std::uint16_t* target)
 
 void from_bfloat16(const std::uint16_t* values, std::int64_t count, float* target);
 
-// Values (count, columns) as blocks: for each of `num_groups` groups of columns, which begin at `bounds` and end with the next, an
-// exponent e + kExponentBias with |value| < 2^e, and for each value the nearest multiple of 2^(e - 7), at most 127 of them.
+// Values (count, columns) as blocks: for each of `num_groups` groups of columns, which begin at
+// `bounds` and end with the next, an exponent e + kExponentBias with |value| < 2^e, and for each
+// value the nearest multiple of 2^(e - 7), at most 127 of them.
 constexpr int kExponentBias = 64;
 
 void to_blocks(const float* values, std::int64_t count, std::int64_t columns, const std::int64_t* bounds, std::int64_t num_groups,

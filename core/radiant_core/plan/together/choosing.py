@@ -5,9 +5,9 @@
     between edges       together: start + steps · step_s           joined: the last edge, each by
                         of one group of all                        its own choice, merge, refining
 
-The sooner one is chosen, `joined` where both take as long. Where devices' times are nobody's, links
-alone decide: joining and refining last about as long as the training before them, so an exchange
-may take as long as a step's views. Both predicted times are in the decision, also where a user
+Together is chosen where it takes less than `WORTH` times as long as joined models. Where devices'
+times are nobody's, links alone decide: joining and refining last about as long as the training
+before them, so a step may last less than 2 · `WORTH` times its views. Both predicted times are in the decision, also where a user
 forces it. Once per plan.
 """
 
@@ -33,7 +33,7 @@ STAGE = "plan"
 WITHIN, BETWEEN = "training within an edge", "training between edges"
 """Topics of the decisions."""
 _FASTEST, _SLOWEST = 1e6, 1e-6
-"""Factors of today's links between which the one where both take as long is looked for."""
+"""Factors of today's links between which the one where together is just worth it is looked for."""
 _HALVINGS = 45
 
 
@@ -168,8 +168,8 @@ def _assumed(machines: Sequence[Edge | Cloud]) -> str:
 
 def _chosen(asked: _Asked, group: GroupPlan, cost: StepCost, joined_s: float, level_bytes_per_s: float | None) -> GroupChoice:
     by_links = asked.law.view_s is not None
-    sooner = cost.step_s < 2 * WORTH * cost.views_s if by_links else group.seconds < WORTH * joined_s
-    together = asked.wanted == "together" or (asked.wanted == "auto" and sooner)
+    worth_it = cost.step_s < 2 * WORTH * cost.views_s if by_links else group.seconds < WORTH * joined_s
+    together = asked.wanted == "together" or (asked.wanted == "auto" and worth_it)
     each = " + ".join(map(str, group.views.values())) if len(group.views) <= 8 else f"{group.views_a_step}"
     who = f"{asked.about}: {len(group.views)} devices train together, {each} views a step"
     sent = f"a step sends {_megabytes(cost.up_bytes)} up and {_megabytes(cost.down_bytes)} down"
@@ -294,8 +294,8 @@ def _with_links(edge: Edge, factor: float) -> Edge:
 
 
 def _level_links(difference_s: Callable[[float], float], slowest_bytes_per_s: float) -> float | None:
-    """The slowest link's bytes per second if all links were so many times as fast that both ways
-    take as long; None where one way is sooner at any speed."""
+    """The slowest link's bytes per second if all links were so many times as fast that together
+    takes `WORTH` times as long as joined; None where one way is chosen at any speed."""
     low, high = np.log(_SLOWEST), np.log(_FASTEST)
     if not difference_s(_SLOWEST) > 0 > difference_s(_FASTEST):
         return None

@@ -4,9 +4,11 @@
     up_d     = row_bytes · rows(views_d)         device d → edge, in every step
     down     = row_bytes · rows(V)               edge → device: what all have sent, added up
     at edge  = max_d (views_d · view_s_d + up_d / B_d) + latency + add · Σ_d up_d
-    step_s   = at edge + latency + max_d down / B_d                          a group of one edge
-    step_s   = max_e (at edge_e + up_e / B_e + latency_c) + add · Σ_e up_e
+    whole    = at edge + latency + max_d down / B_d                          a group of one edge
+    whole    = max_e (at edge_e + up_e / B_e + latency_c) + add · Σ_e up_e
                + max_e (latency_c + down / B_e + latency_e + max_d down / B_d)     of all edges
+    views    = max_d views_d · view_s_d,   exchange = whole − views
+    step_s   = whole, and max(views, exchange) where exchange > views / 2: they overlap
 
     seconds  = start + views / V · step_s + end
     start    = max_d (G_d + H / B_d) + 2 latencies     sparse points up, the first model down
@@ -14,11 +16,10 @@
 
 N Gaussians and H bytes of a model of all C photographs of the group, V views a step. A device
 renders views of the whole group's model: view_s_d is F_d(C) over the steps that F holds for. What
-a step costs once, the optimiser's part, is counted for every view, and rendering and sending do not
-overlap: both are on the safe side. A link is as fast down as up, and the edge's own takes all
-devices at once. Rows were counted by the sparse points in each frustum: a photograph of 53 to 75
-shows those of 15 to 17, of 12 or 18 those of 6, and k at random show what is stated within a tenth
-(town, caliterra, lewis, brighton, hamlet). Once per edge and plan, O(D).
+a step costs once, the optimiser's part, is counted for every view, which is on the safe side. A
+link is as fast down as up, and the edge's own takes all devices at once. Rows were counted by the
+sparse points in each frustum: a photograph of 53 to 75 shows those of 15 to 17, of 12 or 18 those
+of 6, and k at random show what is stated within a tenth (town, caliterra, lewis, brighton, hamlet). Once per edge and plan, O(D).
 """
 
 from __future__ import annotations
@@ -40,11 +41,12 @@ ADD_S_PER_BYTE = 2e-9
 """Of adding what one child sent, where nobody measured it: 1.4 to 2.2 ms a megabyte by
 `radiant profile` on two cores."""
 BESIDE_BYTES = 10
-"""Bytes of a row beside its gradients: exponents of their blocks, its statistics of density, and its
-share of the bits that say which rows are sent."""
+"""Bytes of a row beside its gradients: exponents of their blocks, its statistics of density, and
+its share of the bits that say which rows are sent."""
 OVERLAPPED_FROM = 0.5
-"""An exchange that lasts so many times what its views do is overlapped with the next ones, whose
-gradients are then of the model one step before: 0.1 to 0.2 dB less (docs/experiments/together.md)."""
+"""An exchange that lasts longer than so many times its views is overlapped with the next ones,
+whose gradients are then of the model one step before: 0.1 to 0.2 dB less
+(docs/experiments/together.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
