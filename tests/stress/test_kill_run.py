@@ -143,7 +143,7 @@ def worker_in(folder: Path) -> int | None:
     log = str((folder / "log.txt").resolve())
     for path in Path("/proc").glob("[0-9]*/fd/2"):
         with suppress(OSError):
-            if os.readlink(path) == log:
+            if str(path.readlink()) == log:
                 return int(path.parent.parent.name)
     return None
 

@@ -38,7 +38,7 @@ DEVICES = ("devices/edge-1-1", "devices/edge-1-2", "devices/edge-2-1", "devices/
 MEMBERS = (*DEVICES, "edges/edge-1", "edges/edge-2", "cloud")
 RESULTS = ("scene.ply", "cloud/scene.ply")
 NUM_MEMBER_KILLS, NUM_RUN_KILLS = 14, 6
-STOPPED_S = 5.0
+STOPPED_S, NUM_STEPS = 5.0, 150
 OPTIONS = ["--devices", "4", "--within-edge", "together", "--between-edges", "together", "--steps", "150", "--long-side-px", "96"]
 OPTIONS += ["--max-splats", "1500", "--checkpoint-every", "0.3s"]
 
@@ -123,17 +123,16 @@ def test_a_member_that_is_killed_comes_back_and_the_scene_has_the_same_bytes(
     monkeypatch.setattr(radiant_app.report.html, "write_report", lambda *arguments: None)
     rng = np.random.default_rng([59, number])
     member = MEMBERS[number % len(MEMBERS)]
-    out = unfinished_copy(undisturbed, f"member-{number}")
-    if number % 2:
-        once = Once(out, member, kill, at_step=int(rng.integers(1, 600)))
-    else:
-        once = Once(out, member, kill, after_s=rng.uniform(0.0, seconds[member]))
+    out, moment = unfinished_copy(undisturbed, f"member-{number}"), rng.uniform(0.0, 1.0)
+    at_step, after_s = int(moment * NUM_STEPS) if number % 2 else 0, None if number % 2 else moment * seconds[member]
+    once = Once(out, member, kill, at_step=at_step, after_s=after_s)
     radiant_app.run.pipeline.run(config_of(out), once, resume=True)
     assert differing_files(undisturbed, out, RESULTS) == [], once.warnings
     assert not any("Traceback" in message for message in once.warnings)
     assert not (out / "together").exists() and members_in(out) == []
     with capsys.disabled():
-        print(f"{member}: {'killed' if once.has_acted else 'done before its kill'}, same bytes; {once.warnings}", flush=True)
+        when = f"at step {at_step}" if after_s is None else f"after {after_s:.1f} s"
+        print(f"{member}: {'killed' if once.has_acted else 'done before its kill'} {when}, same bytes; {once.warnings[1:]}", flush=True)
     shutil.rmtree(out)
 
 
