@@ -101,7 +101,7 @@ class _Relaying:
                 if "no parent took" in lost.reason:
                     raise StageFailed(f"{self._plan.root} does not answer: {lost.reason}.") from lost
                 self._reporter.warn(
-                    f"the link to {self._plan.root} is lost ({lost.reason}); it asks for another one, and its devices begin anew."
+                    f"the link to {self._plan.root} is lost ({lost.reason}); it asks for another one; its devices begin anew."
                 )
                 for name in list(self._links.linked):
                     self._links.drop(name, f"the link to {self._plan.root} was lost")
