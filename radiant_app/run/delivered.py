@@ -15,11 +15,13 @@ import numpy as np
 from shapely import Point, Polygon
 
 from radiant_app.run.dealing import Dealer
+from radiant_app.together.exchange import GROUP_FOLDER
 from radiant_app.workers.inbox import load_corrections
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import Frame
 from radiant_core.geometry.similarity import move_cameras
 from radiant_core.hierarchy.joining import number_cameras
+from radiant_core.io.group_messages import load_start
 from radiant_core.io.messages import CAMERAS_NAME, VIRTUAL_CAMERAS
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, save_plan, save_scene
@@ -35,13 +37,22 @@ def save_delivered(run: Path, dealer: Dealer, origin: FloatArray | None) -> None
     scene's frame, and their devices."""
     parts, owners = [], []
     for device, moves in sorted(dealer.load_moves().items()):
-        inbox = run / "edges" / dealer.recipe.plan_of(device).edge_id / "inbox"
-        cameras = number_cameras(load_cameras(inbox / device / CAMERAS_NAME), device)
+        cameras = number_cameras(_received_cameras(run, dealer, device), device)
         for move in moves:
             cameras = move_cameras(cameras, move)
         parts.append(cameras)
         owners += [device] * len(cameras)
     _save(run, dealer, origin, parts, owners)
+
+
+def _received_cameras(run: Path, dealer: Dealer, device: str) -> Cameras:
+    """The poses of a device as the tier above has them: its edge beside its model, or in its start
+    the root of the machines it trains together with."""
+    group = dealer.recipe.group_of(device)
+    if group is not None:
+        return load_start(run / group.root / GROUP_FOLDER / f"{device}.safetensors").cameras
+    inbox = run / "edges" / dealer.recipe.plan_of(device).edge_id / "inbox"
+    return load_cameras(inbox / device / CAMERAS_NAME)
 
 
 def save_delivered_by_edges(run: Path, dealer: Dealer, origin: FloatArray | None) -> None:

@@ -2,9 +2,10 @@
 
     up      START      of a device, or of all devices below an edge: their files, by name
             GRADIENTS  of the next step
-    down    BEGIN      where the training stands, for devices that sent a start
+    down    BEGIN      where the training stands, for devices that sent a start; what it began with,
+                       where it has gone on since; whose start is refused, and why
             TOTAL      of a step
-            END        there is no further step
+            END        there is no further step; in place of BEGIN: the start is refused
 
 A child that is linked sends START first, whenever that is: at the beginning, or when it is back.
 """
@@ -24,6 +25,8 @@ START, GRADIENTS, BEGIN, TOTAL, END = b"S", b"G", b"B", b"T", b"E"
 GROUP_FOLDER, ENDED_NAME = "group", "end.json"
 """Folder of a node for what it says and hears before the first step, and in it the record that all
 steps were taken: its process may be started again after that."""
+INITIAL = "initial.safetensors"
+"""There too: the Gaussians that the training began with."""
 LATE_S = 60.0
 """A machine that is linked and says nothing for so long is left out until it comes back."""
 GONE_S = 300.0
@@ -127,6 +130,13 @@ class Children:
         self.links.send_all(answers)
         self.present |= set(answers)
 
+    def refuse(self, name: str, reason: str) -> None:
+        """Let a child end whose start cannot be used."""
+        self.links.send_all({name: END})
+        self.present.discard(name)
+        self.left_out[name] = reason
+        self.warn(f"steps go on without {name}: what it begins with is refused: {reason}")
+
     def gradients(self, answer: Answer) -> dict[str, bytes]:
         """What all children send for a step; one that comes back is answered first."""
         begun_s, got = self.clock(), dict[str, bytes]()
@@ -186,8 +196,7 @@ class Children:
         try:
             reply = answer(name, unpack(payload))
         except BadInput as error:
-            self._lose(name, str(error))
-            self.left_out[name] = str(error)
+            self.refuse(name, str(error))
             return
         self.links.send_all({name: reply})
         self.present.add(name)
@@ -198,7 +207,7 @@ class Children:
     def _lose(self, name: str, reason: str) -> None:
         self.links.drop(name, reason)
         self.present.discard(name)
-        if name not in self._lost_s:
+        if name not in self._lost_s and name not in self.left_out:
             self._lost_s[name] = self.clock()
             self.warn(f"the link to {name} is lost ({reason}); it is waited for up to {self.gone_s:.0f} s.")
 

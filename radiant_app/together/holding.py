@@ -18,6 +18,7 @@ from radiant_app.together.exchange import (
     GONE_S,
     GRADIENTS,
     GROUP_FOLDER,
+    INITIAL,
     LATE_S,
     START,
     TOTAL,
@@ -36,7 +37,9 @@ from radiant_core.hierarchy.reporter import Machine
 from radiant_core.hierarchy.together import Begun, PreparedShare, join_share, prepare_share
 from radiant_core.io.group_messages import load_begin, save_begin, save_start
 from radiant_core.io.messages import task_key
+from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.splats import Splats
 from radiant_core.train.together.roles import Holder
 from radiant_core.train.views import TrainingViews
 
@@ -77,16 +80,14 @@ def hold(folder: Path, task: DeviceTask, views: TrainingViews, reporter: EventRe
 
 
 class _Member:
-    def __init__(
-        self, *, folder: Path, seat: Seat, prepared: PreparedShare, start: bytes, key: str, reporter: EventReporter
-    ) -> None:
+    def __init__(self, *, folder: Path, seat: Seat, prepared: PreparedShare, start: bytes, key: str, reporter: EventReporter) -> None:
         self._folder, self._seat, self._prepared, self._start, self._reporter = folder, seat, prepared, start, reporter
         # A parent waits for others before it answers.
         self._rules = LinkRules(limit_s=GONE_S + 2 * LATE_S)
         self.traffic = Traffic()
-        self.initial = None
+        self.initial: Splats | None = None
         place = folder / GROUP_FOLDER
-        self._final, self._record = place / "end.safetensors", place / ENDED_NAME
+        self._first, self._final, self._record = place / INITIAL, place / "end.safetensors", place / ENDED_NAME
         self._key = key
 
     def run(self) -> Holder:
@@ -105,7 +106,7 @@ class _Member:
                     time.sleep(1.0)
                 if "no parent took" in lost.reason:
                     raise StageFailed(f"{self._seat.parent} does not answer: {lost.reason}.") from lost
-                self._reporter.warn(f"{lost} It asks for another one.")
+                self._reporter.warn(f"the link to {self._seat.parent} is lost ({lost.reason}); it asks for another one.")
                 lost_s = now_s
             else:
                 link.close()
@@ -114,13 +115,18 @@ class _Member:
     def _steps(self, link: ChildLink) -> Holder:
         link.send(self._start)
         kind, payload = _received(link)
+        if kind == END:
+            raise StageFailed(f"{self._seat.parent} refuses what this device begins with: its warnings say why.")
         if kind != BEGIN:
             raise BadInput(f"{self._seat.parent} answered a start with {kind!r}, expected the state of a training: give both one version.")
-        place = self._folder / GROUP_FOLDER / "begin.safetensors"
-        place.write_bytes(unpack(payload)["begin"])
+        place, parts = self._folder / GROUP_FOLDER / "begin.safetensors", unpack(payload)
+        place.write_bytes(parts["begin"])
         begin = load_begin(place)
-        if self.initial is None:
-            self.initial = begin.splats
+        if "initial" in parts:
+            self._first.write_bytes(parts["initial"])
+        else:
+            save_splats(self._first, begin.splats)
+        self.initial = load_splats(self._first)
         holder = join_share(self._prepared, self._folder.name, begin, self._seat)
         num_steps = holder.num_steps
         while holder.replica.step < num_steps:
@@ -142,7 +148,7 @@ class _Member:
         if not self._record.is_file() or read_json(self._record, ("key",))["key"] != self._key:
             return None
         begin = load_begin(self._final)
-        self.initial = begin.splats
+        self.initial = load_splats(self._first)
         self._say_done()
         return join_share(self._prepared, self._folder.name, begin, self._seat)
 

@@ -8,11 +8,12 @@ root itself was started again.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, ENDED_NAME, GROUP_FOLDER, TOTAL, Answer, Children, meeting_of, pack
+from radiant_app.together.exchange import BEGIN, ENDED_NAME, GROUP_FOLDER, INITIAL, TOTAL, Answer, Children, meeting_of, pack
 from radiant_app.together.links import LinkRules, ParentLinks
 from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
@@ -24,6 +25,7 @@ from radiant_core.hierarchy.reporter import Machine, fit_options
 from radiant_core.hierarchy.together import Begun, GroupStart, ShareStart, begin_group, check_start
 from radiant_core.io.group_messages import load_start, save_begin
 from radiant_core.io.messages import task_key
+from radiant_core.io.records import save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.results import TrainResult
 from radiant_core.train.together.replica import Replica
@@ -100,12 +102,15 @@ class _Leader:
         root = Root(replica, self._plan.of_senders, start.camera_centers, start.group, sums_edges=self._plan.has_relays)
 
         def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
-            if not any(device in self._plan.of_devices for device in self._admitted(parts)):
-                raise BadInput(f"{name} has nothing to train with")
+            if not self._admitted(parts) and not self._plan.has_relays:
+                raise BadInput(self.refused.get(name, "it is another one's"))
             return self._begin(start, replica, parts)
 
         if before is None:
-            self._children.begin({name: self._begin(start, replica, parts) for name, parts in sent.items()})
+            usable = {name: parts for name, parts in sent.items() if self._plan.has_relays or any(device in starts for device in parts)}
+            self._children.begin({name: self._begin(start, replica, parts) for name, parts in usable.items()})
+            for name in sorted(set(sent) - set(usable)):
+                self._children.refuse(name, self.refused.get(name, "it is another one's"))
             self._take_steps(root, answer, checkpoints)
             # What is done is done, whatever becomes of this process before its folder is sealed.
             checkpoints.save(replica.step, replica.state)
@@ -157,13 +162,19 @@ class _Leader:
                 self._reporter.warn(f"what {device} begins with is refused: {problem}")
             else:
                 usable[device] = start
+                self.refused.pop(device, None)
         return usable
 
     def _begin(self, start: GroupStart, replica: Replica, devices: Mapping[str, bytes]) -> bytes:
         offsets = {device: offset for device, offset in start.offsets.items() if device in devices}
         path = self._place / "begin.safetensors"
         save_begin(path, Begun(group=start.group, state=replica.state(), offsets=offsets, antialiased=start.initial.antialiased))
-        return pack(BEGIN, {"begin": path.read_bytes()})
+        parts = {"begin": path.read_bytes()}
+        if replica.step:
+            save_splats(self._place / INITIAL, start.initial)
+            parts["initial"] = (self._place / INITIAL).read_bytes()
+        refused = {device: self.refused[device] for device in devices if device in self.refused}
+        return pack(BEGIN, {**parts, "refused": json.dumps(refused).encode()} if refused else parts)
 
     def _key(self, start: GroupStart) -> str:
         return content_key(__version__, start.group, start.initial.arrays(), start.camera_centers, dict(self._plan.of_devices))

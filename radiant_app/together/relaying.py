@@ -9,8 +9,10 @@ the root stands.
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from radiant_app.together.exchange import (
@@ -40,7 +42,16 @@ from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.together.roles import Relay
 
 
-def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Mapping[str, float | int]:
+@dataclass(frozen=True, kw_only=True)
+class Relayed:
+    """What an edge summed: which of its devices took part, who was refused and why, and figures."""
+
+    begun: set[str] = field(default_factory=set)
+    refused: dict[str, str] = field(default_factory=dict)
+    summary: dict[str, float | int] = field(default_factory=dict)
+
+
+def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Relayed:
     """Sum the gradients of this edge's devices in every step.
 
     Args:
@@ -49,7 +60,7 @@ def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Mapping
         reporter: hears warnings.
 
     Returns:
-        What it summed, in figures.
+        Who took part, and figures of its messages.
 
     Raises:
         StageFailed: the root does not answer, or no device is left.
@@ -70,14 +81,14 @@ class _Relaying:
         self._folder, self._plan, self._links, self._reporter = folder, plan, links, reporter
         self._children = self._new_children()
         self._traffic = Traffic()
-        self._num_refused = 0
+        self._relayed, self._num_refused = Relayed(), 0
         self._record, self._key = folder / GROUP_FOLDER / ENDED_NAME, key
 
     def _new_children(self) -> Children:
         names, meeting = list(self._plan.of_devices), meeting_of(self._folder, f"edges/{self._folder.name}")
         return Children(links=self._links, names=names, meeting=meeting, warn=self._reporter.warn)
 
-    def run(self) -> Mapping[str, float | int]:
+    def run(self) -> Relayed:
         """Steps until the root ends them, over as many links as it takes."""
         while True:
             try:
@@ -89,7 +100,9 @@ class _Relaying:
             except LinkLost as lost:
                 if "no parent took" in lost.reason:
                     raise StageFailed(f"{self._plan.root} does not answer: {lost.reason}.") from lost
-                self._reporter.warn(f"{lost} It asks for another one, and its devices begin anew.")
+                self._reporter.warn(
+                    f"the link to {self._plan.root} is lost ({lost.reason}); it asks for another one; its devices begin anew."
+                )
                 for name in list(self._links.linked):
                     self._links.drop(name, f"the link to {self._plan.root} was lost")
                 self._children = self._new_children()
@@ -97,11 +110,10 @@ class _Relaying:
             else:
                 mark_done(meeting_of(self._folder, self._plan.root), self._folder.name)
                 traffic = [self._traffic, *self._links.traffic.values()]
-                return {
-                    "sent_bytes": sum(each.sent_bytes for each in traffic),
-                    "received_bytes": sum(each.received_bytes for each in traffic),
-                    "num_refused": self._num_refused,
-                }
+                self._relayed.summary["sent_bytes"] = sum(each.sent_bytes for each in traffic)
+                self._relayed.summary["received_bytes"] = sum(each.received_bytes for each in traffic)
+                self._relayed.summary["num_refused"] = self._num_refused
+                return self._relayed
 
     def _steps(self, up: ChildLink, starts: Mapping[str, Mapping[str, bytes]]) -> None:
         begin = self._ask(up, {device: data for parts in starts.values() for device, data in parts.items()})
@@ -110,10 +122,14 @@ class _Relaying:
         (place / "begin.safetensors").write_bytes(unpack(begin)["begin"])
         stands = load_begin(place / "begin.safetensors")
         relay = Relay(self._plan.of_devices, stands.layout, stands.group)
-        self._children.begin(dict.fromkeys(starts, begin))
+        self._note_refused(starts, begin)
+        self._children.begin({name: begin for name in starts if name not in self._relayed.refused})
+        for name in starts:
+            if name in self._relayed.refused:
+                self._children.refuse(name, self._relayed.refused[name])
 
         def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
-            return self._ask(up, {name: parts[name]} if name in parts else {})
+            return self._answer(up, name, parts)
 
         num_steps = stands.group.stepping.num_steps
         for step in range(stands.step, num_steps):
@@ -123,7 +139,7 @@ class _Relaying:
                 raise LinkLost(self._plan.root, f"it sent {payload[:1]!r} at step {step + 1} where a sum was due")
             self._children.send(TOTAL, payload[1:])
         _require_end(up, self._plan.root)
-        write_json(self._record, {"key": self._key})
+        write_json(self._record, {"key": self._key, "begun": sorted(self._relayed.begun), "refused": self._relayed.refused})
         for name, reasons in relay.inbox.refused.items():
             self._reporter.warn(f"{len(reasons)} messages of {name} were refused, the first: {reasons[0]}")
             self._num_refused += len(reasons)
@@ -138,7 +154,7 @@ class _Relaying:
         def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
             nonlocal link
             link = link or self._connect()
-            begin = self._ask(link, {name: parts[name]} if name in parts else {})
+            begin = self._answer(link, name, parts)
             _require_end(link, self._plan.root)
             return begin
 
@@ -149,11 +165,32 @@ class _Relaying:
     @property
     def _has_ended(self) -> bool:
         """Whether all steps were summed before this process was started again."""
-        return self._record.is_file() and read_json(self._record, ("key",))["key"] == self._key
+        if not self._record.is_file() or (record := read_json(self._record, ("key", "begun", "refused")))["key"] != self._key:
+            return False
+        self._relayed = Relayed(begun=set(record["begun"]), refused=record["refused"])
+        return True
 
     def _connect(self) -> ChildLink:
         rules = LinkRules(limit_s=GONE_S + LATE_S)
         return connect(meeting_of(self._folder, self._plan.root), self._folder.name, CONNECT_S, rules, self._traffic)
+
+    def _answer(self, up: ChildLink, name: str, parts: Mapping[str, bytes]) -> bytes:
+        """BEGIN for a device that comes back."""
+        begin = self._ask(up, {name: parts[name]} if name in parts else {})
+        self._note_refused([name], begin)
+        if name in self._relayed.refused:
+            raise BadInput(self._relayed.refused[name])
+        return begin
+
+    def _note_refused(self, names: Iterable[str], begin: bytes) -> None:
+        """Note which of these devices the root takes, by its BEGIN for them."""
+        refused: dict[str, str] = json.loads(unpack(begin).get("refused", b"{}"))
+        for name in names:
+            if name in refused:
+                self._relayed.refused[name] = str(refused[name])
+            else:
+                self._relayed.refused.pop(name, None)
+                self._relayed.begun.add(name)
 
     def _ask(self, up: ChildLink, starts: Mapping[str, bytes]) -> bytes:
         """BEGIN for devices that sent these starts."""

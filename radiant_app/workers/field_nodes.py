@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from radiant_app.together.exchange import mark_gone, meeting_of
 from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.redaction import Redactor, make_redactor
 from radiant_app.workers.reporting import EventReporter, read_notes
@@ -152,6 +153,9 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
         device = device_task(task, training)
         model = train_from_folder(folder, device, placed.images, reporter)
     except (BadInput, StageFailed) as error:
+        if task.seat is not None:
+            # Those that it trains together with need not wait.
+            mark_gone(meeting_of(folder, task.seat.parent), folder.name)
         # frame.json with the reason leaves the device.
         return _report_missing(folder, make_redactor("field", folder).redact(str(error)), reporter)
     from radiant_core.hierarchy.joining import number_cameras

@@ -16,7 +16,7 @@ from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.inbox import save_joining
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.training import make_machine
-from radiant_core.hierarchy.group_models import edge_of_group, scene_of_group
+from radiant_core.hierarchy.group_models import NOT_BEGUN, edge_of_group, scene_of_group
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.joining import UNMOVED
 from radiant_core.hierarchy.messages import CloudTask, EdgeTask
@@ -28,9 +28,11 @@ from radiant_core.io.run_store import read_json, write_json
 def run_group_edge(folder: Path, task: EdgeTask, group: GroupTraining, reporter: EventReporter) -> Sequence[str]:
     """Sum the gradients of an edge's devices for the cloud, or train its model with them."""
     if group.has_relays:
-        summary = relay(folder, group, reporter)
-        write_json(folder / SUMMARY_NAME, {**NOTHING, "num_models": 0, **summary})
-        return [SUMMARY_NAME, *save_joining(folder, dict.fromkeys(task.devices, UNMOVED), {}, None)]
+        relayed = relay(folder, group, reporter)
+        write_json(folder / SUMMARY_NAME, {**NOTHING, "num_models": 0, **relayed.summary})
+        moves = {device: UNMOVED if device in relayed.begun else None for device in task.devices}
+        refused = {device: relayed.refused.get(device, NOT_BEGUN) for device, move in moves.items() if move is None}
+        return [SUMMARY_NAME, *save_joining(folder, moves, refused, None)]
     num_dealt = dict(zip(task.devices, task.num_dealt, strict=True))
     led = lead(folder, group, task, num_dealt, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
     model = edge_of_group(task, led.starts, led.result)

@@ -138,14 +138,13 @@ def cpu_s(pid: int) -> float:
 
 
 def worker_in(folder: Path) -> int | None:
-    """The process of the worker that runs in this folder."""
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            words = path.read_bytes().split(b"\0")
-        except OSError:
-            continue
-        if b"radiant_app.workers.worker" in words and str(folder).encode() in words:
-            return int(path.parent.name)
+    """The process of the worker that runs in this folder: the one that logs there. The command of
+    a fork is its server's."""
+    log = str((folder / "log.txt").resolve())
+    for path in Path("/proc").glob("[0-9]*/fd/2"):
+        with suppress(OSError):
+            if str(path.readlink()) == log:
+                return int(path.parent.parent.name)
     return None
 
 

@@ -35,6 +35,7 @@ def scene_of_group(plan: GroupTraining, starts: Mapping[str, ShareStart], result
 
 
 NO_START = "none of its devices has begun the training."
+NOT_BEGUN = "it has not begun the training."
 
 
 def edge_of_group(task: EdgeTask, starts: Mapping[str, ShareStart], result: TrainResult) -> EdgeModel:
@@ -53,7 +54,7 @@ def edge_of_group(task: EdgeTask, starts: Mapping[str, ShareStart], result: Trai
         splats=splats,
         cameras=cameras,
         corrections={device: UNMOVED if device in begun else None for device in task.devices},
-        refused={device: "it has not begun the training." for device in task.devices if device not in begun},
+        refused={device: NOT_BEGUN for device in task.devices if device not in begun},
         summary={**training_summary(result), "num_models": len(begun)},
     )
 
