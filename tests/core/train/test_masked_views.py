@@ -20,8 +20,8 @@ from radiant_core.train.fill_in import fill_in_points
 from radiant_core.train.initialize import first_splats
 from radiant_core.train.native_loss import TargetStatistics, target_loss
 from radiant_core.train.trainer import FitOptions, fit_splats
-from radiant_core.train.view_loss import match_masked
 from radiant_core.train.validation import validation_psnr_db
+from radiant_core.train.view_loss import match_masked
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
