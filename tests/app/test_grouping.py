@@ -89,7 +89,7 @@ def test_photographs_are_dealt_in_the_ratio_of_views_where_devices_train_togethe
     ("link_mbit", "latency_ms", "together"), [(20.0, 0.1, False), (1e4, 0.1, True), (1e4, 200.0, True), (1e4, 500.0, False)]
 )
 def test_links_decide_between_the_same_machines(tmp_path: Path, link_mbit: float, latency_ms: float, together: bool) -> None:
-    """Joined: 152 to 157 s; together 482, 58, 178 and 378 s, of which twice the joined time is enough."""
+    """Joined: 152 to 157 s; together 482, 58, 178 and 378 s."""
     groups, (event,), _ = chosen(CONFIG, unequal_system(tmp_path, link_mbit, latency_ms))
     assert bool(groups) == together
     assert not event.decision.forced

@@ -7,8 +7,8 @@
 
 Together is chosen where it takes less than `WORTH` times as long as joined models. Where devices'
 times are nobody's, links alone decide: joining and refining last about as long as the training
-before them, so a step may last less than 2 · `WORTH` times its views. Both predicted times are in the decision, also where a user
-forces it. Once per plan.
+before them, so a step may last less than 2 · `WORTH` times its views. Both predicted times
+are in the decision, also where a user forces it. Once per plan.
 """
 
 from __future__ import annotations

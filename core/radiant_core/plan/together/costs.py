@@ -19,7 +19,8 @@ renders views of the whole group's model: view_s_d is F_d(C) over the steps that
 a step costs once, the optimiser's part, is counted for every view, which is on the safe side. A
 link is as fast down as up, and the edge's own takes all devices at once. Rows were counted by the
 sparse points in each frustum: a photograph of 53 to 75 shows those of 15 to 17, of 12 or 18 those
-of 6, and k at random show what is stated within a tenth (town, caliterra, lewis, brighton, hamlet). Once per edge and plan, O(D).
+of 6, and k at random show what is stated within a tenth (town, caliterra, lewis, brighton, hamlet).
+Once per edge and plan, O(D).
 """
 
 from __future__ import annotations
