@@ -188,7 +188,7 @@ class PlanOptions:
     photographs. all: every device, as gps and known do anyway. N: this machine as so many."""
     within_edge: TrainedAs = "auto"
     """together: the devices of an edge train one model and add up gradients in every step; joined:
-    each trains its own; auto: what is predicted to be done sooner, by speeds, links and size."""
+    each trains its own; auto: together where that is predicted to take at most twice as long."""
     between_edges: TrainedAs = "auto"
     """The same for the devices of all edges, whose edges exchange through the cloud."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
