@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,8 +14,11 @@ from radiant_app.events import Event, Warned
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.run.groups import end_groups, prepare_meetings, tell_parents, with_groups
+from radiant_core.hierarchy.messages import CloudTask
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
 from radiant_core.io.run_store import is_sealed, read_json
+from tests.contract.test_hierarchy import World
 from tests.contract.test_together import all_of_the_hamlet, one_edge_of_two
 from tests.forked_workers import forked_workers
 
@@ -21,13 +27,23 @@ from tests.forked_workers import forked_workers
     ("world_of", "root", "liar"), [(all_of_the_hamlet, "cloud", "edge-2-2"), (one_edge_of_two, "edges/edge-1", "edge-1-2")]
 )
 def test_a_device_with_more_cameras_than_were_dealt_to_it_is_refused_and_ends(
-    world_of: object, root: str, liar: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    world_of: Callable[[Path], World], root: str, liar: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert callable(world_of)
+    (tmp_path / "world").mkdir()
     world, warned = world_of(tmp_path / "world"), list[str]()
     dealer, run = world.dealer(tmp_path / "run"), tmp_path / "run"
     count = dealer.photographs.num_dealt
     monkeypatch.setattr(dealer.photographs, "num_dealt", lambda device: 1 if device == liar else count(device))
+    cloud_task = Recipe.cloud_task
+
+    def of_one_less(recipe: Recipe, *arguments: Any) -> CloudTask:
+        task = cloud_task(recipe, *arguments)
+        if root != "cloud":
+            return task
+        names = list(recipe.groups[root].of_devices)
+        return replace(task, of_devices=tuple(1 if name == liar else count for name, count in zip(names, task.of_devices, strict=True)))
+
+    monkeypatch.setattr(Recipe, "cloud_task", of_one_less)
 
     def listen(event: Event) -> None:
         if isinstance(event, Warned):
