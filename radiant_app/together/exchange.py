@@ -7,7 +7,8 @@
             TOTAL      of a step
             END        there is no further step; in place of BEGIN: the start is refused
 
-A child that is linked sends START first, whenever that is: at the beginning, or where it comes back.
+A child that is linked sends START first, whenever that is: at the beginning, or where it comes
+back.
 """
 
 from __future__ import annotations

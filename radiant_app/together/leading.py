@@ -129,7 +129,8 @@ class _Leader:
         return Led(starts=starts, result=result, refused=self.refused, summary=summary)
 
     def _sent_before(self) -> dict[str, dict[str, bytes]] | None:
-        """What devices began with, where all steps were taken before this process was started again."""
+        """What devices began with, where all steps were taken before this process was started
+        again."""
         if not self._record.is_file() or (record := read_json(self._record, ("key", "senders")))["key"] != self._task_key:
             return None
         files = {name: {device: self._place / f"{device}.safetensors" for device in devices} for name, devices in record["senders"].items()}

@@ -1,8 +1,8 @@
 """Edges and the cloud of devices that train together: as `nodes.py`, without an inbox. Once per
 node.
 
-Their devices' gradients come over links (`radiant_app/together`); what they write is what an edge or
-the cloud writes that has joined models.
+Their devices' gradients come over links (`radiant_app/together`); what they write is what an edge
+or the cloud writes that has joined models.
 """
 
 from __future__ import annotations
