@@ -14,6 +14,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -29,6 +30,7 @@ import radiant_app.report.html
 import radiant_app.run.pipeline
 from radiant_app.config.run_config import ExecutionOptions, PlanOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted, Warned
+from radiant_core.io.run_store import read_json
 from tests.stress.kill_harness import differing_files, run_killed
 from tests.stress.test_kill_run import hamlet_in, worker_in
 
@@ -115,6 +117,21 @@ def members_in(out: Path) -> list[str]:
     return [member for member in MEMBERS if worker_in(out / member) is not None]
 
 
+def run_with_kill(undisturbed: Path, number: int, member: str, moment: float, lasts_s: float) -> tuple[Path, Once, str]:
+    """A run in which a member is killed at a moment (0 … 1) of its life, or, where `number` is odd,
+    of the training; in words when that was. Where it was done before, another run, killed sooner."""
+    while True:
+        out = unfinished_copy(undisturbed, f"member-{number}")
+        at_step, after_s = int(moment * NUM_STEPS), None if number % 2 else moment * lasts_s
+        once = Once(out, member, kill, at_step=at_step, after_s=after_s)
+        radiant_app.run.pipeline.run(config_of(out), once, resume=True)
+        if once.has_acted:
+            return out, once, f"at step {at_step}" if after_s is None else f"after {after_s:.1f} s"
+        assert differing_files(undisturbed, out, RESULTS) == [] and moment > 0.01
+        shutil.rmtree(out)
+        moment *= 0.7
+
+
 @pytest.mark.parametrize("number", range(NUM_MEMBER_KILLS))
 def test_a_member_that_is_killed_comes_back_and_the_scene_has_the_same_bytes(
     number: int, whole: tuple[Path, dict[str, float]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -123,16 +140,14 @@ def test_a_member_that_is_killed_comes_back_and_the_scene_has_the_same_bytes(
     monkeypatch.setattr(radiant_app.report.html, "write_report", lambda *arguments: None)
     rng = np.random.default_rng([59, number])
     member = MEMBERS[number % len(MEMBERS)]
-    out, moment = unfinished_copy(undisturbed, f"member-{number}"), rng.uniform(0.0, 1.0)
-    at_step, after_s = int(moment * NUM_STEPS) if number % 2 else 0, None if number % 2 else moment * seconds[member]
-    once = Once(out, member, kill, at_step=at_step, after_s=after_s)
-    radiant_app.run.pipeline.run(config_of(out), once, resume=True)
+    out, once, when = run_with_kill(undisturbed, number, member, rng.uniform(0.0, 1.0), seconds[member])
     assert differing_files(undisturbed, out, RESULTS) == [], once.warnings
     assert not any("Traceback" in message for message in once.warnings)
     assert not (out / "together").exists() and members_in(out) == []
+    # Scored as the first run was: what it began with is the same, too.
+    assert read_json(out / "metrics.json")["images"] == read_json(undisturbed / "metrics.json")["images"]
     with capsys.disabled():
-        when = f"at step {at_step}" if after_s is None else f"after {after_s:.1f} s"
-        print(f"{member}: {'killed' if once.has_acted else 'done before its kill'} {when}, same bytes; {once.warnings[1:]}", flush=True)
+        print(f"{member}: killed {when}, same bytes; {once.warnings[1:]}", flush=True)
     shutil.rmtree(out)
 
 
@@ -193,8 +208,6 @@ def test_a_run_that_is_killed_leaves_no_process_and_resumes_with_the_same_bytes(
 
 
 def test_workers_end_within_three_seconds_after_their_run_was_killed(whole: tuple[Path, dict[str, float]]) -> None:
-    import subprocess
-
     undisturbed, _ = whole
     out = unfinished_copy(undisturbed, "orphans")
     command = [sys.executable, "-m", "radiant_app", "run", str(undisturbed.parent / "hamlet"), "--out", str(out), *OPTIONS, "--resume"]
