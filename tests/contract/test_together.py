@@ -59,10 +59,24 @@ def one_edge_of_two(folder: Path) -> World:
     return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",)))
 
 
+def masked_hamlet(folder: Path) -> World:
+    """Two edges of two devices each that train one model; each edge sums under masks."""
+    world = hamlet_of_two_tiers(folder)
+    return replace(world, recipe=grouped(world.recipe, ("cloud",), masked=True))
+
+
+def masked_ground(folder: Path) -> World:
+    """One edge of three devices that sums under masks, while they render for the next step."""
+    world = ground(folder, even_system(1, 3), AggregateConfig(edge_epochs=1, refine_epochs=0))
+    return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",), overlaps=True, masked=True))
+
+
 WORLDS: dict[str, Callable[[Path], World]] = {
     "all of the hamlet": all_of_the_hamlet,
     "overlapping ground": overlapping_ground,
     "one edge of two": one_edge_of_two,
+    "masked hamlet": masked_hamlet,
+    "masked ground": masked_ground,
 }
 
 
