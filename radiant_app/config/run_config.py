@@ -193,7 +193,7 @@ class PlanOptions:
     """The same for the devices of all edges, whose edges exchange through the cloud."""
     mask_gradients: bool = False
     """Devices that train together add masks that cancel in their edge's sum, so that it sees none
-    of them alone, for about 6 times the bytes; it trains with all its devices or stops."""
+    of them alone, for about 9 times the bytes up; it trains with all its devices or stops."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
     """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(

@@ -111,7 +111,8 @@ class _Member:
                 return holder
 
     def _steps(self, link: ChildLink) -> Holder:
-        # A step may be repeated over a new link: with the same masks two messages would tell a gradient.
+        # A step may be repeated over a new link: with the same masks, two messages of it would
+        # tell a gradient.
         private = self._new_key()
         public = b"" if private is None else private.public_key().public_bytes_raw()
         link.send(_packed(self._folder / GROUP_FOLDER / "start.safetensors", replace(self._prepared.start, public_key=public)))
