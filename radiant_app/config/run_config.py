@@ -191,6 +191,9 @@ class PlanOptions:
     each trains its own; auto: together where that is predicted to take at most twice as long."""
     between_edges: TrainedAs = "auto"
     """The same for the devices of all edges, whose edges exchange through the cloud."""
+    mask_gradients: bool = False
+    """Devices that train together add masks that cancel in their edge's sum, so that it sees none
+    of them alone, for about 9 times the bytes up; it trains with all its devices or stops."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
     """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(
@@ -214,6 +217,8 @@ class PlanOptions:
             raise BadInput(f"{names} is for Alg. 1 and the plan's method is {self.method}: use paper or paper-literal, or leave it out.")
         if self.between_edges == "together" and self.within_edge == "joined":
             raise BadInput("--between-edges together and --within-edge joined exclude each other: leave one of them out.")
+        if self.mask_gradients and self.within_edge == "joined":
+            raise BadInput("--mask-gradients is for machines that train together, and --within-edge is joined: leave one of them out.")
         if isinstance(self.devices, int) and not 1 <= self.devices <= MAX_DEVICES:
             raise BadInput(f"--devices is {self.devices}, expected auto, all, or 1 to {MAX_DEVICES} devices of this machine.")
         if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:
@@ -399,10 +404,12 @@ class RunConfig:
         if self.frames != "shared" and self.plan.cut_by == "looks":
             reason = "where cameras look is known once they are reconstructed together"
             raise BadInput(f"--cut-by is looks: {reason}, and with --frames {self.frames} each device places its own: use --frames shared.")
-        if self.plan.asks_together and (self.frames == "gps" or self.execution.executor == "network" or self.emulated):
+        if (self.plan.asks_together or self.plan.mask_gradients) and (
+            self.frames == "gps" or self.execution.executor == "network" or self.emulated
+        ):
             where = "over a network" if self.execution.executor == "network" else "with --emulate" if self.emulated else "with --frames gps"
             reason = "machines that train together need one exact frame, one owner's links and clocks that wait"
-            raise BadInput(f"{reason}, and {where} their models are joined: leave --within-edge and --between-edges out.")
+            raise BadInput(f"{reason}, and {where} their models are joined: leave --within-edge, --between-edges and --mask-gradients out.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and self.sfm.masks is not None:

@@ -214,7 +214,7 @@ def make_recipe(config: RunConfig, plan: Plan, num_devices: int, progress: Progr
         checkpoint_every_s=config.execution.checkpoint_every_s,
         num_devices=num_devices,
         step_policy=config.train.step_policy,
-    ).with_groups(plan.groups)
+    ).with_groups(plan.groups, masked=config.plan.mask_gradients)
     if (decision := step_decision(recipe)) is not None:
         progress.listen(Decided(decision=decision))
     return recipe

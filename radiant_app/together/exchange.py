@@ -90,6 +90,12 @@ Answer = Callable[[str, Mapping[str, bytes]], bytes]
 """Makes BEGIN for a child of what it sent in START; BadInput where that cannot be used."""
 
 
+def begin_anew(name: str, parts: Mapping[str, bytes]) -> bytes:
+    """The answer to a child that comes back under masks: LinkLost, since all of its sum need keys
+    that no step was masked with."""
+    raise LinkLost(name, "it came back with a new key for masks")
+
+
 @dataclass(kw_only=True)
 class Children:
     """The children of a parent: who takes part in a step, who is waited for, who is left out."""
@@ -101,6 +107,8 @@ class Children:
     clock: Callable[[], float] = time.monotonic
     late_s: float = LATE_S
     gone_s: float = GONE_S
+    needs_all: bool = False
+    """Whether no step is taken without a child, as under masks."""
     present: set[str] = field(default_factory=set)
     """They have the model of the step."""
     left_out: dict[str, str] = field(default_factory=dict)
@@ -120,10 +128,19 @@ class Children:
                 else:
                     self._lose(name, "it did not begin with a start")
             self._leave_out([name for name in missing if name not in self.links.linked], begun_s, patient=not sent)
+            self._require_all()
             time.sleep(0.01)
         if not sent:
             raise StageFailed(f"none of {', '.join(self.names)} came to train: look at their messages above.")
         return sent
+
+    def restart(self, reason: str) -> dict[str, dict[str, bytes]]:
+        """What each child begins with over a new link, after all were dropped for a reason."""
+        for name in list(self.links.linked):
+            self.links.drop(name, reason)
+        self.present.clear()
+        self._lost_s.clear()
+        return self.starts()
 
     def begin(self, answers: Mapping[str, bytes]) -> None:
         """Send BEGIN to children, which take part from now on."""
@@ -156,6 +173,7 @@ class Children:
             if not waiting:
                 self._leave_out([name for name in missing if name not in self.links.linked], begun_s)
                 time.sleep(0.005)
+            self._require_all()
         if not got:
             raise StageFailed(f"none of {', '.join(self.names)} sends gradients any more: look at their messages above.")
         for name in self.left_out:
@@ -203,6 +221,13 @@ class Children:
         if self._lost_s.pop(name, None) is not None or name in self.left_out:
             self.warn(f"{name} is back and takes part again.")
         self.left_out.pop(name, None)
+
+    def _require_all(self) -> None:
+        if self.needs_all and self.left_out:
+            name, reason = next(iter(self.left_out.items()))
+            raise StageFailed(
+                f"a masked training cannot go on without {name} ({reason}): run again with --resume once it is back, or without masks."
+            )
 
     def _lose(self, name: str, reason: str) -> None:
         self.links.drop(name, reason)

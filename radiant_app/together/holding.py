@@ -9,7 +9,10 @@ the others stand.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
+
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from radiant_app.together.exchange import (
     BEGIN,
@@ -34,7 +37,7 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, Seat
 from radiant_core.hierarchy.reporter import Machine
-from radiant_core.hierarchy.together import Begun, PreparedShare, join_share, prepare_share
+from radiant_core.hierarchy.together import PreparedShare, ShareStart, join_share, prepare_share
 from radiant_core.io.group_messages import load_begin, save_begin, save_start
 from radiant_core.io.messages import task_key
 from radiant_core.io.records import load_splats, save_splats
@@ -68,10 +71,8 @@ def hold(folder: Path, task: DeviceTask, views: TrainingViews, reporter: EventRe
     prepared = prepare_share(task, views, reporter, machine)
     place = folder / GROUP_FOLDER
     place.mkdir(exist_ok=True)
-    save_start(place / "start.safetensors", prepared.start)
-    start = pack(START, {folder.name: (place / "start.safetensors").read_bytes()})
-    key = content_key(__version__, task_key(task), start)
-    member = _Member(folder=folder, seat=seat, prepared=prepared, start=start, key=key, reporter=reporter)
+    key = content_key(__version__, task_key(task), _packed(place / "start.safetensors", prepared.start))
+    member = _Member(folder=folder, seat=seat, prepared=prepared, key=key, reporter=reporter)
     holder = member.run()
     result = holder.replica.outcome()
     summary = {**training_summary(result), "num_photographs": len(prepared.views), "num_points": len(prepared.scene.points)}
@@ -80,8 +81,8 @@ def hold(folder: Path, task: DeviceTask, views: TrainingViews, reporter: EventRe
 
 
 class _Member:
-    def __init__(self, *, folder: Path, seat: Seat, prepared: PreparedShare, start: bytes, key: str, reporter: EventReporter) -> None:
-        self._folder, self._seat, self._prepared, self._start, self._reporter = folder, seat, prepared, start, reporter
+    def __init__(self, *, folder: Path, seat: Seat, prepared: PreparedShare, key: str, reporter: EventReporter) -> None:
+        self._folder, self._seat, self._prepared, self._reporter = folder, seat, prepared, reporter
         # A parent waits for others before it answers.
         self._rules = LinkRules(limit_s=GONE_S + 2 * LATE_S)
         self.traffic = Traffic()
@@ -113,7 +114,11 @@ class _Member:
                 return holder
 
     def _steps(self, link: ChildLink) -> Holder:
-        link.send(self._start)
+        # A step may be repeated over a new link: with the same masks, two messages of it would
+        # tell a gradient.
+        private = self._new_key()
+        public = b"" if private is None else private.public_key().public_bytes_raw()
+        link.send(_packed(self._folder / GROUP_FOLDER / "start.safetensors", replace(self._prepared.start, public_key=public)))
         kind, payload = _received(link)
         if kind == END:
             raise StageFailed(f"{self._seat.parent} refuses what this device begins with: its warnings say why.")
@@ -127,7 +132,9 @@ class _Member:
         else:
             save_splats(self._first, begin.splats)
         self.initial = load_splats(self._first)
-        holder = join_share(self._prepared, self._folder.name, begin, self._seat)
+        if begin.public_keys.get(self._folder.name, b"") != public:
+            raise LinkLost(self._seat.parent, "it answered a start that was sent over an earlier link")
+        holder = join_share(self._prepared, self._folder.name, begin, self._seat, private)
         num_steps = holder.num_steps
         while holder.replica.step < num_steps:
             if holder.num_sent < num_steps and not holder.waits_for_total:
@@ -136,9 +143,7 @@ class _Member:
                     continue
             holder.take(_expect(link, TOTAL))
         _expect(link, END)
-        save_begin(
-            self._final, Begun(group=begin.group, state=holder.replica.state(), offsets=begin.offsets, antialiased=begin.antialiased)
-        )
+        save_begin(self._final, replace(begin, state=holder.replica.state()))
         write_json(self._record, {"key": self._key})
         self._say_done()
         return holder
@@ -150,10 +155,19 @@ class _Member:
         begin = load_begin(self._final)
         self.initial = load_splats(self._first)
         self._say_done()
-        return join_share(self._prepared, self._folder.name, begin, self._seat)
+        return join_share(self._prepared, self._folder.name, begin, self._seat, self._new_key())
+
+    def _new_key(self) -> X25519PrivateKey | None:
+        return X25519PrivateKey.generate() if self._seat.masked else None
 
     def _say_done(self) -> None:
         mark_done(meeting_of(self._folder, self._seat.parent), self._folder.name)
+
+
+def _packed(path: Path, start: ShareStart) -> bytes:
+    """START, by way of a file named `path` in a folder of the device's."""
+    save_start(path, start)
+    return pack(START, {path.parent.parent.name: path.read_bytes()})
 
 
 def _received(link: ChildLink) -> tuple[bytes, bytes]:

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, ENDED_NAME, GROUP_FOLDER, INITIAL, TOTAL, Answer, Children, meeting_of, pack
-from radiant_app.together.links import LinkRules, ParentLinks
+from radiant_app.together.exchange import BEGIN, ENDED_NAME, GROUP_FOLDER, INITIAL, TOTAL, Answer, Children, begin_anew, meeting_of, pack
+from radiant_app.together.links import LinkLost, LinkRules, ParentLinks
 from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
@@ -64,7 +64,9 @@ def lead(folder: Path, plan: GroupTraining, task: Training, num_dealt: Mapping[s
     meeting = meeting_of(folder, plan.root)
     meeting.mkdir(parents=True, exist_ok=True)
     links = ParentLinks(meeting, list(plan.of_senders), LinkRules())
-    children = Children(links=links, names=list(plan.of_senders), meeting=meeting, warn=reporter.warn)
+    # Edges have taken off the masks of their devices.
+    needs_all = plan.masked and not plan.has_relays
+    children = Children(links=links, names=list(plan.of_senders), meeting=meeting, warn=reporter.warn, needs_all=needs_all)
     leader = _Leader(folder=folder, plan=plan, task=task, num_dealt=num_dealt, reporter=reporter, children=children)
     try:
         return leader.run(machine)
@@ -88,6 +90,7 @@ class _Leader:
         self._place.mkdir(exist_ok=True)
         self._record, self._task_key = self._place / ENDED_NAME, content_key(__version__, task_key(task), dict(num_dealt))
         self.refused: dict[str, str] = {}
+        self._public_keys: dict[str, bytes] = {}
 
     def run(self, machine: Machine) -> Led:
         before = self._sent_before()
@@ -136,9 +139,16 @@ class _Leader:
         return {name: {device: path.read_bytes() for device, path in paths.items()} for name, paths in files.items()}
 
     def _take_steps(self, root: Root, answer: Answer, checkpoints: Checkpoints) -> None:
-        replica = root.replica
+        replica, needs_all = root.replica, self._children.needs_all
         while not replica.is_done:
-            messages = self._children.gradients(answer)
+            try:
+                messages = self._children.gradients(begin_anew if needs_all else answer)
+            except LinkLost as lost:
+                self._reporter.warn(f"{lost} All devices begin anew where the training stands.")
+                sent = self._children.restart(lost.reason)
+                self._admitted({device: data for parts in sent.values() for device, data in parts.items()})
+                self._children.begin({name: answer(name, parts) for name, parts in sent.items()})
+                continue
             message, total = root.total(messages)
             self._children.send(TOTAL, message)
             root.take(total)
@@ -159,22 +169,34 @@ class _Leader:
                 start, problem = None, str(error)
             if start is None or problem is not None:
                 self.refused[device] = problem or ""
+                self._public_keys.pop(device, None)
                 self._reporter.warn(f"what {device} begins with is refused: {problem}")
             else:
                 usable[device] = start
                 self.refused.pop(device, None)
+                self._public_keys[device] = start.public_key
         return usable
 
     def _begin(self, start: GroupStart, replica: Replica, devices: Mapping[str, bytes]) -> bytes:
         offsets = {device: offset for device, offset in start.offsets.items() if device in devices}
-        path = self._place / "begin.safetensors"
-        save_begin(path, Begun(group=start.group, state=replica.state(), offsets=offsets, antialiased=start.initial.antialiased))
+        path, keys = self._place / "begin.safetensors", self._keys_beside(devices) if self._plan.masked else {}
+        begun = Begun(group=start.group, state=replica.state(), offsets=offsets, antialiased=start.initial.antialiased, public_keys=keys)
+        save_begin(path, begun)
         parts = {"begin": path.read_bytes()}
         if replica.step:
             save_splats(self._place / INITIAL, start.initial)
             parts["initial"] = (self._place / INITIAL).read_bytes()
         refused = {device: self.refused[device] for device in devices if device in self.refused}
         return pack(BEGIN, {**parts, "refused": json.dumps(refused).encode()} if refused else parts)
+
+    def _keys_beside(self, devices: Mapping[str, bytes]) -> dict[str, bytes]:
+        """The public keys of all whose sum has these devices; BadInput where one sent none."""
+        beside = [name for views in self._plan.views.values() if views.keys() & devices.keys() for name in views]
+        for name in beside:
+            if not self._public_keys.get(name):
+                reason = self.refused.get(name, "it sent no public key")
+                raise BadInput(f"a masked training cannot go on without {name} ({reason}): run again with --resume, or without masks.")
+        return {name: self._public_keys[name] for name in beside}
 
     def _key(self, start: GroupStart) -> str:
         return content_key(__version__, start.group, start.initial.arrays(), start.camera_centers, dict(self._plan.of_devices))

@@ -26,6 +26,7 @@ from radiant_app.together.exchange import (
     START,
     TOTAL,
     Children,
+    begin_anew,
     mark_done,
     meeting_of,
     pack,
@@ -86,7 +87,7 @@ class _Relaying:
 
     def _new_children(self) -> Children:
         names, meeting = list(self._plan.of_devices), meeting_of(self._folder, f"edges/{self._folder.name}")
-        return Children(links=self._links, names=names, meeting=meeting, warn=self._reporter.warn)
+        return Children(links=self._links, names=names, meeting=meeting, warn=self._reporter.warn, needs_all=self._plan.masked)
 
     def run(self) -> Relayed:
         """Steps until the root ends them, over as many links as it takes."""
@@ -133,7 +134,12 @@ class _Relaying:
 
         num_steps = stands.group.stepping.num_steps
         for step in range(stands.step, num_steps):
-            up.send(GRADIENTS + relay.message(self._children.gradients(answer)))
+            try:
+                sent = self._children.gradients(begin_anew if self._plan.masked else answer)
+            except LinkLost:
+                up.close()
+                raise
+            up.send(GRADIENTS + relay.message(sent))
             payload = up.receive().payload
             if payload[:1] != TOTAL:
                 raise LinkLost(self._plan.root, f"it sent {payload[:1]!r} at step {step + 1} where a sum was due")

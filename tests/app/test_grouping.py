@@ -153,6 +153,16 @@ def test_to_ask_for_it_there_is_refused(option: str, where: dict) -> None:
         config_of({"source": Path("photos"), "out": Path("run"), option: "together", **where})
 
 
+def test_masks_are_asked_for_with_machines_that_train_together_alone() -> None:
+    where = {"source": Path("photos"), "out": Path("run"), "plan.mask_gradients": True}
+    assert config_of(where).plan.mask_gradients and not config_of({**where, "plan.mask_gradients": False}).plan.mask_gradients
+    for joined in ({"plan.within_edge": "joined"}, {"preset": "paper"}):
+        with pytest.raises(BadInput, match="--mask-gradients is for machines that train together, and --within-edge is joined"):
+            config_of({**where, **joined})
+    with pytest.raises(BadInput, match=r"with --frames gps their models are joined.*--mask-gradients out"):
+        config_of({**where, "frames": "gps"})
+
+
 def test_options_that_exclude_each_other_are_refused_and_the_paper_joins() -> None:
     where = {"source": Path("photos"), "out": Path("run")}
     with pytest.raises(BadInput, match="--between-edges together and --within-edge joined exclude each other"):

@@ -90,6 +90,14 @@ def test_options_beside_a_run_file_win(tmp_path: Path, monkeypatch: pytest.Monke
     assert config.train.settings == {"sky": False, "max_epochs": None, "density.kind": "mcmc"}
 
 
+def test_masks_of_gradients_are_an_option_and_a_setting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    where = (tmp_path / "photos", "--out", tmp_path / "run")
+    assert not started(monkeypatch, *where).plan.mask_gradients
+    for asked in ("--mask-gradients", "--set=plan.mask_gradients=true"):
+        config = started(monkeypatch, *where, asked)
+        assert config.plan.mask_gradients and config_of(values_of(tables_of(config), "job")) == config
+
+
 def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
     for config in (asked, RunConfig(source=asked.source, out=asked.out)):
         assert config_of(values_of(tables_of(config), "job")) == config

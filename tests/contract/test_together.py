@@ -20,6 +20,7 @@ from radiant_app.executors.ray_cluster import RayExecutor
 from radiant_app.files.system_file import even_system
 from radiant_app.run.groups import end_groups, prepare_meetings, with_groups
 from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
@@ -59,10 +60,24 @@ def one_edge_of_two(folder: Path) -> World:
     return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",)))
 
 
+def masked_hamlet(folder: Path) -> World:
+    """Two edges of two devices each that train one model; each edge sums under masks."""
+    world = hamlet_of_two_tiers(folder)
+    return replace(world, recipe=grouped(world.recipe, ("cloud",), masked=True))
+
+
+def masked_ground(folder: Path) -> World:
+    """One edge of three devices that sums under masks, while they render for the next step."""
+    world = ground(folder, even_system(1, 3), AggregateConfig(edge_epochs=1, refine_epochs=0))
+    return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",), overlaps=True, masked=True))
+
+
 WORLDS: dict[str, Callable[[Path], World]] = {
     "all of the hamlet": all_of_the_hamlet,
     "overlapping ground": overlapping_ground,
     "one edge of two": one_edge_of_two,
+    "masked hamlet": masked_hamlet,
+    "masked ground": masked_ground,
 }
 
 
@@ -137,6 +152,60 @@ def test_a_machine_that_is_killed_comes_back_and_nothing_changes(
     made = oracle["all of the hamlet"].run.scene.splats
     assert_same(made, load_ply(cloud / "scene.ply"))
     assert not killed.is_set() or any("tried again" in message for message in warned)
+
+
+@pytest.mark.parametrize(
+    ("name", "victim"), [("masked hamlet", "devices/edge-1-1"), ("masked hamlet", "edges/edge-2"), ("masked ground", "devices/edge-1-2")]
+)
+def test_under_masks_a_machine_that_is_killed_comes_back_and_all_of_its_sum_begin_anew(
+    name: str, victim: str, worlds: dict[str, World], oracle: dict[str, Oracle], command: Callable[[NodeTask], list[str]], tmp_path: Path
+) -> None:
+    world, killed, warned = worlds[name], threading.Event(), list[str]()
+    ((root, trained),) = oracle[name].run.groups.items()
+
+    def listen(event: Event) -> None:
+        if isinstance(event, Warned):
+            warned.append(event.message)
+        if isinstance(event, StageProgress) and event.stage == root and event.done >= 3 and not killed.is_set():
+            killed.set()
+            for pid in pids_of(tmp_path / "run" / victim):
+                os.kill(pid, signal.SIGKILL)
+
+    executor = LocalExecutor(num_workers=2, command=command, retry_policy=RetryPolicy(max_attempts=3))
+    fold(world, tmp_path / "run", executor, listen)
+    summary = read_json(tmp_path / "run" / root / "summary.json")
+    # The sum of keys that do not fit each other is noise, and refused.
+    assert (summary["num_steps"], summary["num_refused"]) == (trained.result.num_steps, 0)
+    assert all(read_json(path)["num_refused"] == 0 for path in (tmp_path / "run").glob("edges/*/summary.json"))
+    assert killed.is_set() and any("tried again" in message for message in warned), warned
+    if victim.startswith("devices/"):
+        assert any("it came back with a new key" in message for message in warned), warned
+
+
+def test_a_masked_training_stops_without_one_of_its_devices_and_resumes_with_it(
+    worlds: dict[str, World], command: Callable[[NodeTask], list[str]], tmp_path: Path
+) -> None:
+    world, run, killed = worlds["masked ground"], tmp_path / "run", threading.Event()
+
+    def listen(event: Event) -> None:
+        if isinstance(event, StageProgress) and event.stage == "edges/edge-1" and event.done >= 3 and not killed.is_set():
+            killed.set()
+            for pid in pids_of(run / "devices" / "edge-1-3"):
+                os.kill(pid, signal.SIGKILL)
+
+    from radiant_app.run.groups import tell_parents
+
+    gone = tell_parents(run, world.recipe, lambda node, begun: None)
+    policy = RetryPolicy(may_fail=lambda node, error: node.tier == "device", on_given_up=gone)
+    dealer, tree = world.dealer(run), with_groups(world.tree, world.recipe.groups)
+    prepare_meetings(run, world.recipe)
+    with pytest.raises(StageFailed, match="a masked training cannot go on without edge-1-3"):
+        LocalExecutor(num_workers=2, command=command, retry_policy=policy).fold(tree, dealer.prepare, listen)
+    assert killed.is_set() and not (run / "cloud" / "scene.ply").exists()
+    prepare_meetings(run, world.recipe)
+    LocalExecutor(num_workers=2, command=command).fold(tree, dealer.prepare, lambda event: None)
+    assert len(load_ply(run / "cloud" / "scene.ply")) > 100
+    assert read_json(run / "edges" / "edge-1" / "summary.json")["num_refused"] == 0
 
 
 def pids_of(folder: Path) -> list[int]:

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.device import report_result
 from radiant_core.hierarchy.groups import GroupTraining
@@ -19,6 +21,7 @@ from radiant_core.hierarchy.together import GroupStart, ShareStart, begin_group,
 from radiant_core.scene import SfmScene
 from radiant_core.train.results import TrainResult
 from radiant_core.train.together.fold import GroupCost, GroupMembers, fit_in_process
+from radiant_core.train.together.masking import MaskKeys
 from radiant_core.train.views import TrainingViews
 
 
@@ -61,16 +64,26 @@ def train_group(
     starts = {device: each.start for device, each in prepared.items()}
     start = begin_group(starts, plan, recipe.train, reporter)
     before_s[plan.root] = time.process_time() - begun_s
-    holders = {}
+    holders, masks = {}, _masks(plan)
     for device, each in prepared.items():
         begun_s = time.process_time()
-        holders[device] = hold_share(each, device, start, plan.seat_of(device))
+        holders[device] = hold_share(each, device, start, plan.seat_of(device), masks.get(device))
         before_s[device] += time.process_time() - begun_s
     members = GroupMembers(holders=holders, edges=plan.views, has_relays=plan.has_relays)
     options = fit_options(recipe.backend, reporter, machine, lambda: "")
     result, cost = fit_in_process(start.initial, start.group, members, start.camera_centers, options, time.process_time)
     report_result(start.group.config, start.initial, result, reporter)
     return GroupRun(plan=plan, starts=starts, start=start, result=result, cost=cost, before_s=before_s)
+
+
+def _masks(plan: GroupTraining) -> dict[str, MaskKeys]:
+    """Keys by device, as devices make them that meet at an edge; none where nothing is masked."""
+    masks = dict[str, MaskKeys]()
+    for edge, devices in plan.views.items() if plan.masked else ():
+        privates = {device: X25519PrivateKey.generate() for device in devices}
+        publics = {device: private.public_key().public_bytes_raw() for device, private in privates.items()}
+        masks |= {device: MaskKeys.agree(device, private, publics, f"edges/{edge}") for device, private in privates.items()}
+    return masks
 
 
 def _require_all(recipe: Recipe, plan: GroupTraining) -> None:

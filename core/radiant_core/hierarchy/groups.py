@@ -22,6 +22,8 @@ class Seat:
     num_views: Annotated[int, Field(ge=1)]
     first: Annotated[int, Field(ge=0)]
     """As which view of a step its first one counts."""
+    masked: bool = False
+    """As of a `Group`: its start brings a public key."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,12 +38,23 @@ class GroupTraining:
     overlaps: bool = False
     """As of a `Group`."""
     form: StepFormat = "blocks"
+    masked: bool = False
+    """As of a `Group`; then no step is taken without all devices of an edge (`masking.py`)."""
 
     def __post_init__(self) -> None:
         if self.root != "cloud" and [self.root] != [f"edges/{edge}" for edge in self.views]:
             raise BadInput(f"the group of {self.root} has edges {', '.join(self.views)}: only the cloud sums for several edges.")
         if not self.of_devices or min(self.of_devices.values()) < 1:
             raise BadInput(f"the group of {self.root} has a device without views: give each device one or more.")
+        if self.masked and (alone := [edge for edge, devices in self.views.items() if len(devices) < 2]):
+            raise BadInput(
+                f"masks hide nothing of the one device of edge {alone[0]}: leave out --mask-gradients, or give it another device."
+            )
+
+    @property
+    def fewest_masked(self) -> int:
+        """Devices of the edge that sums the fewest."""
+        return min(map(len, self.views.values()))
 
     @cached_property
     def of_devices(self) -> dict[str, int]:
@@ -70,7 +83,7 @@ class GroupTraining:
     def seat_of(self, device: str) -> Seat:
         """What a device gives to each step, and where."""
         edge = next(edge for edge, devices in self.views.items() if device in devices)
-        return Seat(parent=f"edges/{edge}", num_views=self.of_devices[device], first=self.first_view(device))
+        return Seat(parent=f"edges/{edge}", num_views=self.of_devices[device], first=self.first_view(device), masked=self.masked)
 
     def first_view(self, device: str) -> int:
         """As which view of a step the first of a device counts."""

@@ -126,9 +126,9 @@ class Recipe:
             seat=None if (group := self.group_of(device)) is None else group.seat_of(device),
         )
 
-    def with_groups(self, plans: Sequence[GroupPlan]) -> Recipe:
+    def with_groups(self, plans: Sequence[GroupPlan], *, masked: bool = False) -> Recipe:
         """The same settings, with machines that train together as planned: they show as many views
-        as if each trained alone."""
+        as if each trained alone. BadInput where gradients are to be `masked` and cannot be."""
         groups = {}
         for plan in plans:
             below = [own for own in self.edge_plans if own.edge_id in plan.edges]
@@ -139,7 +139,7 @@ class Recipe:
             views = {edge: devices for edge, devices in views.items() if devices}
             num_steps = sum(self.training_of(device).num_steps for devices in views.values() for device in devices)
             root = "cloud" if plan.level == "cloud" else f"edges/{plan.edges[0]}"
-            groups[root] = GroupTraining(root=root, views=views, num_steps=num_steps, overlaps=plan.overlaps)
+            groups[root] = GroupTraining(root=root, views=views, num_steps=num_steps, overlaps=plan.overlaps, masked=masked)
         return replace(self, groups=groups)
 
     def group_of(self, device: str) -> GroupTraining | None:

@@ -16,11 +16,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
-from radiant_core.errors import StageFailed
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.decisions import sky_decision
 from radiant_core.hierarchy.device import choose_filling
 from radiant_core.hierarchy.groups import GroupTraining, Seat
@@ -42,6 +43,7 @@ from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.needs import fit_to_cameras
 from radiant_core.train.results import TrainState
 from radiant_core.train.together.gradients import Layout
+from radiant_core.train.together.masking import MaskKeys
 from radiant_core.train.together.replica import Group, Replica, Share, require_shareable
 from radiant_core.train.together.roles import Holder
 from radiant_core.train.trainer import FitOptions
@@ -68,6 +70,8 @@ class ShareStart:
     """(3,) median colour above the horizon, NaN where nothing is."""
     most_splats: int | None
     """Gaussians that its memory holds; None: no limit."""
+    public_key: bytes = b""
+    """X25519, 32 bytes, of this start alone; empty where gradients are not masked."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,6 +108,8 @@ class Begun:
     offsets: Mapping[str, FloatArray] = field(default_factory=dict)
     """As of a `GroupStart`."""
     antialiased: bool = False
+    public_keys: Mapping[str, bytes] = field(default_factory=dict)
+    """Of the devices whose sum this one's gradients are part of, where they are masked."""
 
     @property
     def splats(self) -> Splats:
@@ -184,6 +190,8 @@ def begin_group(starts: Mapping[str, ShareStart], plan: GroupTraining, train: Tr
     reporter.decide(replace(extent_decision(cameras, initial, config.max_extent_per_distance), stage=reporter.stage))
     offsets, decision = _offsets(names, sent, train, reporter.stage)
     reporter.decide(decision)
+    if plan.masked:
+        reporter.decide(masks_decision(plan, reporter.stage))
     group = Group(
         config=config,
         num_photographs=len(cameras),
@@ -191,21 +199,42 @@ def begin_group(starts: Mapping[str, ShareStart], plan: GroupTraining, train: Tr
         extent=working_extent(cameras, initial, config.max_extent_per_distance),
         overlaps=plan.overlaps,
         form=plan.form,
+        masked=plan.masked,
     )
+    if plan.masked and Replica(initial, group, FitOptions()).layout.with_radii:
+        raise BadInput("radii on screen do not travel under masks: set density.prune_radius_px to none, or leave out --mask-gradients.")
     return GroupStart(initial=initial, group=group, camera_centers=cameras.centers, offsets=offsets)
 
 
-def hold_share(prepared: PreparedShare, device: str, start: GroupStart, seat: Seat) -> Holder:
-    """The device as a member of the group from its first step on."""
+def masks_decision(plan: GroupTraining, stage: str) -> Decision:
+    """What masks hide where the fewest devices are summed."""
+    count = plan.fewest_masked
+    hides = (
+        "of two devices each knows the other's gradient from the sum" if count == 2 else f"{count - 2} others would have to help the edge"
+    )
+    return Decision(
+        stage=stage,
+        topic="masks of gradients",
+        choice="devices mask what they send to their edge",
+        figure=count,
+        unit="devices at the edge that sums the fewest",
+        reason=f"it was asked for; to tell one device's gradient from there, {hides}",
+    )
+
+
+def hold_share(prepared: PreparedShare, device: str, start: GroupStart, seat: Seat, masks: MaskKeys | None = None) -> Holder:
+    """The device as a member of the group from its first step on; `masks` of one that is masked."""
     share = _share(prepared, start.offsets.get(device), seat)
-    return Holder(Replica(start.initial, start.group, prepared.options, share), start.group)
+    return Holder(Replica(start.initial, start.group, prepared.options, share), start.group, masks)
 
 
-def join_share(prepared: PreparedShare, device: str, begin: Begun, seat: Seat) -> Holder:
-    """The device as a member of a group where it stands."""
+def join_share(prepared: PreparedShare, device: str, begin: Begun, seat: Seat, private: X25519PrivateKey | None = None) -> Holder:
+    """The device as a member of a group where it stands; `private` is of the key that its start
+    brought, where the group is masked. BadInput where a key of another device is none."""
     replica = Replica(begin.splats, begin.group, prepared.options, _share(prepared, begin.offsets.get(device), seat))
     replica.restore(begin.state)
-    return Holder(replica, begin.group)
+    masks = None if private is None else MaskKeys.agree(device, private, begin.public_keys, seat.parent)
+    return Holder(replica, begin.group, masks)
 
 
 def _share(prepared: PreparedShare, offset: FloatArray | None, seat: Seat) -> Share:

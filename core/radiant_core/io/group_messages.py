@@ -24,15 +24,15 @@ from radiant_core.train.results import TrainState
 from radiant_core.train.together.replica import Group
 
 START_SCHEMA, BEGIN_SCHEMA = "radiant.group_start", "radiant.group_begin"
-START_DTYPES = {**CAMERAS_DTYPES, "points": "F64", "colors": "U8", "log_points": "F64", "logs": "F32", "sky_rgb": "F64"}
-_STATE = "state."
+START_DTYPES = {**CAMERAS_DTYPES, "points": "F64", "colors": "U8", "log_points": "F64", "logs": "F32", "sky_rgb": "F64", "public_key": "U8"}
+_STATE, _KEY = "state.", "public_key."
 
 
 def save_start(path: Path, start: ShareStart) -> None:
     """Write a device's start, atomically."""
     arrays = {name: getattr(start.cameras, name) for name in CAMERAS_DTYPES}
     arrays |= {"points": start.points, "colors": start.colors, "log_points": start.logs.points, "logs": start.logs.logs}
-    arrays["sky_rgb"] = np.asarray(start.sky_rgb, np.float64)
+    arrays |= {"sky_rgb": np.asarray(start.sky_rgb, np.float64), "public_key": np.frombuffer(start.public_key, np.uint8)}
     about = {"num_filled": start.num_filled, "models_light": start.models_light, "most_splats": start.most_splats}
     save_arrays(path, START_SCHEMA, arrays, {**about, "names": list(start.cameras.names)})
 
@@ -46,6 +46,8 @@ def load_start(path: Path) -> ShareStart:
             raise BadInput("its counts are no counts: write it anew with this version.")
         if arrays["sky_rgb"].shape != (3,) or arrays["logs"].shape != arrays["log_points"].shape:
             raise BadInput("its arrays do not fit each other: write it anew with this version.")
+        if arrays["public_key"].shape not in ((0,), (32,)):
+            raise BadInput(f"its public key has {arrays['public_key'].size} bytes, expected 32 or none: write it anew with this version.")
         return ShareStart(
             cameras=cameras_of_arrays(about["names"], arrays),
             points=arrays["points"],
@@ -55,6 +57,7 @@ def load_start(path: Path) -> ShareStart:
             models_light=about["models_light"],
             sky_rgb=arrays["sky_rgb"],
             most_splats=most,
+            public_key=arrays["public_key"].tobytes(),
         )
 
 
@@ -62,6 +65,7 @@ def save_begin(path: Path, begin: Begun) -> None:
     """Write where a training stands, atomically."""
     arrays = {_STATE + name: array for name, array in begin.state.arrays.items()}
     arrays |= {f"offset.{device}": np.asarray(offset, np.float64) for device, offset in begin.offsets.items()}
+    arrays |= {_KEY + device: np.frombuffer(key, np.uint8) for device, key in begin.public_keys.items()}
     about = {"group": message_record(begin.group), "numbers": begin.state.numbers, "antialiased": begin.antialiased}
     save_arrays(path, BEGIN_SCHEMA, arrays, about)
 
@@ -78,6 +82,7 @@ def load_begin(path: Path) -> Begun:
             ),
             offsets={name.removeprefix("offset."): array for name, array in arrays.items() if name.startswith("offset.")},
             antialiased=about["antialiased"] is True,
+            public_keys={name.removeprefix(_KEY): array.tobytes() for name, array in arrays.items() if name.startswith(_KEY)},
         )
 
 

@@ -146,3 +146,21 @@ def test_a_group_without_one_of_its_devices_is_refused(recipe: Recipe) -> None:
     lacking = GroupTraining(root="cloud", views={"a": {"a1": 1, "a2": 1}, "b": {"b1": 1}}, num_steps=24)
     with pytest.raises(BadInput, match="expected all that have photographs: a1, a2, b1, b2"):
         run_of(replace(recipe, groups={"cloud": lacking}))
+
+
+def test_masks_of_any_keys_give_one_model_and_say_what_two_devices_know(recipe: Recipe) -> None:
+    plan = replace(group("cloud", "a", "b")["cloud"], masked=True)
+    recorder = Recorder(stage="cloud")
+    first = train_group(recipe, plan, SCENE, VIEWS, lambda stage: recorder if stage == "cloud" else Recorder(stage=stage))
+    again = train_group(recipe, plan, SCENE, VIEWS)
+    for name, array in first.result.splats.arrays().items():
+        np.testing.assert_array_equal(array, again.result.splats.arrays()[name])
+    (said,) = [one for one in recorder.decisions if one.topic == "masks of gradients"]
+    assert said.figure == 2 and "each knows the other's gradient" in said.reason
+    open_run = train_group(recipe, replace(plan, masked=False), SCENE, VIEWS)
+    assert first.cost.bytes_up["a1"][0] > 2 * open_run.cost.bytes_up["a1"][0]
+
+
+def test_masks_of_one_device_at_an_edge_are_refused() -> None:
+    with pytest.raises(BadInput, match="masks hide nothing of the one device of edge b"):
+        GroupTraining(root="cloud", views={"a": {"a1": 1, "a2": 1}, "b": {"b1": 1}}, num_steps=24, masked=True)

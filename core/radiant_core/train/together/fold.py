@@ -83,10 +83,9 @@ def fit_in_process(
     def take_waiting() -> None:
         begun_s = clock()
         first, *others = holders.values()
-        first.take(waiting[0])
+        total = first.take(waiting[0])
         for holder in others:
-            holder.replica.share_model(first.replica)
-            holder.unit = first.unit
+            holder.follow(first, total)
         cost.take_s.append(clock() - begun_s)
         waiting.clear()
 

@@ -6,9 +6,9 @@
 
 Once per step and device, O(D N K). Bonawitz 2017 without its shares: a device that is lost in a
 step takes the step with it. The step is left out and the others go on without the device
-(`MaskKeys.without`). It is never repeated: who had the sums with and without a device would know
-its gradient, so that a device masks each step once. K_ij is from X25519 of the pair, the public
-keys signed as all messages are, and a run's id.
+(`MaskKeys.without`), or, as in a run, wait until it is back and begin anew with new keys. A step is
+never repeated with fewer devices, since who had both sums would know a gradient, nor with the same
+keys. K_ij is from X25519 of the pair and a run's id; who hands on public keys is trusted to do so.
 
 Whether a Gaussian is shown would say where cameras look, so that all rows travel, and how often it
 is seen is one of the columns. What stays open: the loss and the number of views in the head, which

@@ -55,14 +55,24 @@ class Holder:
         self.num_sent += 1
         return message
 
-    def take(self, total: bytes | memoryview) -> None:
-        """Take the next step by the message of the root. BadInput where it is damaged."""
+    def take(self, total: bytes | memoryview) -> StepGradients:
+        """Take the next step by the message of the root; the gradients in it. BadInput where it is
+        damaged."""
         replica, count = self.replica, self.replica.num_splats
         limits, at = decode_limits(total, count)
         gradients = decode_gradients(memoryview(total)[at:], replica.step, count, replica.layout, self._group.views_per_step, checks=False)
-        if self.masks is not None:
-            self.unit = self.unit.next(gradients, len(self.masks.pairs) + 1, replica.layout)
+        self._change_unit(gradients)
         replica.take(gradients, limits)
+        return gradients
+
+    def follow(self, other: Holder, total: StepGradients) -> None:
+        """Have the model of a holder in this process that took `total` as its last step."""
+        self._change_unit(total)
+        self.replica.share_model(other.replica)
+
+    def _change_unit(self, total: StepGradients) -> None:
+        if self.masks is not None:
+            self.unit = self.unit.next(total, len(self.masks.pairs) + 1, self.replica.layout)
 
 
 @dataclass(kw_only=True)

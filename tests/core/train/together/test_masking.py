@@ -186,3 +186,16 @@ def test_a_masked_group_needs_keys() -> None:
     group = Group(config=CONFIG, num_photographs=1, views_per_step=1, extent=1.0, masked=True)
     with pytest.raises(BadInput, match="needs keys"):
         Holder(Replica(truth, group, FitOptions(backend="native")), group)
+
+
+def test_holders_of_sums_of_other_sizes_have_units_of_their_own_where_one_takes_the_step_for_all() -> None:
+    truth = ground_splats(20)
+    group = Group(config=CONFIG, num_photographs=5, views_per_step=5, extent=1.0, masked=True)
+    keys = {**keys_of(["d0", "d1"]), **keys_of(["d2", "d3", "d4"])}
+    holders = {name: Holder(Replica(truth, group, FitOptions(backend="native")), group, each) for name, each in keys.items()}
+    layout = holders["d0"].replica.layout
+    values = np.full((1, layout.num_columns), 0.5, np.float32)
+    total = StepGradients(num_views=5, loss=0.1, rows=np.array([3]), values=values, seen=np.array([2], np.uint16))
+    for name in ("d1", "d2"):
+        holders[name].follow(holders["d0"], total)
+    assert (holders["d2"].unit.exponents - holders["d1"].unit.exponents == 1).all()
