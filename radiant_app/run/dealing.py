@@ -15,7 +15,7 @@ from typing import Any
 
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.photographs import Photographs
-from radiant_app.together.exchange import ENDED_NAME, GROUP_FOLDER
+from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER
 from radiant_app.workers.delivering import DELIVERIES, exchange_keys, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
 from radiant_app.workers.nodes import CUT_SCENE, unseal_cut

@@ -15,7 +15,7 @@ import numpy as np
 from shapely import Point, Polygon
 
 from radiant_app.run.dealing import Dealer
-from radiant_app.together.exchange import GROUP_FOLDER
+from radiant_app.together.places import GROUP_FOLDER
 from radiant_app.workers.inbox import load_corrections
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import Frame

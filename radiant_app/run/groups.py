@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
-from radiant_app.together.exchange import mark_gone, meeting_of
+from radiant_app.together.places import mark_gone, meeting_of
 from radiant_app.workers.training import remove_checkpoints
 from radiant_core.aggregate.tree import Tree, with_gangs
 from radiant_core.hierarchy.groups import GroupTraining

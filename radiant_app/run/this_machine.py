@@ -18,7 +18,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Warned
 from radiant_app.files.system_file import even_system, load_system
-from radiant_app.run.captured import device_folders
 from radiant_app.run.progress import Progress
 from radiant_app.workers.memory import available_bytes
 from radiant_core.decisions import Decision
@@ -154,7 +153,12 @@ def is_one_device(config: RunConfig) -> bool:
         return False
     if (config.out / "plan.json").is_file() and not (config.out / MACHINE_NAME).is_file():
         return False
-    return config.frames == "shared" or device_folders(config.source, machine_of(NUM_PLAYED)) is None
+    if config.frames == "shared":
+        return True
+    # It brings structure from motion, which a run of one owner's placed scene does without.
+    from radiant_app.run.captured import device_folders
+
+    return device_folders(config.source, machine_of(NUM_PLAYED)) is None
 
 
 def divide(

@@ -19,14 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from radiant_app.together.links import LinkLost, ParentLinks
+from radiant_app.together.places import is_done
 from radiant_core.errors import BadInput, StageFailed
 
 START, GRADIENTS, BEGIN, TOTAL, END = b"S", b"G", b"B", b"T", b"E"
-GROUP_FOLDER, ENDED_NAME = "group", "end.json"
-"""Folder of a node for what it says and hears before the first step, and in it the record that all
-steps were taken: its process may be started again after that."""
-INITIAL = "initial.safetensors"
-"""There too: the Gaussians that the training began with."""
 LATE_S = 60.0
 """A machine that is linked and says nothing for so long is left out until it comes back."""
 GONE_S = 300.0
@@ -61,29 +57,6 @@ def unpack(payload: bytes) -> dict[str, bytes]:
     if len(parts) != count or at != len(payload):
         raise BadInput(f"a message holds {len(parts)} files, expected {count}: its sender has another version.")
     return parts
-
-
-def meeting_of(folder: Path, parent: str) -> Path:
-    """Where the machine in the folder of a node of a run, such as RUN/devices/north-1, meets its
-    parent, such as "edges/north"."""
-    run = folder.parent if folder.name == "cloud" else folder.parent.parent
-    return run / "together" / parent.replace("/", "_")
-
-
-def mark_done(meeting: Path, child: str) -> None:
-    """Say that a child has what it needs of a training that has ended."""
-    (meeting / f"{child}.done").touch()
-
-
-def is_done(meeting: Path, child: str) -> bool:
-    """Whether it has said so."""
-    return (meeting / f"{child}.done").is_file()
-
-
-def mark_gone(meeting: Path, child: str) -> None:
-    """Say that a child will not come, or not again."""
-    meeting.mkdir(parents=True, exist_ok=True)
-    (meeting / f"{child}.gone").touch()
 
 
 Answer = Callable[[str, Mapping[str, bytes]], bytes]

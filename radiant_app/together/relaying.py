@@ -15,25 +15,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from radiant_app.together.exchange import (
-    BEGIN,
-    END,
-    ENDED_NAME,
-    GONE_S,
-    GRADIENTS,
-    GROUP_FOLDER,
-    LATE_S,
-    START,
-    TOTAL,
-    Children,
-    begin_anew,
-    mark_done,
-    meeting_of,
-    pack,
-    unpack,
-)
+from radiant_app.together.exchange import BEGIN, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, Children, begin_anew, pack, unpack
 from radiant_app.together.holding import CONNECT_S
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, ParentLinks, Traffic, connect
+from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, mark_done, meeting_of
 from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed

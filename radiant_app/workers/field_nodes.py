@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from radiant_app.together.exchange import mark_gone, meeting_of
+from radiant_app.together.places import mark_gone, meeting_of
 from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.redaction import Redactor, make_redactor
 from radiant_app.workers.reporting import EventReporter, read_notes

@@ -43,7 +43,7 @@ def run_group_edge(folder: Path, task: EdgeTask, group: GroupTraining, reporter:
 
 def run_group_cloud(folder: Path, task: CloudTask, group: GroupTraining, reporter: EventReporter) -> Sequence[str]:
     """Train the scene with all devices."""
-    num_dealt = dict(zip(group.of_devices, task.of_devices, strict=True))
+    num_dealt = dict(zip(group.of_devices, task.of_devices or (), strict=True))
     led = lead(folder, group, task, num_dealt, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
     scene = scene_of_group(group, led.starts, led.result)
     assert scene.splats is not None

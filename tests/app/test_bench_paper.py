@@ -18,6 +18,7 @@ from radiant_app.bench.paper import BY_NAME, PAGE_ORDER, PARTS, PaperBench, benc
 from radiant_app.bench.paper_parts import _worst_window, border_length_m
 from radiant_app.bench.published import MILL_19
 from radiant_app.bench.runner import run_bench
+from radiant_app.bench.together import TOGETHER
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import load_lpips
 from radiant_core.io.run_store import read_json
@@ -40,7 +41,7 @@ def test_a_page_of_every_part_is_made_once_and_kept(hamlet_scene: Path, paper_mo
         assert f"({name}.png)" in page and (bench.out / f"{name}.png").stat().st_size > 5_000
     assert "Band and interior are insufficient: borders lie in" in page
     rows = {row["arm"]: row for row in record["parts"]["main"]["figures"]}
-    assert set(rows) == {*METHODS} - {"ours edges", "fed3dgs"}
+    assert set(rows) == {*METHODS} - {"ours edges", "fed3dgs", *(arm.name for arm in TOGETHER)}
     # After so short trainings the cloud leaves fitting to the devices.
     assert rows["crop"]["training_px"] == 0 <= rows["ours"]["training_px"] < rows["paper"]["training_px"]
     planned = record["parts"]["plan"]["figures"]

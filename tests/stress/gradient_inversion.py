@@ -23,6 +23,7 @@ from torch import Tensor
 
 from radiant_app.bench.cells import bench_settings, load_bench_scene
 from radiant_core.cameras import Cameras
+from radiant_core.choices import StepFormat
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.device import prepare_training
 from radiant_core.hierarchy.messages import DeviceTask
@@ -34,7 +35,7 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.losses import ssim_map
 from radiant_core.train.together.codec import decode_gradients, encode_gradients
-from radiant_core.train.together.gradients import Layout, StepFormat
+from radiant_core.train.together.gradients import Layout
 from radiant_core.train.together.replica import Group, Replica, Share
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.views import TrainingViews

@@ -9,8 +9,8 @@ from typing import Annotated
 
 from pydantic import Field
 
+from radiant_core.choices import StepFormat
 from radiant_core.errors import BadInput
-from radiant_core.train.together.gradients import StepFormat
 
 
 @dataclass(frozen=True, kw_only=True)

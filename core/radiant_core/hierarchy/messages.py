@@ -166,8 +166,8 @@ class CloudTask(Training):
     """None: the edges' models are joined as equals; else there are no cells."""
     group: GroupTraining | None = None
     """All devices train as one model; None: models are joined."""
-    of_devices: tuple[Count, ...] = ()
-    """Photographs dealt to each device of the group, in its order."""
+    of_devices: tuple[Count, ...] | None = None
+    """Photographs dealt to each device of the group, in its order; None without one."""
 
     def __post_init__(self) -> None:
         cells = {len(self.sites), len(self.weights)}

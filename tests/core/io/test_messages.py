@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, FrameUncertainty
+from radiant_core.hierarchy.groups import GroupTraining, Seat
 from radiant_core.hierarchy.messages import (
     CloudTask,
     DeviceModel,
@@ -233,6 +234,9 @@ OTHERS: dict[str, Any] = {
     "strips": (((9.0, 9.0),),),
     "sites": ((9.0, 9.0),),
     "weights": (1.0,),
+    "seat": Seat(parent="edges/b", num_views=2, first=1),
+    "group": GroupTraining(root="cloud", views={"b": {"b": 2}}, num_steps=9),
+    "of_devices": (4,),
 }
 
 

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core import _native
+from radiant_core.choices import StepFormat
 from radiant_core.errors import BadInput
-from radiant_core.train.together.gradients import Layout, StepFormat, StepGradients
+from radiant_core.train.together.gradients import Layout, StepGradients
 from radiant_core.train.together.replica import Limits
 
 _FORMATS: tuple[StepFormat, ...] = get_args(StepFormat)

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import torch
@@ -21,9 +20,6 @@ from numpy.typing import NDArray
 
 from radiant_core import _native
 from radiant_core.render.contract import TENSORS, SplatTensors
-
-StepFormat = Literal["float32", "bfloat16", "blocks"]
-"""How gradients travel (`codec.py`)."""
 
 
 @dataclass(frozen=True, kw_only=True)

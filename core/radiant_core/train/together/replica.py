@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from radiant_core import _native
+from radiant_core.choices import StepFormat
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import RenderOutput
@@ -30,7 +31,7 @@ from radiant_core.train.drop import DroppedGaussians
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes
-from radiant_core.train.together.gradients import Layout, StepFormat, StepGradients
+from radiant_core.train.together.gradients import Layout, StepGradients
 from radiant_core.train.trainer import STEPS_BETWEEN_LIMITS, FitOptions, ModelFit, settled_rate_share
 from radiant_core.train.view_loss import ViewLoss, view_of_step
 from radiant_core.train.views import TrainingViews
