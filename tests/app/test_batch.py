@@ -52,7 +52,7 @@ source = "nothing"
 name = "good"
 source = "hamlet"
 emulate = "one.toml"
-devices = "4"
+devices = "all"
 """
 
 

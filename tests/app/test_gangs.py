@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import time
 from collections import Counter
@@ -125,7 +126,7 @@ def test_a_sealed_member_begins_anew_with_the_others_and_one_without_work_does_n
     prepare = preparer(tmp_path, [])
     for node in ALL:
         if node.id == "devices/a1":
-            (prepare(node).folder / "sealed").rename(tmp_path / node.id / SEAL_NAME)
+            shutil.copy(prepare(node).folder / "sealed", tmp_path / node.id / SEAL_NAME)
     working = [node_id for node_id in NODES if node_id != "devices/b2"]
     events: list[Event] = []
 
