@@ -28,7 +28,7 @@ TrainedAs = Literal["auto", "together", "joined"]
 """together: machines train one model and add up gradients in every step; joined: each trains a
 model of its own, and these are joined; auto: by the predicted times of both."""
 StepFormat = Literal["float32", "bfloat16", "blocks"]
-"""How gradients of a step travel between machines that train together (`train/together/codec.py`)."""
+"""How gradients travel between machines that train together (`train/together/codec.py`)."""
 StepPolicy = Literal["per_photograph", "fixed"]
 """per_photograph: a device's steps follow its photographs, so that all together take as many as
 with a fixed number each; fixed: every device takes the same number."""
