@@ -32,7 +32,7 @@ START = ShareStart(
 )
 
 
-@pytest.mark.parametrize("key", [b"", KEY])
+@pytest.mark.parametrize("key", [b"", KEY], ids=["without", "with"])
 def test_a_start_keeps_its_public_key(key: bytes, tmp_path: Path) -> None:
     save_start(tmp_path / "start", replace(START, public_key=key))
     start = load_start(tmp_path / "start")
