@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, INITIAL, TOTAL, Answer, Children, begin_anew, pack
+from radiant_app.together.exchange import BEGIN, TOTAL, Answer, Children, begin_anew, pack
 from radiant_app.together.links import LinkLost, LinkRules, ParentLinks
-from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, meeting_of
+from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, meeting_of
 from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError

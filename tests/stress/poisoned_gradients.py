@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from radiant_app.bench.cells import BenchScene, Layout, ModelCache, bench_settings, deal_cell, load_bench_scene
 from radiant_core.evaluate.image_error import psnr_db
-from radiant_core.hierarchy.groups import GroupPlan
+from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.messages import device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.reporter import Machine, Recorder, fit_options
@@ -184,7 +184,7 @@ def train(case: Case, attack: str, watched: Watched, *, checked: bool, masked: b
     """The group's model, and what its root refused."""
     recipe, liars = case.recipe, () if attack == HONEST else LIARS
     devices = [device for device in recipe.edge_plans[0].device_ids if attack != ABSENT or device not in LIARS]
-    plan = GroupPlan(
+    plan = GroupTraining(
         root=f"edges/{recipe.edge_plans[0].edge_id}",
         views={recipe.edge_plans[0].edge_id: dict.fromkeys(devices, 1)},
         num_steps=case.num_views * len(devices) // NUM_DEVICES,
