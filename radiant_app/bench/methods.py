@@ -437,8 +437,8 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
 
 
 def _differences(key: str, rows: Sequence[ArmRow], others: Sequence[ArmRow]) -> list[Metric]:
-    """Means over photographs and cells with their bounds of 95 %, `at_least` the one-sided one; with
-    colours corrected under `cc`, where all rows have them."""
+    """Means over photographs and cells with their bounds of 95 %, `at_least` the one-sided one;
+    with colours corrected under `cc`, where all rows have them."""
     metrics: list[Metric] = []
     for prefix, figure in (("", "psnr_db"), ("cc_", "psnr_cc_db")):
         figures_of_rows, reference = ([getattr(row, figure) for row in each] for each in (rows, others))
