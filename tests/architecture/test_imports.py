@@ -99,8 +99,7 @@ def test_the_command_line_imports_nothing_heavy() -> None:
 
 
 def test_the_systems_zlib_comes_before_pycolmaps() -> None:
-    # pycolmap exports a zlib of its own: where it is loaded first, zlib.compress aborts the
-    # process.
+    # pycolmap exports a zlib of its own, which Python's module must not be bound to.
     code = (
         "import radiant_core.sfm.reconstruct, sys, zlib; names = list(sys.modules); import pycolmap;"
         "names = list(sys.modules); assert names.index('zlib') < names.index('pycolmap');"
