@@ -18,6 +18,7 @@ PACKAGES = {
     "radiant_core": ROOT / "core/radiant_core",
     "radiant_viewer": ROOT / "viewer/radiant_viewer",
     "radiant_app": ROOT / "radiant_app",
+    "radiant": ROOT / "radiant",
 }
 
 
