@@ -1,5 +1,5 @@
 # For developers. `./setup.sh` installs; every target here does so first where it needs it.
-.PHONY: check test stress bench docs
+.PHONY: check test stress bench docs site
 PYTHON := .venv/bin/python
 
 check:  ## import rules, linter, types
@@ -15,6 +15,10 @@ bench:  ## the benchmarks in their quick form, as JSON in build/bench; fails whe
 	./setup.sh
 	mkdir -p build/bench
 	for name in sfm plan raster; do .venv/bin/radiant bench $$name --quick --json build/bench/$$name.json --baseline tests/baseline.json || exit 1; done
+
+site:  ## the pages and the documentation of `import radiant` in build/site/html, to be read offline
+	./setup.sh check
+	$(PYTHON) tools/site.py
 
 docs:  ## docs/cli.md from the command line itself
 	./setup.sh
