@@ -14,7 +14,7 @@ config = radiant.RunConfig(
     source=PHOTOGRAPHS,
     out=folder,
     system=OUT / "04_system.toml",
-    plan=radiant.PlanOptions(within_edge="together", between_edges="together"),
+    plan=radiant.PlanOptions(devices="all", within_edge="together", between_edges="together"),
     train=radiant.TrainOptions(long_side_px=LONG_SIDE_PX, num_steps=STEPS // 4),
 )
 with radiant.progress(decisions=True) as listen:

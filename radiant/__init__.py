@@ -10,6 +10,7 @@ scene → plan            plan_regions                         System, RegionPla
 scene → model           train, join, run                     TrainConfig, TrainResult, RunConfig
 model → picture         render (numpy), rasterize (torch)    Splats, SplatTensors
 model → files           load_splats, save_splats, export
+run → picture           picture
 model → figures         evaluate                             Scores
 
 Arrays are numpy's, in metres, OpenCV's axes, pixels from the corner of the picture. `rasterize`
@@ -21,7 +22,7 @@ alone takes torch tensors, for gradients. Every function that takes longer has `
 from radiant.models import Scores, evaluate, export, join, load_splats, save_splats, train
 from radiant.plans import RegionPlan, plan_regions
 from radiant.scenes import Scene, load_scene, reconstruct
-from radiant.showing import progress
+from radiant.showing import picture, progress
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.files.system_file import even_system, load_system
 from radiant_app.run.pipeline import RunResult, run
@@ -68,6 +69,7 @@ __all__ = [
     "load_splats",
     "load_system",
     "orbit",
+    "picture",
     "plan_regions",
     "progress",
     "rasterize",

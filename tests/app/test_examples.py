@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import base64
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import cv2
+import nbformat
 import numpy as np
 import pytest
+from nbclient import NotebookClient
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))
@@ -37,3 +40,17 @@ def test_an_example_makes_its_picture(path: Path, hamlet_scene: Path, hamlet: Pa
     picture = cv2.imread(str(out / f"{path.stem}.png"))
     # A picture of something: neither missing nor of one colour.
     assert picture is not None and float(np.std(picture)) > 5
+
+
+def test_the_notebook_shows_plan_model_and_seams_inline(hamlet: Path, out: Path) -> None:
+    notebook = nbformat.read(ROOT / "examples/plan_model_seams.ipynb", as_version=4)
+    assert all(not cell.get("outputs") for cell in notebook.cells), "clear the outputs before it is committed"
+    environment = {**os.environ, "OUT": str(out), "PHOTOGRAPHS": str(hamlet), "SMALL": "1", "PYTHONPATH": str(ROOT)}
+    NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(ROOT / "examples")}}).execute(
+        env=environment
+    )
+    pictures = [output for cell in notebook.cells for output in cell.get("outputs", ()) if "image/png" in output.get("data", {})]
+    assert len(pictures) == 3
+    for output in pictures:
+        picture = cv2.imdecode(np.frombuffer(base64.b64decode(output["data"]["image/png"]), np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None and float(np.std(picture)) > 5

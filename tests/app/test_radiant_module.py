@@ -45,7 +45,7 @@ def test_every_name_is_documented_with_what_it_takes() -> None:
     for name in radiant.__all__:
         value = getattr(radiant, name)
         assert not callable(value) or (value.__doc__ and not value.__doc__.startswith(f"{name}(")), name
-    for name in ("train", "join", "evaluate", "export", "load_scene", "load_splats", "reconstruct", "plan_regions"):
+    for name in ("picture", "train", "join", "evaluate", "export", "load_scene", "load_splats", "reconstruct", "plan_regions"):
         doc = inspect.getdoc(getattr(radiant, name)) or ""
         assert all(part in doc for part in ("Args:", "Returns:", "Raises:")), name
         documented = doc[doc.index("Args:") : doc.index("Returns:")]
