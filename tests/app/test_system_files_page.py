@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from radiant_app.files import system_file
 from radiant_app.files.system_file import load_system
 from radiant_core.plan.regions.edge_sites import place_edges
-from radiant_core.plan.regions.region_plan import plan_regions
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/system_files.md").read_text()
@@ -48,6 +48,7 @@ def test_a_ready_file_stands_on_the_page_and_is_planned(path: Path) -> None:
     assert {edge.id: [device.id for device in edge.devices] for edge in system.edges} == DEVICES[path.stem]
     positions = np.random.default_rng(0).uniform(0.0, 200.0, (120, 2))
     plan = plan_regions(positions, place_edges(system, positions, [47.37, 8.54, 400.0], 0))
+    assert not isinstance(plan, PlanInfeasible)
     assert np.bincount(plan.edge_of_camera, minlength=len(system.edges)).min() > 0
     assert plan.edge_time_s.max() <= 1.0001 * plan.lower_bound_s
 
