@@ -17,8 +17,9 @@ PACKAGES = {
     "radiant_core": ROOT / "core/radiant_core",
     "radiant_viewer": ROOT / "viewer/radiant_viewer",
     "radiant_app": ROOT / "radiant_app",
+    "radiant": ROOT / "radiant",
 }
-ORDER = ("core", "viewer", "app")
+ORDER = ("core", "viewer", "app", "radiant")
 MOST_ROOMS = 6
 HEAD = """# What flows: the types
 
