@@ -104,3 +104,9 @@ def test_no_message_shows_a_tuple_of_an_array() -> None:
         if call.func.id == "tuple" and not ast.unparse(call.args[0]).endswith(".shape")
     ]
     assert shown == []
+
+
+def test_the_packages_say_that_they_are_typed_and_the_citation_has_their_version() -> None:
+    assert [package for package in PACKAGES[:4] if not (ROOT / package / "py.typed").is_file()] == []
+    (version,) = re.findall(r'^__version__ = "(.+)"$', (ROOT / "core/radiant_core/__init__.py").read_text(), re.MULTILINE)
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
