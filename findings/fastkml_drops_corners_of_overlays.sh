@@ -1,12 +1,15 @@
 #!/usr/bin/env bash
 # fastkml: an overlay that is placed by its four corners loses its place when it is read.
 #
-# KML's GroundOverlay may say where its picture lies by `gx:LatLonQuad`, four corners of any quadrilateral, in
-# place of the upright `LatLonBox`: the usual way for a single turned photograph. fastkml 1.4.0 does not
-# know the element and skips it without a word, also with `strict=True`: the overlay has a picture and no
-# place, and what is written again has lost the corners. An overlay with LatLonBox keeps it.
-# It matters to who passes orthophotographs as KML through a Python tool: the picture is gone from the map.
-# Seen on 2026-11-29 with fastkml 1.4.0, lxml 6.1.3: "LatLonBox: .. its place is written again: True", "gx:LatLonQuad: .. False".
+# KML's GroundOverlay may say where its picture lies by `gx:LatLonQuad`, four corners of any
+# quadrilateral, in place of the upright `LatLonBox`: the usual way for a single turned photograph.
+# fastkml 1.4.0 does not know the element and skips it without a word, also with `strict=True`: the
+# overlay has a picture and no place, and what is written again has lost the corners. An overlay
+# with LatLonBox keeps it.
+# It matters to who passes orthophotographs as KML through a Python tool: the picture is gone from
+# the map.
+# Seen on 2026-11-29 with fastkml 1.4.0: "LatLonBox: the overlay is read: True, its place is written
+# again: True", "gx:LatLonQuad: the overlay is read: True, its place is written again: False".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

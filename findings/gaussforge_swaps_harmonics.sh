@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # gaussforge: its compressed PLY has the spherical harmonics in another order than the format's.
 #
-# A compressed PLY (PlayCanvas, SuperSplat) keeps f_rest_0.. in the order of a plain 3DGS PLY: all coefficients
-# of red, then of green, then of blue; gaussforge's own reader takes them so. Its writer puts red, green and blue
-# of the first coefficient, then of the second. So PLY -> compressed PLY -> PLY by this one library changes the
-# colours that depend on the direction: red gets what was green's and blue's. Constant colour, places and
-# sizes are right, and nothing is said; the model only shimmers wrongly when one walks round it.
-# Its ksplat and SOG keep the order.
-# Seen on 2026-11-29 with gaussforge 0.6.0: f_rest 0.1 0.2 .. 0.9 comes back as "0.11 0.39 0.70 0.20 0.52 0.80 0.30
-# 0.61 0.89".
+# A compressed PLY (PlayCanvas, SuperSplat) keeps f_rest_0.. in the order of a plain 3DGS PLY: all
+# coefficients of red, then of green, then of blue; gaussforge's own reader takes them so. Its
+# writer puts red, green and blue of the first coefficient, then of the second. So PLY -> compressed
+# PLY -> PLY by this one library changes the colours that depend on the direction: red gets what was
+# green's and blue's. Constant colour, places and sizes are right, and nothing is said; the model
+# only shimmers wrongly when one walks round it. Its ksplat and SOG keep the order.
+# Seen on 2026-11-29 with gaussforge 0.6.0: "PLY -> ply -> PLY: 0.10 0.20 0.30 0.40 0.50 0.60 0.70
+# 0.80 0.90", "PLY -> compressed.ply -> PLY: 0.11 0.39 0.70 0.20 0.52 0.80 0.30 0.61 0.89".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
 # geojson (the Python package): places are rounded to 6 decimals when read and when made.
 #
-# One would expect `dumps(loads(text))` to keep the digits of a place. The package rounds each coordinate to 6
-# decimals as soon as a geometry is made, so also while it reads a file: 6 decimals of a degree are 0.11 m of
-# latitude. Heights and projected metres pass, as 6 decimals are plenty there, which is why it goes
-# unnoticed. Python's own `json` keeps them; here the precision must be raised before the first geometry
-# (`geojson.geometry.DEFAULT_PRECISION`), also for reading.
+# One would expect `dumps(loads(text))` to keep the digits of a place. The package rounds each
+# coordinate to 6 decimals as soon as a geometry is made, so also while it reads a file: 6 decimals
+# of a degree are 0.11 m of latitude. Heights and projected metres pass, as 6 decimals are plenty
+# there, which is why it goes unnoticed. Python's own `json` keeps them; here the precision must be
+# raised before the first geometry (`geojson.geometry.DEFAULT_PRECISION`), also for reading.
 # It matters to who passes ground control points or camera positions of RTK through it.
-# Seen on 2026-11-29 with geojson 3.3.0: "read 52.123456449 5.123456449, kept 52.123456 5.123456: 0.059 m off".
+# Seen on 2026-11-29 with geojson 3.3.0: "given 52.123456449 5.123456449, kept 52.123456 5.123456:
+# 0.059 m off".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -1,14 +1,17 @@
 #!/usr/bin/env bash
-# geotiff.js: the box of a raster of points is half a pixel off the box that GDAL gives for the same file.
+# geotiff.js: the box of a raster of points is half a pixel off the box that GDAL gives for the same
+# file.
 #
 # A GeoTIFF says whether its tie point is the corner of the first pixel (PixelIsArea) or its middle
-# (PixelIsPoint, usual for heights). GDAL moves the latter by half a pixel, so that bounds are those of the
-# pixels' outer edges for both. geotiff.js knows the key (`pixelIsArea()` says false) but its `getOrigin` and
-# `getBoundingBox` do not use it: they begin at the middle of the first pixel and end half a pixel
-# beyond the last one.
-# It matters to who lays a raster of heights into a web map: with cells of 10 m it lies 5 m to the south-east.
-# Seen on 2026-11-29 with geotiff 3.0.5 and rasterio 1.4.4: "Area: 500000,4999970,500040,5000000, rasterio
-# the same", "Point: 500005,4999965,500045,4999995, rasterio 500000,4999970,500040,5000000".
+# (PixelIsPoint, usual for heights). GDAL moves the latter by half a pixel, so that bounds are those
+# of the pixels' outer edges for both. geotiff.js knows the key (`pixelIsArea()` says false) but its
+# `getOrigin` and `getBoundingBox` do not use it: they begin at the middle of the first pixel and
+# end half a pixel beyond the last one.
+# It matters to who lays a raster of heights into a web map: with cells of 10 m it lies 5 m to the
+# south-east.
+# Seen on 2026-11-29 with geotiff 3.0.5 and rasterio 1.4.4: "Area: geotiff.js [500000, 4999970,
+# 500040, 5000000], rasterio" the same, "Point: geotiff.js [500005, 4999965, 500045, 4999995],
+# rasterio [500000, 4999970, 500040, 5000000]".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

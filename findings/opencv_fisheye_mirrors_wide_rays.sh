@@ -2,13 +2,14 @@
 # OpenCV: `fisheye.projectPoints` draws a ray beyond 90 degrees on the opposite side of the picture.
 #
 # A fisheye of 190 or 220 degrees sees points that lie behind the plane of its lens (z < 0), and in
-# the equidistant model, r = f * theta, they have a place: 100 degrees to the right is 1.745 f to the
-# right. `projectPoints` divides by z first and takes the arc tangent of the length, so the ray comes out
-# as one of 80 degrees to the left, within the picture, without an error and without a NaN.
-# It matters to who draws a model, masks or residuals into pictures of such a lens: what is behind the
-# camera to the right is drawn over what is before it to the left.
-# Seen on 2026-11-29 with opencv-contrib-python-headless 5.0.0.93: "80 degrees: 279.3 px right of the middle
-# (f * theta: 279.3)", "100 degrees: -279.3 px right of the middle (f * theta: 349.1)".
+# the equidistant model, r = f * theta, they have a place: 100 degrees to the right is 1.745 f to
+# the right. `projectPoints` divides by z first and takes the arc tangent of the length, so the ray
+# comes out as one of 80 degrees to the left, within the picture, without an error and without a
+# NaN.
+# It matters to who draws a model, masks or residuals into pictures of such a lens: what is behind
+# the camera to the right is drawn over what is before it to the left.
+# Seen on 2026-11-29 with opencv-contrib-python-headless 5.0.0.93: "80 degrees: 279.3 px right of
+# the middle (f * theta: 279.3)", "100 degrees: -279.3 px right of the middle (f * theta: 349.1)".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -1,15 +1,16 @@
 #!/usr/bin/env bash
 # OpenCV: key points of SIFT lie a quarter of a pixel to the right of and below what they mark.
 #
-# One would expect the middle of a round spot where the spot is. `SIFT_create` doubles the picture before
-# it looks, by `resize`, and maps places back as if the first pixels of both pictures had the same
-# middle; they are a quarter of a pixel apart. `enable_precise_upscale=True` does away with it, but the
-# default is False.
-# It matters where places meet others that are not from this SIFT: surveyed marks, corners of markers,
-# calibrations, features of another program. Between pictures of one size it cancels for the most
-# part, so no residual shows it.
-# Seen on 2026-11-29 with opencv-contrib-python-headless 5.0.0.93: "38 spots found; default: mean of found - drawn: x
-# 0.249 px, y 0.243 px", "39 spots found; enable_precise_upscale: x 0.002 px, y 0.004 px".
+# One would expect the middle of a round spot where the spot is. `SIFT_create` doubles the picture
+# before it looks, by `resize`, and maps places back as if the first pixels of both pictures had the
+# same middle; they are a quarter of a pixel apart. `enable_precise_upscale=True` does away with it,
+# but the default is False.
+# It matters where places meet others that are not from this SIFT: surveyed marks, corners of
+# markers, calibrations, features of another program. Between pictures of one size it cancels for
+# the most part, so no residual shows it.
+# Seen on 2026-11-29 with opencv-contrib-python-headless 5.0.0.93: "38 spots found; default: mean of
+# found - drawn: x 0.249 px, y 0.243 px", "39 spots found; enable_precise_upscale: x 0.002 px, y
+# 0.004 px".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -1,14 +1,15 @@
 #!/usr/bin/env bash
-# pycolmap: a model written as text and read again has other names of images where they hold a blank.
+# pycolmap: a model written as text and read again has other names of images where they hold a
+# blank.
 #
-# One would expect `read_text` to give what `write_text` was given. The writer puts the name at the end
-# of its line as it is, "first flight/DJI 0001.jpg"; the reader stops at the first blank and keeps
-# "first". Two photographs of one such folder have the same name then, and nothing is said: no error,
-# no warning. The binary form of the same model keeps the names.
+# One would expect `read_text` to give what `write_text` was given. The writer puts the name at the
+# end of its line as it is, "first flight/DJI 0001.jpg"; the reader stops at the first blank and
+# keeps "first". Two photographs of one such folder have the same name then, and nothing is said: no
+# error, no warning. The binary form of the same model keeps the names.
 # It matters to who converts a model to text to edit or inspect it and back: the photographs are not
 # found any more, or the wrong ones, and everything that is looked up by name.
-# Seen on 2026-11-29 with pycolmap 4.2.1: "text: ['first', 'first']", "binary: ['first flight/DJI 0001.jpg',
-# 'first flight/DJI 0002.jpg']".
+# Seen on 2026-11-29 with pycolmap 4.2.1: "text: ['first', 'first']", "binary: ['first flight/DJI
+# 0001.jpg', 'first flight/DJI 0002.jpg']".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

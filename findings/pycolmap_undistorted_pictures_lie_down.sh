@@ -1,15 +1,16 @@
 #!/usr/bin/env bash
-# pycolmap: pictures that it undistorts carry the orientation tag of the photograph, its cameras do not.
+# pycolmap: pictures that it undistorts carry the orientation tag of the photograph, its cameras do
+# not.
 #
-# `undistort_images` works on the stored pixels of a photograph: a camera of 320 x 240 whose JPEG has EXIF
-# orientation 6 (held upright) becomes a PINHOLE camera of about 320 x 240. The tag is copied into the new
-# picture all the same. So the model and its pictures agree only for a reader that ignores the tag;
-# whoever obeys it, as OpenCV's `imread` does by default, gets the picture turned by 90 degrees,
-# with width and height exchanged, beside a camera that was not.
+# `undistort_images` works on the stored pixels of a photograph: a camera of 320 x 240 whose JPEG
+# has EXIF orientation 6 (held upright) becomes a PINHOLE camera of about 320 x 240. The tag is
+# copied into the new picture all the same. So the model and its pictures agree only for a reader
+# that ignores the tag; whoever obeys it, as OpenCV's `imread` does by default, gets the picture
+# turned by 90 degrees, with width and height exchanged, beside a camera that was not.
 # It matters to who trains or measures on undistorted pictures of a telephone: read them with the
 # orientation ignored.
-# Seen on 2026-11-29 with pycolmap 4.2.1 and OpenCV 5.0.0: "camera of the model: 323 x 240, tag in the picture: 6", "imread:
-# 240 x 323, with IMREAD_IGNORE_ORIENTATION: 323 x 240".
+# Seen on 2026-11-29 with pycolmap 4.2.1 and OpenCV 5.0.0: "camera of the model: 323 x 240, tag in
+# the picture: 6", "imread: 240 x 323, with IMREAD_IGNORE_ORIENTATION: 323 x 240".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

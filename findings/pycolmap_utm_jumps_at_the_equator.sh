@@ -2,13 +2,16 @@
 # pycolmap: `GPSTransform.ellipsoid_to_utm` tears a site on the equator apart by 10,000 km.
 #
 # One would expect the places of one call in one system: the function returns one zone for all. It
-# takes one zone indeed (the mean longitude's), but the false northing of 10,000,000 m is added to each
-# place that lies south of the equator by itself, and no hemisphere is returned. Two places 22 m
-# apart, one on each side, come back 9,999,978 m apart; which of the two systems a place is in cannot be told.
-# Also it knows the plain zones of 6 degrees alone: Bergen is put into 31, where UTM says 32 (32V).
+# takes one zone indeed (the mean longitude's), but the false northing of 10,000,000 m is added to
+# each place that lies south of the equator by itself, and no hemisphere is returned. Two places 22
+# m apart, one on each side, come back 9,999,978 m apart; which of the two systems a place is in
+# cannot be told. Also it knows the plain zones of 6 degrees alone: Bergen is put into 31, where UTM
+# says 32 (32V).
 # It matters to who maps in Kenya, Uganda, Gabon, Ecuador or Indonesia, and to who compares its
-# numbers with those of a GIS in Norway or Svalbard. East, north, up (`ellipsoid_to_enu`) has no such seam.
-# Seen on 2026-11-29 with pycolmap 4.2.1: "zone 36, northings 11.1 and 9999988.9 m", "Bergen: zone 31".
+# numbers with those of a GIS in Norway or Svalbard. East, north, up (`ellipsoid_to_enu`) has no
+# such seam.
+# Seen on 2026-11-29 with pycolmap 4.2.1: "zone 36, northings 11.1 and 9999988.9 m", "Bergen: zone
+# 31".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

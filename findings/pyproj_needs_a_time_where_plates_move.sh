@@ -1,14 +1,17 @@
 #!/usr/bin/env bash
-# pyproj: between systems that move against each other, a place without a time gets no motion at all.
+# pyproj: between systems that move against each other, a place without a time gets no motion at
+# all.
 #
-# ITRF2014 (what PPP and most corrections give) and Australia's GDA2020 agreed in 2020.0 and part by 7 cm a
-# year. One would expect a transformation that depends on the time to ask for it. Where the fourth
-# number is left out, PROJ takes the epoch of the parameters: the place comes back as it went in,
-# half a metre from where it is in 2026. `only_best=True`, `allow_ballpark=False` and `errcheck=True` change
-# nothing, as the operation is the best one; it has all it needs but the time.
+# ITRF2014 (what PPP and most corrections give) and Australia's GDA2020 agreed in 2020.0 and part by
+# 7 cm a year. One would expect a transformation that depends on the time to ask for it. Where the
+# fourth number is left out, PROJ takes the epoch of the parameters: the place comes back as it went
+# in, half a metre from where it is in 2026. `only_best=True`, `allow_ballpark=False` and
+# `errcheck=True` change nothing, as the operation is the best one; it has all it needs but the
+# time.
 # It matters to who puts surveyed marks or camera positions into a national system: give the decimal
 # year as fourth coordinate.
-# Seen on 2026-11-29 with pyproj 3.7.2, PROJ 9.5.1: "no time: moved 0.000 m", "2026.9: moved 0.462 m".
+# Seen on 2026-11-29 with pyproj 3.7.2, PROJ 9.5.1: "no time: moved 0.000 m", "2026.9: moved 0.462
+# m".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

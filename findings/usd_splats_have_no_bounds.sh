@@ -1,13 +1,15 @@
 #!/usr/bin/env bash
 # USD: a prim of 3D Gaussians has no bounding box unless its writer computed one.
 #
-# One would expect `UsdGeom.BBoxCache` to bound a ParticleField3DGaussianSplat from its positions and scales, as it
-# does for UsdGeom.Points of the same places without an `extent`. It has no function to compute an extent for
-# this type: the box is the empty one (least +3.4e38, most -3.4e38), `ComputeExtentFromPlugins` gives None, and
-# nothing is said. So a scene of nothing else has no size: "frame all" of a viewer has nothing to go by.
+# One would expect `UsdGeom.BBoxCache` to bound a ParticleField3DGaussianSplat from its positions
+# and scales, as it does for UsdGeom.Points of the same places without an `extent`. It has no
+# function to compute an extent for this type: the box is the empty one (least +3.4e38, most
+# -3.4e38), `ComputeExtentFromPlugins` gives None, and nothing is said. So a scene of nothing else
+# has no size: "frame all" of a viewer has nothing to go by.
 # It matters to who exports splats as USD: write `extent` too.
-# Seen on 2026-11-29 with usd-core 26.11: "Points: box is empty: False", "ParticleField3DGaussianSplat: box is empty: True, extent by
-# plugins: None", "with extent written: box is empty: False".
+# Seen on 2026-11-29 with usd-core 26.11: "Points: box is empty: False",
+# "ParticleField3DGaussianSplat: box is empty: True, extent by plugins: None", "with extent written:
+# box is empty: False".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
