@@ -2,7 +2,7 @@
 # pycolmap: `GPSTransform.ellipsoid_to_utm` tears a site on the equator apart by 10,000 km.
 #
 # One would expect the places of one call in one system: the function returns one zone for all. It
-# takes one zone indeed (the mean longitude's), but the false northing of 10,000,000 m is added to
+# takes one zone indeed, but the false northing of 10,000,000 m is added to
 # each place that lies south of the equator by itself, and no hemisphere is returned. Two places 22
 # m apart, one on each side, come back 9,999,978 m apart; which of the two systems a place is in
 # cannot be told. Also it knows the plain zones of 6 degrees alone: Bergen is put into 31, where UTM
