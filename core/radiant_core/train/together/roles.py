@@ -159,11 +159,18 @@ class Root:
         """The message of a step for all holders, and the gradients in it; `take_total` takes it."""
         replica, count, layout = self.replica, self.replica.num_splats, self.replica.layout
         self._limits = replica.limits(self._centers)
-        total = sum_gradients(self.inbox.read(messages, replica.step, count, layout), count, layout)
-        message = encode_gradients(total, replica.step, count, layout, self._group.form)
-        # What it takes is what it says, rounded.
-        said = decode_gradients(message, replica.step, count, layout, self._group.views_per_step, checks=False)
+        message, said = self._say(sum_gradients(self.inbox.read(messages, replica.step, count, layout), count, layout))
+        if not said.is_finite:
+            # Parts that are finite may add up to what is not.
+            self.inbox.refused.setdefault("all", []).append(f"step {replica.step + 1}: the sum is not finite")
+            message, said = self._say(StepGradients.nothing(layout))
         return encode_limits(self._limits, count) + message, said
+
+    def _say(self, total: StepGradients) -> tuple[bytes, StepGradients]:
+        """The message of a sum, and what it says, rounded, which is what is taken."""
+        replica, count, layout = self.replica, self.replica.num_splats, self.replica.layout
+        message = encode_gradients(total, replica.step, count, layout, self._group.form)
+        return message, decode_gradients(message, replica.step, count, layout, self._group.views_per_step, checks=False)
 
     def take(self, total: StepGradients) -> None:
         """Take the step of `total`, whose message is on its way."""
