@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -16,14 +17,14 @@ from radiant_core.train.trainer import FitOptions
 from tests.core.scenes import cameras_above, ground_splats
 
 CONFIG = TrainConfig(num_steps=48, density=NoDensification(), long_side_px=48)
-GROUP = Group(config=CONFIG, num_photographs=2, views_per_step=2, extent=4.0, overlaps=False, form="float32")
+GROUP = Group(config=CONFIG, num_photographs=4, views_per_step=4, extent=4.0, overlaps=False, form="float32")
 INITIAL = ground_splats(20)
 COUNT = len(INITIAL)
 
 
-def root_of_two() -> Root:
+def root_of(*names: str) -> Root:
     replica = Replica(INITIAL, GROUP, FitOptions(backend="native"))
-    return Root(replica, {"a": 1, "b": 1}, cameras_above([(0.0, 0.0)]).centers, GROUP)
+    return Root(replica, dict.fromkeys(names, 1), cameras_above([(0.0, 0.0)]).centers, GROUP)
 
 
 def gradients(layout: Layout, size: float = 1e-3) -> StepGradients:
@@ -36,7 +37,7 @@ def message(root: Root, own: StepGradients) -> bytes:
 
 
 def test_parts_that_add_up_to_no_number_count_for_nothing_and_the_training_goes_on() -> None:
-    root = root_of_two()
+    root = root_of("a", "b")
     layout = root.replica.layout
     long = gradients(layout)
     values = long.values.copy()
@@ -49,3 +50,25 @@ def test_parts_that_add_up_to_no_number_count_for_nothing_and_the_training_goes_
     result = root.replica.outcome()
     assert (result.num_steps, result.num_rolled_back) == (2, 1)
     assert np.isfinite(result.splats.means).all()
+
+
+def test_a_root_that_was_restored_knows_who_was_left_out_and_takes_the_same_steps() -> None:
+    names = ("a", "b", "c", "liar")
+
+    def step(root: Root) -> None:
+        own = {name: message(root, gradients(root.replica.layout, 5e-3 if name == "liar" else 1e-3)) for name in names}
+        root.take(root.total(own)[1])
+
+    whole, early = root_of(*names), root_of(*names)
+    while not whole.replica.is_done:
+        step(whole)
+    for _ in range(10):
+        step(early)
+    kept = early.state()
+    late = root_of(*names)
+    late.restore(replace(kept, numbers=json.loads(json.dumps(kept.numbers))))
+    while not late.replica.is_done:
+        step(late)
+    assert late.inbox.refused == whole.inbox.refused and "step 8: left out" in whole.inbox.refused["liar"][0]
+    for name, array in whole.result().splats.arrays().items():
+        np.testing.assert_array_equal(late.result().splats.arrays()[name], array)
