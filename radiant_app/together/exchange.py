@@ -170,6 +170,9 @@ class Children:
                 if kind == START:
                     self._answer(name, payload, answer)
                     self.links.send_all({name: END})
+            # That a link is lost shows when it is waited for, which nobody does here.
+            for name in filter(self._is_gone, missing):
+                self.links.drop(name, "it has ended")
             self._leave_out([name for name in missing if name not in self.links.linked], begun_s)
             time.sleep(0.01)
 
@@ -213,8 +216,11 @@ class Children:
         """Leave out who is gone, or was waited for long enough; at the start the first to come is
         waited for without a limit."""
         for name in names:
-            gone = (self.meeting / f"{name}.gone").is_file()
+            gone = self._is_gone(name)
             waited_s = self.clock() - max(begun_s, self._lost_s.get(name, begun_s))
             if gone or (not patient and waited_s > self.gone_s):
                 self.left_out[name] = "it has ended" if gone else f"it did not come back within {self.gone_s:.0f} s"
                 self.warn(f"steps go on without {name}: {self.left_out[name]}. Its photographs are missing in what is trained from now on.")
+
+    def _is_gone(self, name: str) -> bool:
+        return (self.meeting / f"{name}.gone").is_file()

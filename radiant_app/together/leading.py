@@ -101,9 +101,9 @@ class _Leader:
         options = fit_options(self._task.backend, self._reporter, machine, lambda: "")
         replica = Replica(start.initial, start.group, options)
         checkpoints: Checkpoints = machine.checkpoints(lambda: self._key(start))
-        if (state := checkpoints.load()) is not None:
-            replica.restore(state)
         root = Root(replica, self._plan.of_senders, start.camera_centers, start.group, sums_edges=self._plan.has_relays)
+        if (state := checkpoints.load()) is not None:
+            root.restore(state)
 
         def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
             if not self._admitted(parts) and not self._plan.has_relays:
@@ -117,7 +117,7 @@ class _Leader:
                 self._children.refuse(name, self.refused.get(name, "it is another one's"))
             self._take_steps(root, answer, checkpoints)
             # What is done is done, whatever becomes of this process before its folder is sealed.
-            checkpoints.save(replica.step, replica.state)
+            checkpoints.save(replica.step, root.state)
             write_json(self._record, {"key": self._task_key, "senders": {name: list(parts) for name, parts in sent.items()}})
         self._children.finish(answer)
         for name, reasons in root.inbox.refused.items():
@@ -153,7 +153,7 @@ class _Leader:
             message, total = root.total(messages)
             self._children.send(TOTAL, message)
             root.take(total)
-            checkpoints.offer(replica.step, replica.state)
+            checkpoints.offer(replica.step, root.state)
 
     def _admitted(self, parts: Mapping[str, bytes]) -> dict[str, ShareStart]:
         """The starts that can be used; others are refused by name."""

@@ -8,16 +8,19 @@ Root      messages ─→ total, which it takes                    keeps the mod
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.train.results import TrainResult
+from radiant_core.train.results import TrainResult, TrainState
 from radiant_core.train.together.codec import decode_gradients, decode_limits, encode_gradients, encode_limits, peek_gradients
 from radiant_core.train.together.gradients import Layout, StepGradients, sum_gradients
 from radiant_core.train.together.masking import FixedPoint, MaskKeys, check_sum, encode_masked, peek_masked, unmask_sum
 from radiant_core.train.together.replica import Group, Replica
 from radiant_core.train.together.scrutiny import Scrutiny
+
+_INBOX = "inbox"
 
 
 class Holder:
@@ -105,6 +108,16 @@ class Inbox:
             self.refused.setdefault(name, []).append(f"step {step + 1}: {reason}")
         return [gradients for name, gradients in sent.items() if name not in reasons]
 
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps, as JSON."""
+        return {"refused": self.refused, "scrutiny": None if self.scrutiny is None else self.scrutiny.state()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from `state`."""
+        self.refused = {name: list(reasons) for name, reasons in state["refused"].items()}
+        if self.scrutiny is not None and state["scrutiny"] is not None:
+            self.scrutiny.restore(state["scrutiny"])
+
     def _read_masked(self, messages: Mapping[str, bytes], step: int, num_splats: int, layout: Layout) -> list[StepGradients]:
         try:
             total = unmask_sum(messages, list(self.most_views), step, num_splats, layout)
@@ -159,11 +172,29 @@ class Root:
         """The message of a step for all holders, and the gradients in it; `take_total` takes it."""
         replica, count, layout = self.replica, self.replica.num_splats, self.replica.layout
         self._limits = replica.limits(self._centers)
-        total = sum_gradients(self.inbox.read(messages, replica.step, count, layout), count, layout)
-        message = encode_gradients(total, replica.step, count, layout, self._group.form)
-        # What it takes is what it says, rounded.
-        said = decode_gradients(message, replica.step, count, layout, self._group.views_per_step, checks=False)
+        message, said = self._say(sum_gradients(self.inbox.read(messages, replica.step, count, layout), count, layout))
+        if not said.is_finite:
+            # Parts that are finite may add up to what is not.
+            self.inbox.refused.setdefault("all", []).append(f"step {replica.step + 1}: the sum is not finite")
+            message, said = self._say(StepGradients.nothing(layout))
         return encode_limits(self._limits, count) + message, said
+
+    def _say(self, total: StepGradients) -> tuple[bytes, StepGradients]:
+        """The message of a sum, and what it says, rounded, which is what is taken."""
+        replica, count, layout = self.replica, self.replica.num_splats, self.replica.layout
+        message = encode_gradients(total, replica.step, count, layout, self._group.form)
+        return message, decode_gradients(message, replica.step, count, layout, self._group.views_per_step, checks=False)
+
+    def state(self) -> TrainState:
+        """What a checkpoint keeps: the model, and what is known of its senders, which devices are
+        not told."""
+        own = self.replica.state()
+        return replace(own, numbers={**own.numbers, _INBOX: self.inbox.state()})
+
+    def restore(self, state: TrainState) -> None:
+        """Go on from `state`; BadInput where it is of other inputs or configuration."""
+        self.replica.restore(state)
+        self.inbox.restore(state.numbers[_INBOX])
 
     def take(self, total: StepGradients) -> None:
         """Take the step of `total`, whose message is on its way."""
