@@ -31,7 +31,7 @@ from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.results import TrainResult
 from radiant_core.train.together.replica import Replica
 from radiant_core.train.together.roles import Root
-from radiant_core.train.trainer import Checkpoints
+from radiant_core.train.trainer import Checkpoints, FitOptions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,25 +94,27 @@ class _Leader:
         self._public_keys: dict[str, bytes] = {}
 
     def run(self, machine: Machine) -> Led:
-        before = self._sent_before()
-        sent = self._children.starts() if before is None else before
+        ended = self._sent_before()
+        sent = self._children.starts() if ended is None else ended
         starts = self._admitted({device: data for parts in sent.values() for device, data in parts.items()})
         start = begin_group(starts, self._plan, self._task.train, self._reporter)
         options = fit_options(self._task.backend, self._reporter, machine, lambda: "")
         replica = Replica(start.initial, start.group, options)
         checkpoints: Checkpoints = machine.checkpoints(lambda: self._key(start))
-        root = Root(replica, self._plan.of_senders, start.camera_centers, start.group, sums_edges=self._plan.has_relays)
+        before = Replica(start.initial, start.group, FitOptions(backend=self._task.backend)) if start.group.overlaps else None
+        senders, relays = self._plan.of_senders, self._plan.has_relays
+        root = Root(replica, senders, start.camera_centers, start.group, sums_edges=relays, before=before)
         if (state := checkpoints.load()) is not None:
             root.restore(state)
 
         def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
             if not self._admitted(parts) and not self._plan.has_relays:
                 raise BadInput(self.refused.get(name, "it is another one's"))
-            return self._begin(start, replica, parts)
+            return self._begin(start, root, parts)
 
-        if before is None:
+        if ended is None:
             usable = {name: parts for name, parts in sent.items() if self._plan.has_relays or any(device in starts for device in parts)}
-            self._children.begin({name: self._begin(start, replica, parts) for name, parts in usable.items()})
+            self._children.begin({name: self._begin(start, root, parts) for name, parts in usable.items()})
             for name in sorted(set(sent) - set(usable)):
                 self._children.refuse(name, self.refused.get(name, "it is another one's"))
             self._take_steps(root, answer, checkpoints)
@@ -178,13 +180,16 @@ class _Leader:
                 self._public_keys[device] = start.public_key
         return usable
 
-    def _begin(self, start: GroupStart, replica: Replica, devices: Mapping[str, bytes]) -> bytes:
+    def _begin(self, start: GroupStart, root: Root, devices: Mapping[str, bytes]) -> bytes:
         offsets = {device: offset for device, offset in start.offsets.items() if device in devices}
         path, keys = self._place / "begin.safetensors", self._keys_beside(devices) if self._plan.masked else {}
-        begun = Begun(group=start.group, state=replica.state(), offsets=offsets, antialiased=start.initial.antialiased, public_keys=keys)
+        state, last_total = root.standing()
+        begun = Begun(group=start.group, state=state, offsets=offsets, antialiased=start.initial.antialiased, public_keys=keys)
         save_begin(path, begun)
         parts = {"begin": path.read_bytes()}
-        if replica.step:
+        if last_total:
+            parts["total"] = last_total
+        if root.replica.step:
             save_splats(self._place / INITIAL, start.initial)
             parts["initial"] = (self._place / INITIAL).read_bytes()
         refused = {device: self.refused[device] for device in devices if device in self.refused}

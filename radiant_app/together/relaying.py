@@ -105,7 +105,8 @@ class _Relaying:
         begin = self._ask(up, {device: data for parts in starts.values() for device, data in parts.items()})
         place = self._folder / GROUP_FOLDER
         place.mkdir(exist_ok=True)
-        (place / "begin.safetensors").write_bytes(unpack(begin)["begin"])
+        parts = unpack(begin)
+        (place / "begin.safetensors").write_bytes(parts["begin"])
         stands = load_begin(place / "begin.safetensors")
         relay = Relay(self._plan.of_devices, stands.layout, stands.group)
         self._note_refused(starts, begin)
@@ -118,7 +119,8 @@ class _Relaying:
             return self._answer(up, name, parts)
 
         num_steps = stands.group.stepping.num_steps
-        for step in range(stands.step, num_steps):
+        # Where steps overlap devices have sent already what is in the total that they take next.
+        for step in range(stands.step + ("total" in parts), num_steps):
             try:
                 sent = self._children.gradients(begin_anew if self._plan.masked else answer)
             except LinkLost:

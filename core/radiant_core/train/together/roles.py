@@ -8,8 +8,10 @@ Root      messages ─→ total, which it takes                    keeps the mod
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
@@ -17,10 +19,10 @@ from radiant_core.train.results import TrainResult, TrainState
 from radiant_core.train.together.codec import decode_gradients, decode_limits, encode_gradients, encode_limits, peek_gradients
 from radiant_core.train.together.gradients import Layout, StepGradients, sum_gradients
 from radiant_core.train.together.masking import FixedPoint, MaskKeys, check_sum, encode_masked, peek_masked, unmask_sum
-from radiant_core.train.together.replica import Group, Replica
+from radiant_core.train.together.replica import Group, Limits, Replica
 from radiant_core.train.together.scrutiny import Scrutiny
 
-_INBOX = "inbox"
+_INBOX, _LAST_TOTAL = "inbox", "last_total"
 
 
 class Holder:
@@ -57,6 +59,10 @@ class Holder:
             message = encode_gradients(gradients, self.num_sent, replica.num_splats, replica.layout, self._group.form)
         self.num_sent += 1
         return message
+
+    def skip_message(self) -> None:
+        """Count the next message as sent: that of a step whose total is there already."""
+        self.num_sent += 1
 
     def take(self, total: bytes | memoryview) -> StepGradients:
         """Take the next step by the message of the root; the gradients in it. BadInput where it is
@@ -154,14 +160,25 @@ class Root:
     """The machine at which all gradients of a group arrive, which has its model."""
 
     def __init__(
-        self, replica: Replica, most_views: Mapping[str, int], camera_centers: FloatArray, group: Group, *, sums_edges: bool = False
+        self,
+        replica: Replica,
+        most_views: Mapping[str, int],
+        camera_centers: FloatArray,
+        group: Group,
+        *,
+        sums_edges: bool = False,
+        before: Replica | None = None,
     ) -> None:
         """`camera_centers` (C,3) of all photographs; `most_views` of a step by sender;
-        `sums_edges`: senders are edges, which took off the masks."""
+        `sums_edges`: senders are edges, which took off the masks; `before`: a replica as
+        `replica`, which stays a step behind where steps overlap, so that a holder that comes back
+        has the model that its next gradients would have been of."""
         masked = group.masked and not sums_edges
         self.replica = replica
         self.inbox = Inbox(most_views=most_views, scrutiny=Scrutiny(config=group.config), masked=masked)
         self._centers, self._group = camera_centers, group
+        self._before = before if group.overlaps else None
+        self._message, self._last_total = b"", b""
 
     @property
     def senders(self) -> Sequence[str]:
@@ -177,7 +194,8 @@ class Root:
             # Parts that are finite may add up to what is not.
             self.inbox.refused.setdefault("all", []).append(f"step {replica.step + 1}: the sum is not finite")
             message, said = self._say(StepGradients.nothing(layout))
-        return encode_limits(self._limits, count) + message, said
+        self._message = encode_limits(self._limits, count) + message
+        return self._message, said
 
     def _say(self, total: StepGradients) -> tuple[bytes, StepGradients]:
         """The message of a sum, and what it says, rounded, which is what is taken."""
@@ -185,20 +203,43 @@ class Root:
         message = encode_gradients(total, replica.step, count, layout, self._group.form)
         return message, decode_gradients(message, replica.step, count, layout, self._group.views_per_step, checks=False)
 
+    def standing(self) -> tuple[TrainState, bytes]:
+        """Where a holder begins that comes now: a model, and the total that it takes next, empty
+        where it is to send gradients of that model first."""
+        if self._before is None or not self._last_total:
+            return self.replica.state(), b""
+        return self._before.state(), self._last_total
+
     def state(self) -> TrainState:
         """What a checkpoint keeps: the model, and what is known of its senders, which devices are
         not told."""
-        own = self.replica.state()
-        return replace(own, numbers={**own.numbers, _INBOX: self.inbox.state()})
+        standing, last = self.standing()
+        arrays = {**standing.arrays, _LAST_TOTAL: np.frombuffer(last, np.uint8)} if last else standing.arrays
+        return TrainState(arrays=arrays, numbers={**standing.numbers, _INBOX: self.inbox.state()})
 
     def restore(self, state: TrainState) -> None:
         """Go on from `state`; BadInput where it is of other inputs or configuration."""
         self.replica.restore(state)
         self.inbox.restore(state.numbers[_INBOX])
+        if self._before is None:
+            return
+        self._before.restore(state)
+        if (last := state.arrays.get(_LAST_TOTAL)) is not None:
+            self._last_total = last.tobytes()
+            self.replica.take(*self._read(self.replica, self._last_total))
 
     def take(self, total: StepGradients) -> None:
         """Take the step of `total`, whose message is on its way."""
+        if self._before is not None and self._last_total:
+            self._before.take(*self._read(self._before, self._last_total))
         self.replica.take(total, self._limits)
+        self._last_total = self._message
+
+    def _read(self, replica: Replica, total: bytes) -> tuple[StepGradients, Limits | None]:
+        limits, at = decode_limits(total, replica.num_splats)
+        body = memoryview(total)[at:]
+        views = self._group.views_per_step
+        return decode_gradients(body, replica.step, replica.num_splats, replica.layout, views, checks=False), limits
 
     def result(self) -> TrainResult:
         """The model of the group."""
