@@ -62,6 +62,8 @@ def choose_workforce(config: RunConfig, system: System, num_photographs: int, tr
     few = f"{num_photographs} training photographs are few for {num_devices} devices: {COST}"
     if plan.devices != "auto":
         return Workforce(system=system, warning=f"{few}; without --devices {plan.devices} fewer would work.")
+    if plan.asks_together:
+        return Workforce(system=system, warning=f"{few}; they are to train together, else fewer would work.")
     if plan.file is not None or plan.method != "exact":
         made = f"--plan-method {plan.method}" if plan.file is None else "--plan"
         return Workforce(system=system, warning=f"{few}; without {made} fewer would work.")

@@ -132,6 +132,8 @@ class _Member:
             holder.take(_expect(link, TOTAL) if last_total is None else last_total)
             last_total = None
         _expect(link, END)
+        if failed := holder.replica.failed_views:
+            self._reporter.warn(f"{len(failed)} views or steps of this device could not be counted, the first: {failed[0]}")
         save_begin(self._final, replace(begin, state=holder.replica.state()))
         write_json(self._record, {"key": self._key})
         self._say_done()

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, TOTAL, Answer, Children, begin_anew, pack
+from radiant_app.together.exchange import BEGIN, GONE_S, LATE_S, TOTAL, Answer, Children, begin_anew, pack
 from radiant_app.together.links import LinkLost, LinkRules, ParentLinks
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, meeting_of
 from radiant_app.workers.reporting import EventReporter
@@ -64,7 +64,9 @@ def lead(folder: Path, plan: GroupTraining, task: Training, num_dealt: Mapping[s
     """
     meeting = meeting_of(folder, plan.root)
     meeting.mkdir(parents=True, exist_ok=True)
-    links = ParentLinks(meeting, list(plan.of_senders), LinkRules())
+    # An edge waits for its devices before it sends.
+    rules = LinkRules(limit_s=GONE_S + LATE_S) if plan.has_relays else LinkRules(limit_s=LATE_S)
+    links = ParentLinks(meeting, list(plan.of_senders), rules)
     # Edges have taken off the masks of their devices.
     needs_all = plan.masked and not plan.has_relays
     children = Children(links=links, names=list(plan.of_senders), meeting=meeting, warn=reporter.warn, needs_all=needs_all)

@@ -54,7 +54,7 @@ def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Relayed
     names = list(plan.of_devices)
     meeting = meeting_of(folder, f"edges/{folder.name}")
     meeting.mkdir(parents=True, exist_ok=True)
-    links = ParentLinks(meeting, names, LinkRules())
+    links = ParentLinks(meeting, names, LinkRules(limit_s=LATE_S))
     relaying = _Relaying(folder=folder, plan=plan, links=links, reporter=reporter, key=content_key(__version__, plan))
     try:
         return relaying.run()

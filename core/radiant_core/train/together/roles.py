@@ -149,7 +149,8 @@ class Relay:
         """The sum of a step: of the step and the model that most of the messages are of."""
         heads = [head for message in messages.values() if (head := peek_gradients(message) or peek_masked(message)) is not None]
         heads = [(step, count) for step, count in heads if count <= self._group.config.max_num_splats]
-        step, count = max(set(heads), key=heads.count) if heads else (self.num_sent, 0)
+        # Of a tie the first sender's.
+        step, count = max(heads, key=heads.count) if heads else (self.num_sent, 0)
         total = sum_gradients(self.inbox.read(messages, step, count, self._layout), count, self._layout)
         message = encode_gradients(total, step, count, self._layout, self._group.form)
         self.num_sent = step + 1
