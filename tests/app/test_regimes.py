@@ -25,12 +25,14 @@ from radiant_core.regimes import REGIMES, look_up
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.densify.policies import Adc
 from radiant_core.train.extent import extent_decision
+from radiant_core.train.gates import choose_helpers, open_gates
 from radiant_core.train.needs import Overrides, fit_to_cameras
 from radiant_core.train.shapes import ShapeCounts
 from radiant_core.train.worth import images_worth
 from tests.app.test_faults import planned
 from tests.core.light.plain_lights import no_lights
 from tests.core.scenes import cameras_above, ground_splats
+from tests.core.train.test_fill_in import ball_before_a_wall
 from tests.core.train.test_needs import scene_of
 
 PAGES = Path(__file__).parents[2] / "docs" / "experiments"
@@ -97,7 +99,11 @@ def decisions_of_a_training() -> Iterator[Decision]:
         yield from fit_to_cameras(config, cameras_above([(0.1 * v, 0.0) for v in range(count)]))[1]
     for share in (0.0, 0.5):
         yield sky_decision("train", share, wanted=True)
-        yield fill_decision("train", 1, 10, wanted=True, seen_through=share)
+    yield fill_decision("train", 1, 10, wanted=True)
+    scene, views = ball_before_a_wall()
+    grey = replace(views, images=tuple(np.full((60, 80, 3), 30 * view, np.uint8) for view in range(len(views))))
+    for own in (views, grey):
+        yield from choose_helpers(*open_gates(config, scene, own), own, lambda trial: np.zeros(trial.held.sum())).decisions
     yield from images_worth(*scene_of(4)).decisions
     yield extent_decision(cameras_above([(0.0, 0.0), (100.0, 0.0)]), ground_splats(), 2.0)
     yield shapes_decision("train", TrainConfig(), ShapeCounts(num_needles=1))

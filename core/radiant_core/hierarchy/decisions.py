@@ -74,10 +74,9 @@ def sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
     )
 
 
-def fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool, seen_through: float = 0.0) -> Decision:
-    """How many points were added where there is no sparse one; `seen_through`: the share of those
-    placed that was left out."""
-    case = require(FILL_IN, {"seen_through": seen_through})
+def fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool) -> Decision:
+    """How many points were added where there is no sparse one and nothing speaks against them."""
+    case = require(FILL_IN, {"contradicted": 0.0, "seen_through": 0.0})
     return Decision(
         stage=stage,
         topic="fill-in points",

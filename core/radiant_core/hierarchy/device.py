@@ -136,7 +136,8 @@ def prepare_training(
     _decide(reporter, decisions)
     initial, num_filled = first_splats(scene, views, config, dense)
     if config.fill_in or not helpers.decisions:
-        reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=bool(config.fill_in)))
+        filled = fill_decision(reporter.stage, num_filled, len(scene.points), wanted=bool(config.fill_in))
+        reporter.decide(replace(filled, row="") if helpers.decisions else filled)
     _decide(reporter, [extent_decision(views.cameras, initial, config.max_extent_per_distance)])
     bare = FitOptions(backend=task.backend, validation=validation)
     options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))

@@ -27,7 +27,7 @@ from radiant_core.regimes import FILL_IN, Regime, require
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, with_settings
 from radiant_core.train.few import EVERY, FEWEST, Choice, Score, Trial
-from radiant_core.train.fill_in import fill_in_points
+from radiant_core.train.fill_in import contradicted_share, fill_in_points
 from radiant_core.train.needs import most_steps
 from radiant_core.train.views import TrainingViews
 
@@ -56,7 +56,7 @@ class Gate:
     """The value of the setting with the helper; without it `off`."""
     off: Any
     case: Regime
-    """Why it may lose; `case.values["on"]` says what holds where no trial is made."""
+    """Why it may lose; its values say whether it is `tried`, and `on` where it is not."""
     figure: float
     unit: str
     words: tuple[str, str] = ("they are", "they are not")
@@ -82,11 +82,14 @@ def open_gates(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> tu
     `views.cameras` are the scene's in the same order."""
     if config.fill_in != "auto":
         return config, ()
-    config = replace(config, fill_in=True)
-    share = fill_in_points(scene, views).seen_through_share
-    case = require(FILL_IN, {"seen_through": share})
-    if not case.values["tried"]:
+    config, added = replace(config, fill_in=True), fill_in_points(scene, views)
+    contradicted, seen_through = contradicted_share(added, views), added.seen_through_share
+    case = require(FILL_IN, {"contradicted": contradicted, "seen_through": seen_through})
+    if case.values["on"] and not case.values["tried"]:
         return config, ()
+    share, unit = (seen_through, "that other photographs see through")
+    if "contradicted" in case.limits:
+        share, unit = (contradicted, "whose colour other photographs do not show there")
     gate = Gate(
         topic="whether points are filled in",
         setting="fill_in",
@@ -94,7 +97,7 @@ def open_gates(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> tu
         off=False,
         case=case,
         figure=100 * share,
-        unit="% of them that other photographs see through",
+        unit=f"% of them {unit}",
         lead_db=FILLED_LEAD_DB,
     )
     return config, (gate,)
@@ -112,19 +115,19 @@ def choose_helpers(config: TrainConfig, gates: Sequence[Gate], views: TrainingVi
     Returns:
         The configuration, a decision for each gate, and how many trainings that took.
     """
-    unasked = config
+    unasked, settled = config, tuple(_untried(gate) for gate in gates if not gate.case.values["tried"])
     for gate in gates:
         unasked = gate.set(unasked, on=bool(gate.case.values["on"]))
-    if not gates:
-        return Choice(config=config)
+    if not (gates := [gate for gate in gates if gate.case.values["tried"]]):
+        return Choice(config=unasked, decisions=settled)
     size = trial_size(config, views, 1 + len(gates))
     why_not = _why_not(config, len(views)) or ("" if size is not None else f"trials would take more than {MOST_SHARE:.0%} of its time")
     if size is None or why_not:
-        return Choice(config=unasked, decisions=tuple(_untried(gate, why_not) for gate in gates))
+        return Choice(config=unasked, decisions=(*settled, *(_untried(gate, why_not) for gate in gates)))
     held = np.zeros(len(views), bool)
     held[np.argsort(views.cameras.names)[::EVERY]] = True
     trials = _Trials(score=score, held=held, size=size, most=1 + len(gates))
-    best, decisions = unasked, []
+    best, decisions = unasked, [*settled]
     for gate in gates:
         best = gate.set(best, on=True)
     try:
@@ -137,7 +140,8 @@ def choose_helpers(config: TrainConfig, gates: Sequence[Gate], views: TrainingVi
                 best, figures = candidate, own
     except (RadiantError, MemoryError, torch.OutOfMemoryError) as error:
         reason = f"a trial failed ({str(error).split(';')[0].rstrip('.') or 'out of memory'})"
-        return Choice(config=unasked, decisions=tuple(_untried(gate, reason) for gate in gates), num_trials=trials.taken)
+        decisions = [*settled, *(_untried(gate, reason) for gate in gates)]
+        return Choice(config=unasked, decisions=tuple(decisions), num_trials=trials.taken)
     return Choice(config=best, decisions=tuple(decisions), num_trials=trials.taken)
 
 
@@ -182,11 +186,15 @@ def _tried(gate: Gate, gain_db: float, trials: _Trials) -> Decision:
     reason = f"{trials.most} trainings of {size.num_steps} steps at {size.long_side_px} px without {trials.held.sum()} of "
     reason += f"{len(trials.held)} photographs: with the helper {gain_db:+.2f} dB there"
     reason += f", which must be {gate.lead_db:+.1f} or more" if gate.lead_db else ""
-    return replace(_untried(gate, reason, on=on), otherwise_db=-gain_db if on else gain_db)
+    return replace(_decision(gate, reason, on=on), otherwise_db=-gain_db if on else gain_db)
 
 
-def _untried(gate: Gate, why: str, *, on: bool | None = None) -> Decision:
-    tried, on = on is not None, bool(gate.case.values["on"]) if on is None else on
+def _untried(gate: Gate, why_not: str = "") -> Decision:
+    """By its case alone; `why_not`: why a trial was not made that it asks for."""
+    return _decision(gate, f"{gate.case.reason}; not tried: {why_not}" if why_not else gate.case.reason, on=bool(gate.case.values["on"]))
+
+
+def _decision(gate: Gate, reason: str, *, on: bool) -> Decision:
     other = gate.off if on else gate.on
     return Decision(
         stage="train",
@@ -194,7 +202,7 @@ def _untried(gate: Gate, why: str, *, on: bool | None = None) -> Decision:
         choice=gate.words[not on],
         figure=gate.figure,
         unit=gate.unit,
-        reason=why if tried else f"{gate.case.reason}; not tried: {why}",
+        reason=reason,
         row=gate.case.row,
         otherwise=f"--set train.{gate.setting}={str(other).lower()}",
     )

@@ -21,7 +21,7 @@ from tests.core.train.test_needs import scene_of
 
 LONG = replace(train_preset("default"), num_steps=30_000, max_epochs=None)
 """So long that trials cost next to nothing beside it."""
-ON = Regime(row="on", reason="", evidence="", values={"on": 1})
+ON = Regime(row="on", reason="", evidence="", values={"on": 1, "tried": 1})
 FILLED = "whether points are filled in"
 
 
@@ -87,7 +87,7 @@ def test_several_helpers_share_the_training_with_all_of_them() -> None:
             setting=name,
             on=True,
             off=False,
-            case=Regime(row=name, reason="", evidence="", values={"on": 1}),
+            case=Regime(row=name, reason="", evidence="", values={"on": 1, "tried": 1}),
             figure=1.0,
             unit="",
         )
@@ -107,6 +107,18 @@ def test_over_ground_nobody_is_asked() -> None:
     scene, views = flat_scene(half_side_m=0.7)
     config, gates = open_gates(LONG, scene, views)
     assert config.fill_in is True and not gates and choose_helpers(config, gates, views, Trainings({})).decisions == ()
+
+
+def test_points_that_most_photographs_contradict_are_left_out_untried() -> None:
+    """The same ball, each photograph of another colour: what fills the ground of one is no other's."""
+    scene, views = ball_before_a_wall()
+    colors = np.random.default_rng(0).integers(0, 255, (len(views), 3))
+    views = replace(views, images=tuple(np.broadcast_to(color, (60, 80, 3)).astype(np.uint8) for color in colors))
+    trainings = Trainings({})
+    choice = choose_helpers(*open_gates(LONG, scene, views), views, trainings)
+    (decision,) = choice.decisions
+    assert choice.config.fill_in is False and not trainings.asked and decision.row == "filled-where-nothing-is"
+    assert decision.figure is not None and decision.figure > 60 and decision.otherwise == "--set train.fill_in=true"
 
 
 @pytest.mark.parametrize("forced", [True, False])
