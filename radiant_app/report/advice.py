@@ -50,7 +50,7 @@ def _tried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 def _untried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     for each in decisions:
-        if each.get("otherwise") and each.get("otherwise_db") is None and not each["forced"]:
+        if each.get("otherwise") and each.get("otherwise_db") is None and not each["forced"] and not each.get("changes_nothing"):
             yield f"`{each['otherwise']}`: {each['topic']} ({each['choice']}) was not tried here"
 
 

@@ -69,6 +69,7 @@ def sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
         unit="% above the horizon in the image that has most",
         reason=case.reason if wanted else BY_PRESET,
         row=case.row if wanted else "",
+        otherwise="--set train.sky=false" if looks_up else "",
         forced=not wanted,
         changes_nothing=not looks_up,
     )
@@ -85,6 +86,7 @@ def fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool)
         unit="image cells without a sparse point" if wanted else "points",
         reason=case.reason if wanted else BY_PRESET,
         row=case.row if wanted else "",
+        otherwise="--set train.fill_in=false" if num_filled else "",
         forced=not wanted,
         changes_nothing=not num_filled,
     )

@@ -137,7 +137,7 @@ def prepare_training(
     initial, num_filled = first_splats(scene, views, config, dense)
     if config.fill_in or not helpers.decisions:
         filled = fill_decision(reporter.stage, num_filled, len(scene.points), wanted=bool(config.fill_in))
-        reporter.decide(replace(filled, row="") if helpers.decisions else filled)
+        reporter.decide(replace(filled, row="", otherwise="") if helpers.decisions else filled)
     _decide(reporter, [extent_decision(views.cameras, initial, config.max_extent_per_distance)])
     bare = FitOptions(backend=task.backend, validation=validation)
     options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))

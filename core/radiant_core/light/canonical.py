@@ -68,6 +68,7 @@ def light_decision(lights: Lights, mode: LightMode) -> Decision:
         unit="% spread of brightness at common points",
         reason=_reason(lights),
         row=lights.regime.row,
+        otherwise="--set train.light=none" if wanted else "--set train.light=always" if lights.known.any() else "",
         forced=mode == "always",
     )
 

@@ -62,5 +62,6 @@ def extent_decision(cameras: Cameras, splats: Splats, per_distance: float | None
         unit="times as far would be a step in units of the cameras' extent",
         reason="as in 3DGS" if per_distance is None else f"{case.reason}: at most {per_distance:g} times the distance at which cameras see",
         row="" if per_distance is None else case.row,
+        otherwise="--set train.max_extent_per_distance=none" if used < flown else "",
         changes_nothing=used == flown,
     )

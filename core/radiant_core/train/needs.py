@@ -225,6 +225,7 @@ def fit_dropping(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tupl
         unit="training photographs",
         reason=case.reason,
         row=case.row,
+        otherwise=f"--set train.drop_gaussians={'none' if few else 'always'}",
         changes_nothing=not few,
     )
     return replace(config, drop_gaussians="always" if few else "none"), (decision,)

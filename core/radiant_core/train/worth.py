@@ -36,6 +36,8 @@ POINTS_OF_A_PLACE = 5
 """A place is one of its points and the nearest others, and is seen by as many as see any of them:
 36 to 53 % of all points are found in two photographs alone, though more see the place."""
 
+_ALL = "--set train.skip_images=none"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Worth:
@@ -147,6 +149,7 @@ def _repeats_decision(repeated: NDArray[np.bool_]) -> Decision:
         unit="photographs that show another's picture from its place",
         reason=case.reason,
         row=case.row,
+        otherwise=_ALL if repeated.any() else "",
         changes_nothing=not repeated.any(),
     )
 
@@ -161,5 +164,6 @@ def _blur_decision(blurred: NDArray[np.bool_], worst: float) -> Decision:
         unit="% of the others' sharpness at common points, in the least sharp one",
         reason=case.reason,
         row=case.row,
+        otherwise=_ALL if blurred.any() else "",
         changes_nothing=not blurred.any(),
     )
