@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from radiant_app.report.advice import MOST_LINES, NOTHING_SEEN, what_to_try
+from radiant_app.report.tables import print_model
+from radiant_core.io.run_store import write_json
 
 POOR: dict[str, Any] = {"psnr_db": 15.0, "psnr_cc_db": 15.5, "ssim": 0.4, "images": [{}] * 8, "num_photographs": 60}
 
@@ -56,3 +59,12 @@ def test_where_nothing_is_seen_what_was_not_tried_is_named_and_a_manifest_of_bef
     assert what_to_try(POOR, [before]) == (NOTHING_SEEN,)
     lines = what_to_try(POOR, [before, decided("points", "--set train.fill_in=false")])
     assert lines == ("`--set train.fill_in=false`: points (on) was not tried here", NOTHING_SEEN)
+
+
+def test_it_follows_the_word_on_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_json(tmp_path / "manifest.json", {"decisions": [decided("points", "--set train.fill_in=false", -0.1)]})
+    (tmp_path / "scene.ply").write_bytes(b"ply")
+    print_model(tmp_path / "scene.ply", {**POOR, "num_gaussians": 10})
+    model, quality, tried = capsys.readouterr().out.splitlines()
+    assert model.startswith("model: ") and quality.startswith("quality: poor: 15.00 dB")
+    assert tried == "try: `--set train.fill_in=false`: points (on) was decided by short trials, where this had -0.10 dB"
