@@ -122,7 +122,16 @@ def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Dec
         unit="Gaussians",
         reason=(f"beyond {limits}, {case.reason}; " if limits else "") + "an opacity below 1/255 is never drawn",
         row=case.row if limits else "",
+        otherwise=_without_limit(config, counts),
     )
+
+
+def _without_limit(config: TrainConfig, counts: ShapeCounts) -> str:
+    """The option that lifts the limit at which most Gaussians are held."""
+    if config.max_elongation is not None and counts.num_needles >= max(1, counts.num_screen_filling):
+        return "--set train.max_elongation=none"
+    held = config.max_scale_per_distance is not None and counts.num_screen_filling
+    return "--set train.max_scale_per_distance=none" if held else ""
 
 
 def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Decision:
