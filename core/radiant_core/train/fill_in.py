@@ -66,22 +66,22 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
     """One point per empty image cell, apart from the scene's and from those of images before,
     that no image sees through. `views.cameras` are the scene's in the same order, at any
     resolution."""
-    known, first_new = scene.points, len(scene.points)
-    colors = [np.zeros((0, 3), np.uint8)]
+    # The scene's points, of which there may be many, are sorted once; of those added there are few.
+    tree, points, colors_of_points = KDTree(scene.points), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     for index in range(len(views)):
         cells = _cells(views.images[index], None if views.weights is None else views.weights[index])
         seen = scene.points[scene.observations[scene.observations[:, 1] == index, 0]]
         placed = _place(views.cameras, index, seen, cells)
         if placed is None:
             continue
-        points, spacing, empty = placed
+        new, spacing, empty = placed
         empty &= cells.counts
-        points, spacing, new_colors = points[empty], spacing[empty], cells.colors[empty]
-        if len(points):
-            apart = KDTree(known).query(points)[0] > MIN_SPACING_CELLS * spacing
-            known = np.concatenate([known, points[apart]])
-            colors.append(new_colors[apart])
-    points, colors_of_points = known[first_new:], np.concatenate(colors)
+        new, spacing, new_colors = new[empty], spacing[empty], cells.colors[empty]
+        if len(new):
+            distances = np.minimum(tree.query(new)[0], KDTree(points).query(new)[0])
+            apart = distances > MIN_SPACING_CELLS * spacing
+            points = np.concatenate([points, new[apart]])
+            colors_of_points = np.concatenate([colors_of_points, new_colors[apart]])
     stays = ~_are_seen_through(scene, views.cameras, points)
     share = 1 - float(stays.mean()) if len(stays) else 0.0
     return AddedPoints(points=points[stays], colors=colors_of_points[stays], seen_through_share=share)
