@@ -125,6 +125,9 @@ def contradicted_share(added: AddedPoints, views: TrainingViews) -> float:
         places.append(smooth[cell_px // 2 :: cell_px, cell_px // 2 :: cell_px].reshape(-1, 3))
         pixels, depths = _project(cameras, index, asked.points)
         seen = (depths > 0) & ((pixels >= 0) & (pixels < cameras.sizes_wh[index])).all(axis=1)
+        if views.weights is not None:
+            column, row = pixels[seen].astype(np.int64).T
+            seen[seen] = np.asarray(views.weights[index])[row, column] > 0
         column, row = pixels[seen].astype(np.int64).T
         apart[seen, index] = np.abs(smooth[row, column] - colors[seen]).mean(axis=1)
     shown = np.isfinite(apart).sum(axis=1) >= FEWEST_LOOKS

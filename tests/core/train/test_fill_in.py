@@ -155,3 +155,6 @@ def test_points_are_contradicted_where_photographs_show_another_colour_there() -
     colors = np.random.default_rng(0).integers(0, 255, (len(views), 3))
     each = replace(views, images=tuple(np.broadcast_to(color, (60, 80, 3)).astype(np.uint8) for color in colors))
     assert contradicted_share(fill_in_points(scene, each), each) > 0.6
+    # Behind masks nothing contradicts them.
+    masked = replace(each, weights=tuple(np.zeros((60, 80), np.uint8) for _ in each.images))
+    assert contradicted_share(fill_in_points(scene, each), masked) == 0.0
