@@ -83,6 +83,7 @@ RequireCrsGridsOption = Annotated[
 MatchingOption = Annotated[Matching, option("sfm.matching")]
 EffortOption = Annotated[Effort, option("sfm.effort")]
 MaskFolder = Annotated[Path | None, option("sfm.masks")]
+PosesOption = Annotated[Path | None, option("sfm.poses")]
 SystemFile = Annotated[Path | None, option("system")]
 PlanMethodOption = Annotated[PlanMethod, option("plan.method")]
 TrainPresetOption = Annotated[Preset, option("train.preset")]

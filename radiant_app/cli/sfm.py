@@ -18,6 +18,7 @@ def sfm(
     matching: MatchingOption = "auto",
     effort: options.EffortOption = "auto",
     masks: MaskFolder = None,
+    poses: options.PosesOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -50,7 +51,7 @@ def sfm(
         contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
-    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, resume=resume)
+    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, poses, resume=resume)
     if as_json:
         finish(result, as_json)
     else:

@@ -113,8 +113,9 @@ class SfmOptions:
     effort: Effort = "auto"
     """auto: leave out what photographs that overlap well do not need; thorough: COLMAP's features,
     all pairs of neighbours and COLMAP's adjustments, in some three times as long."""
-    poses: Path | None = None
-    """COLMAP model with the poses, for --frames known."""
+    poses: Annotated[Path | None, Option(metavar="FILE", shown="what lies beside the photographs")] = None
+    """Alignment to use: a COLMAP model's folder, or a file of another program
+    (docs/begun_elsewhere.md); none: photographs are placed anew."""
     masks: Path | None = None
     """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored."""
     up: Annotated[str | None, Option(shown="auto")] = None
@@ -399,8 +400,8 @@ class RunConfig:
             self._check_network()
         if not 0 <= self.seed <= MAX_SEED:
             raise BadInput(f"seed is {self.seed}, expected 0 to {MAX_SEED}.")
-        if self.frames != "known" and self.sfm.poses is not None:
-            raise BadInput(f"poses are given and frames is {self.frames!r}: give them with --frames known.")
+        if self.frames == "gps" and self.sfm.poses is not None:
+            raise BadInput("poses are given and frames is 'gps', whose devices place their photographs: use --frames known or shared.")
         if self.frames != "shared" and self.plan.cut_by == "looks":
             reason = "where cameras look is known once they are reconstructed together"
             raise BadInput(f"--cut-by is looks: {reason}, and with --frames {self.frames} each device places its own: use --frames shared.")
