@@ -113,13 +113,14 @@ def check_poses(project: PoseFile, photos: Path, *, rough: bool = False) -> Deci
         figure = _require_small(project, lambda reading: _reprojection_px(project, reading), ("points", limit_px, rough))
         return _decision(project, figure, "px", f"median distance of {seen} observed points from where the poses put them")
     thumbnails = _Thumbnails(project=project, photos=photos)
-    _require_colours(project, thumbnails)
     pairs = tuple(_matched_pairs(project, thumbnails))
     if not pairs:
+        _require_colours(project, thumbnails)
         reason = "no pair of photographs could be matched, and the file does not say what they see: the poses are not checked"
         return _decision(project, 0.0, "matched pairs", reason)
     figure = _require_small(project, lambda reading: _epipolar_px(pairs, reading), ("matched points", limit_px, rough))
     _require_in_front(project, pairs)
+    _require_colours(project, thumbnails)
     count = sum(len(pair.pixels[0]) for pair in pairs)
     return _decision(project, figure, "px", f"median distance of {count} matches in {len(pairs)} pairs from their epipolar lines")
 
@@ -140,12 +141,12 @@ def _require_small(project: PoseFile, errors_of: Errors, limits: tuple[str, floa
     wins = best_px < CLEARLY * median_px and best_px < median_px - CLEARLY_PX and (median_px <= limit_px or best_px <= limit_px)
     if wins:
         raise BadInput(
-            f"{project.title} does not fit its photographs: {what} lie {_px(median_px)} from where its poses and lenses put them (median of "
+            f"{project.title} does not fit its photographs: {what} lie {_px(median_px)} from where poses and lenses put them (median of "
             f"{len(as_read)}), and {_px(best_px)} if it has {best.says}: export it again in the form that docs/begun_elsewhere.md names."
         )
     if median_px > limit_px and not rough:
         raise BadInput(
-            f"{project.title} does not fit its photographs: {what} lie {_px(median_px)} from where its poses and lenses put them (median of "
+            f"{project.title} does not fit its photographs: {what} lie {_px(median_px)} from where poses and lenses put them (median of "
             f"{len(as_read)}), expected at most {limit_px:.1f} px: give the photographs that it was made from, let --refine-poses adjust "
             "rough poses, or --poses none place the photographs anew."
         )
@@ -311,7 +312,9 @@ def _matches(first: tuple[FloatArray, np.ndarray], second: tuple[FloatArray, np.
         return none
     matcher = cv2.BFMatcher(cv2.NORM_L2)
     forth, back = (matcher.knnMatch(one, other, k=2) for one, other in ((first[1], second[1]), (second[1], first[1])))
-    best = {match[0].queryIdx: match[0].trainIdx for match in forth if len(match) == 2 and match[0].distance < MATCH_RATIO * match[1].distance}
+    best = {
+        match[0].queryIdx: match[0].trainIdx for match in forth if len(match) == 2 and match[0].distance < MATCH_RATIO * match[1].distance
+    }
     returned = {match[0].queryIdx: match[0].trainIdx for match in back if match}
     rows = np.array([(one, other) for one, other in best.items() if returned.get(other) == one], np.int64).reshape(-1, 2)
     if len(rows) < MIN_MATCHES:

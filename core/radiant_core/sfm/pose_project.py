@@ -23,7 +23,7 @@ from radiant_core.io.photos.folders import photograph_names
 from radiant_core.io.photos.listing import photograph_size_wh
 from radiant_core.io.poses.lens import Lens
 from radiant_core.io.poses.pose_file import PosedView, PoseFile, SizeOf
-from radiant_core.io.poses.recognise import read_alignment
+from radiant_core.io.poses.recognise import alignment_files, read_alignment
 from radiant_core.sfm.colmap.other_lenses import straighten, straighten_masks
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.workspace import start_clean
@@ -108,7 +108,7 @@ def scene_from_alignment(
         frame=project.frame,
         given_from_model=project.given_from_scene,
         crs=crs_of(project.alignment),
-        used=frozenset({path}),
+        used=frozenset(alignment_files(path)),
     )
     result = scene_from_model(source, work_folder, report, masks, placement)
     return replace(

@@ -87,9 +87,7 @@ def unread_in(folder: Path) -> dict[str, int]:
     return dict(Counter(suffixes))
 
 
-def _projects_in(
-    folder: Path, masks: Path | None, control: str | None, used: frozenset[Path], *, above: bool
-) -> list[tuple[str, str]]:
+def _projects_in(folder: Path, masks: Path | None, control: str | None, used: frozenset[Path], *, above: bool) -> list[tuple[str, str]]:
     """Name and kind of each thing; `above`: photographs too, which only the folder below gives."""
     told: list[tuple[str, str]] = []
     suffixes: Counter[str] = Counter()
@@ -102,9 +100,7 @@ def _projects_in(
         name, suffix = path.name.lower(), path.suffix.lower()
         if path.is_dir():
             told += [] if path.resolve() == used_masks or any(path in file.parents for file in used) else _folder_kind(path, above=above)
-        elif path in used:
-            continue
-        elif control is not None and name == CONTROL_LIST and _has_text(path, control):
+        elif path in used or (control is not None and name == CONTROL_LIST and _has_text(path, control)):
             continue
         elif kind := _kind_of_file(name):
             told.append((path.name, kind))

@@ -93,12 +93,13 @@ class Lens:
         y = (pixels[:, 1] - self.cy) / self.fy
         target = np.column_stack([(pixels[:, 0] - self.cx - self.skew * y) / self.fx, y])
         flat, step = target.copy(), 1e-6
+        right, below = np.array([step, 0.0]), np.array([0.0, step])
         with np.errstate(all="ignore"):
             for _ in range(NUM_NEWTON):
                 off = self._bend(flat) - target
                 # Central differences: exact enough for Newton, whose end the function alone decides.
-                dx = (self._bend(flat + [step, 0]) - self._bend(flat - [step, 0])) / (2 * step)
-                dy = (self._bend(flat + [0, step]) - self._bend(flat - [0, step])) / (2 * step)
+                dx = (self._bend(flat + right) - self._bend(flat - right)) / (2 * step)
+                dy = (self._bend(flat + below) - self._bend(flat - below)) / (2 * step)
                 det = dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0]
                 moved = np.column_stack([off[:, 0] * dy[:, 1] - off[:, 1] * dy[:, 0], dx[:, 0] * off[:, 1] - dx[:, 1] * off[:, 0]])
                 flat = flat - np.clip(moved / det[:, None], -0.5, 0.5)

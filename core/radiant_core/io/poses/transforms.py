@@ -116,7 +116,7 @@ def _lens(top: Fields, frame: Fields, name: str, size_of: SizeOf) -> Lens:
         )
     size_wh = (both.whole("w"), both.whole("h")) if "w" in both and "h" in both else size_of(name)
     if size_wh is None:
-        raise BadInput(f"{frame.place} has no w and h, and there is no photograph {name!r} to take them from: put the photographs beside it.")
+        raise BadInput(f"{frame.place} has no w and h, and there is no photograph {name!r} to take them from: put it there.")
     if "fl_x" not in both and "camera_angle_x" not in both:
         raise BadInput(f"{frame.place} has neither fl_x nor camera_angle_x: export the file with its focal length.")
     fx = both.number("fl_x") if "fl_x" in both else _focal_px(both.number("camera_angle_x"), size_wh[0], frame.place)
