@@ -70,8 +70,8 @@ def train(
     with show_starting():
         from radiant_app.commands import train as commands
 
-    numbers = {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}
-    typed = {f"train.{name}": value for name, value in numbers.items() if value is not None}
+    numbers = {"train.long_side_px": long_side_px, "train.num_steps": steps, "train.max_num_splats": gaussians}
+    typed = {path: value for path, value in numbers.items() if value is not None}
     options = train_options({"train.preset": train_preset, **with_settings(typed, settings or (), "train")})
     request = commands.TrainRequest(
         source=scene,
@@ -94,8 +94,8 @@ def train(
         result = commands.train(request, listen, resume=resume)
     if as_json or "psnr_db" not in result:
         finish(result, as_json)
-        return
-    print_model(out / "scene.ply", result)
-    if listen.num_decisions and not verbose:
-        typer.echo(f"decisions: {listen.num_decisions}, in {out / 'manifest.json'}; -v prints them here")
-    typer.echo(f"next: radiant inspect {quote(str(out))}")
+    else:
+        print_model(out / "scene.ply", result)
+        if listen.num_decisions and not verbose:
+            typer.echo(f"decisions: {listen.num_decisions}, in {out / 'manifest.json'}; -v prints them here")
+        typer.echo(f"next: radiant inspect {quote(str(out))}")

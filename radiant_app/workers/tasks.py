@@ -72,7 +72,7 @@ class SfmTask:
     masks: str | None
     placement: Placement
     poses: str | None = None
-    """A COLMAP model's folder or an alignment's file, or none for no poses; else what lies there."""
+    """A COLMAP model's folder or an alignment's file, or none; else what lies there."""
 
 
 @dataclass(frozen=True, kw_only=True)

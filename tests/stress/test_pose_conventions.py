@@ -13,5 +13,5 @@ __all__ = ["bent"]
 
 @pytest.mark.stress
 @pytest.mark.parametrize(("name", "wrong"), [(name, wrong) for name in FORMATS for wrong in wrongs_of(name)])
-def test_a_wrong_convention_is_refused(name: str, wrong: str, tmp_path: Path, bent) -> None:  # noqa: F811
+def test_a_wrong_convention_is_refused(name: str, wrong: str, tmp_path: Path, bent) -> None:
     print(name, wrong, refuse(name, wrong, tmp_path, bent))

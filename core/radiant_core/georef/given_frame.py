@@ -45,6 +45,8 @@ class GivenFrame:
     largest_error: float = 0.0
     crs: str | None = None
     """The system that the given frame is, where the model says so."""
+    is_default: bool = False
+    """Whether files are written in it where no other system is asked for."""
 
     @property
     def offset(self) -> FloatArray:
@@ -83,9 +85,10 @@ class GivenFrame:
         adjusted = f", to {self.largest_error:.2g} after the adjustment" if self.largest_error else ""
         turned = [f"turned by {turned_deg:.1f}°"] if turned_deg > 1e-6 else []
         scaled = "in its own unit" if move.scale == 1 else f"scaled by {move.scale:.4g}"
+        export = "`radiant export`" if self.is_default else f"`radiant export --crs {GIVEN}`"
         return (
             f"the scene is {self.model}, {', '.join([*turned, 'moved', scaled])}: {NAME} beside it has the matrix back{adjusted}, and "
-            f"`radiant export --crs {GIVEN}` writes files in its own coordinates.",
+            f"{export} writes files in its own coordinates.",
         )
 
     def comments(self) -> tuple[str, ...]:
@@ -137,6 +140,7 @@ def save_given_frame(folder: Path, given: GivenFrame) -> str:
             "given_from_scene": matrix_of(given.given_from_scene).tolist(),
             "largest_error": given.largest_error,
             **({} if given.crs is None else {"crs": given.crs}),
+            **({"is_default": True} if given.is_default else {}),
         },
     )
     return NAME
@@ -156,4 +160,10 @@ def load_given_frame(folder: Path) -> GivenFrame | None:
     if not scale > 0 or not is_text or not isinstance(record["largest_error"], int | float):
         raise BadInput(f"{path} holds no similarity: give the file as it was written.")
     move = Sim3(scale=scale, rotation=matrix[:3, :3] / scale, translation=matrix[:3, 3])
-    return GivenFrame(given_from_scene=move, model=record["model"], largest_error=float(record["largest_error"]), crs=crs)
+    return GivenFrame(
+        given_from_scene=move,
+        model=record["model"],
+        largest_error=float(record["largest_error"]),
+        crs=crs,
+        is_default=record.get("is_default") is True,
+    )

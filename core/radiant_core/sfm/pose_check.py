@@ -44,6 +44,7 @@ MAX_POINTS, MAX_VIEWS = 4_000, 12
 NUM_FEATURES = 3_000
 MATCH_RATIO = 0.75
 CELLS_ACROSS = 64
+LEAST_Z = 0.05
 
 Poses = Callable[[FloatArray], FloatArray]
 Lenses = Callable[[Lens], Lens]
@@ -268,7 +269,8 @@ class _Thumbnails:
         if number not in self._features:
             picture, scale = self.of(number)
             grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-            points, descriptors = cv2.SIFT_create(nfeatures=NUM_FEATURES).detectAndCompute(grey, None)  # pyright: ignore[reportAttributeAccessIssue]
+            sift = getattr(cv2, "SIFT_create")(nfeatures=NUM_FEATURES)  # noqa: B009  not in its stub
+            points, descriptors = sift.detectAndCompute(grey, None)
             places = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
             described = np.zeros((0, 128), np.float32) if descriptors is None else descriptors
             self._features[number] = (places + 0.5) / scale, described
@@ -344,7 +346,9 @@ def _epipolar_px(pairs: tuple[_Pair, ...], reading: Reading) -> FloatArray:
 def _rays(pair: _Pair, reading: Reading) -> tuple[FloatArray, FloatArray]:
     first, second = (reading.lens(lens).cam_from_img(pixels) for lens, pixels in zip(pair.lenses, pair.pixels, strict=True))
     # Sampson's distance is one of the plane z = 1; a fisheye's rays beyond it have none.
-    return tuple(np.where(rays[:, 2:] > 0.05, rays / rays[:, 2:], np.nan) for rays in (first, second))  # pyright: ignore[reportReturnType]
+    with np.errstate(all="ignore"):
+        flat = [np.where(rays[:, 2:] > LEAST_Z, rays / rays[:, 2:], np.nan) for rays in (first, second)]
+    return flat[0], flat[1]
 
 
 def _second_from_first(pair: _Pair, reading: Reading) -> FloatArray:

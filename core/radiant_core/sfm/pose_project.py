@@ -17,7 +17,7 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
 from radiant_core.georef.given_world import place_world
-from radiant_core.io.colmap.image_files import match_images, require_files
+from radiant_core.io.colmap.image_files import ImageFiles, match_images, require_files
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.folders import photograph_names
 from radiant_core.io.photos.listing import photograph_size_wh
@@ -51,7 +51,8 @@ class PosedProject:
     given_from_scene: Sim3
     frame: Frame | None
     """None where the file does not say what its coordinates are."""
-    check: Decision
+    check: Decision | None
+    """None where nobody looked at the photographs."""
 
     @property
     def other_lenses(self) -> dict[str, Lens]:
@@ -63,6 +64,14 @@ class PosedProject:
 def read_project(path: Path, photos: Path) -> PosedProject:
     """The alignment in `path` of the photographs in `photos`, checked. Raises BadInput where it
     cannot be read, is of other photographs, or does not fit them."""
+    alignment, files = read_with_photographs(path, photos)
+    require_files(files, [view.name for view in alignment.views])
+    return placed_project(alignment.named(files), photos)
+
+
+def read_with_photographs(path: Path, photos: Path) -> tuple[PoseFile, ImageFiles]:
+    """The alignment in `path` and which of its photographs are in `photos`, not checked. Raises
+    BadInput where it cannot be read, or has fewer than two poses or one twice."""
     alignment = read_alignment(path, _sizes_in(photos))
     names = [view.name for view in alignment.views]
     if len(names) < 2:
@@ -70,10 +79,15 @@ def read_project(path: Path, photos: Path) -> PosedProject:
     twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
     if twice is not None:
         raise BadInput(f"{path} has the photograph {twice!r} twice: leave one pose of it.")
-    files = match_images(names, photos)
-    require_files(files, names)
-    alignment = _in_their_size(alignment.named(files), photos)
-    check = check_poses(alignment, photos)
+    return alignment, match_images(names, photos)
+
+
+def placed_project(alignment: PoseFile, photos: Path | None) -> PosedProject:
+    """The alignment in the scene's world; with `photos`, by whose names its own go, it is held
+    against them first. Raises BadInput where it does not fit them."""
+    if photos is not None:
+        alignment = _in_their_size(alignment, photos)
+    check = None if photos is None else check_poses(alignment, photos)
     centers = np.array([-view.cam_from_world[:3, :3].T @ view.cam_from_world[:3, 3] for view in alignment.views])
     given_from_scene, frame = place_world(alignment.world, centers)
     return PosedProject(
@@ -113,7 +127,7 @@ def scene_from_alignment(
     result = scene_from_model(source, work_folder, report, masks, placement)
     return replace(
         result,
-        decisions=(project.check, *result.decisions),
+        decisions=(*(() if project.check is None else (project.check,)), *result.decisions),
         warnings=(said_of(project.alignment), *project.alignment.notes, *result.warnings),
     )
 

@@ -155,7 +155,7 @@ class GivenModel:
     crs: str | None = None
     """The system of those, where they have one."""
     used: frozenset[Path] = frozenset()
-    """Files that it was read from."""
+    """Files that it was read from; none for a COLMAP model."""
 
 
 def scene_from_colmap(
@@ -296,7 +296,7 @@ def _given_frame(placed: PlacedScene, source: GivenModel, centers: dict[str, Flo
         error = float(np.linalg.norm(back.apply(cameras.centers) - given, axis=1).max())
     if source.given_from_model is not None:
         back = compose(source.given_from_model, back)
-    return GivenFrame(given_from_scene=back, model=source.title, largest_error=error, crs=source.crs)
+    return GivenFrame(given_from_scene=back, model=source.title, largest_error=error, crs=source.crs, is_default=bool(source.used))
 
 
 def _adjusted_copy(

@@ -66,8 +66,8 @@ def beside_warning(
     folder: Path, masks: Path | None = None, *, control: str | None = None, named: bool = True, used: frozenset[Path] = frozenset()
 ) -> tuple[str, ...]:
     """One line about what lies in a folder of photographs, or beside one that is called images, and
-    is not used; `masks`, files `used` and a list with the text `control` are. Kinds alone where names
-    are private."""
+    is not used; `masks`, files `used` and a list with the text `control` are. Kinds alone where
+    names are private."""
     places = (folder, folder.parent) if folder.name == "images" else (folder,)
     there = [each for place in places for each in _projects_in(place, masks, control, used, above=place != folder)]
     if len(places) > 1:

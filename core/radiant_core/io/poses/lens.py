@@ -2,7 +2,7 @@
 
     brown:    x' = x (1 + k₁r² + k₂r⁴ + k₃r⁶ + k₄r⁸) + 2 p₁xy + p₂(r² + 2x²),   x = X/Z, y = Y/Z
               y' = y (…) + p₁(r² + 2y²) + 2 p₂xy
-    fisheye:  (x', y') = θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸) (X, Y) / |(X, Y)|,   θ = atan2(|(X, Y)|, Z)
+    fisheye:  (x', y') = θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸) (X, Y) / ρ,   θ = atan2(ρ, Z)
     pixel:    u = cₓ + fₓx' + s y',   v = c_y + f_y y',   the first pixel's middle at (0.5, 0.5)
 
 These are OpenCV's equations with one coefficient more, k₄, and skew s. What COLMAP has a model for
@@ -97,7 +97,7 @@ class Lens:
         with np.errstate(all="ignore"):
             for _ in range(NUM_NEWTON):
                 off = self._bend(flat) - target
-                # Central differences: exact enough for Newton, whose end the function alone decides.
+                # Central differences: Newton's end is decided by the function alone.
                 dx = (self._bend(flat + right) - self._bend(flat - right)) / (2 * step)
                 dy = (self._bend(flat + below) - self._bend(flat - below)) / (2 * step)
                 det = dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0]

@@ -12,6 +12,7 @@ Sources: Metashape's manual (appendix D), EasyIDP's reconstruct.py and metashape
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, fromstring
 
@@ -27,6 +28,8 @@ from radiant_core.numerics import FloatArray
 EARTH_M = 6e6
 """A world so far from its origin is geocentric."""
 LENS_TYPES = ("frame", "fisheye")
+_DECLARED_ENCODING = re.compile(r"^(\s*<\?xml[^>]*?)\sencoding\s*=\s*(\"[^\"]*\"|'[^']*')")
+"""What the text was in before it was decoded."""
 NO_TRANSFORM = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
 
@@ -39,7 +42,7 @@ def read_metashape(path: Path, size_of: SizeOf) -> PoseFile:
         raise BadInput(f"{path} declares a document type or entities, which Metashape does not write and which are not read.")
     try:
         # What is dangerous here needs the DTD that was refused above.
-        root = fromstring(text.encode())  # noqa: S314
+        root = fromstring(_DECLARED_ENCODING.sub(r"\1", text[:200]) + text[200:])  # noqa: S314
     except (ParseError, ValueError, RecursionError) as error:
         raise BadInput(f"{path} is no valid XML ({str(error)[:80]}): export the cameras again.") from None
     chunks = [root] if root.tag == "chunk" else root.findall("chunk")

@@ -41,11 +41,11 @@ class Truth:
     seen: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     @property
-    def C(self) -> np.ndarray:  # noqa: N802
+    def C(self) -> np.ndarray:
         return np.array([-R.T @ t for R, t in zip(self.R, self.t, strict=True)])
 
     @property
-    def K(self) -> np.ndarray:  # noqa: N802
+    def K(self) -> np.ndarray:
         return np.array([[self.fx, self.skew, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
     def project(self, number: int, points: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Each reader against the hamlet's truth: centres within 1 mm, rotations within 0.001°, pixels within 0.01 px; and what is wrong is refused."""
+"""Each reader against the hamlet's truth: centres within 1 mm, rotations within 0.001°, pixels within 0.01 px; what is wrong is refused."""
 
 from __future__ import annotations
 

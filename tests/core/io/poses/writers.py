@@ -134,13 +134,15 @@ def metashape(folder: Path, truth: Truth, wrong: str | None = None, *, ecef: np.
     cameras.append('<camera id="99" sensor_id="0" label="unaligned"><orientation>1</orientation></camera>')
     lens = (
         f"<resolution width='{t.width}' height='{t.height}'/><f>{t.fy!r}</f><cx>{t.cx - t.width / 2!r}</cx><cy>{t.cy - t.height / 2!r}</cy>"
-        f"<b1>{t.fx - t.fy!r}</b1><b2>{t.skew!r}</b2><k1>{k1!r}</k1><k2>{k2!r}</k2><k3>{k3!r}</k3><k4>{t.k4!r}</k4><p1>{p2!r}</p1><p2>{p1!r}</p2>"
+        f"<b1>{t.fx - t.fy!r}</b1><b2>{t.skew!r}</b2><k1>{k1!r}</k1><k2>{k2!r}</k2><k3>{k3!r}</k3><k4>{t.k4!r}</k4>"
+        f"<p1>{p2!r}</p1><p2>{p1!r}</p2>"
     )
     linear = world_from_chunk[:3, :3] / np.cbrt(np.linalg.det(world_from_chunk[:3, :3]))
     numbers = [" ".join(repr(float(value)) for value in part.ravel()) for part in (linear, world_from_chunk[:3, 3])]
     system = "LOCAL_CS[&quot;Local&quot;]" if ecef is None else "GEOGCS[&quot;WGS 84&quot;]"
     (folder / "cameras.xml").write_text(
-        f'<?xml version="1.0" encoding="UTF-8"?>\n<document version="2.0.0"><chunk label="Chunk 1"><sensors><sensor id="0" label="L" type="frame">'
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<document version="2.0.0"><chunk label="Chunk 1"><sensors>'
+        '<sensor id="0" label="L" type="frame">'
         f"<resolution width='{t.width}' height='{t.height}'/><calibration type='frame' class='initial'><f>100</f></calibration>"
         f"<calibration type='frame' class='adjusted'>{lens}</calibration></sensor></sensors>"
         f'<components><component id="0"><transform><rotation>{numbers[0]}</rotation><translation>{numbers[1]}</translation>'
@@ -182,8 +184,8 @@ def pix4d(folder: Path, truth: Truth, wrong: str | None = None, *, prj: str | No
     lines, outer = list(head), ["imageName X Y Z Omega Phi Kappa"]
     for number, name in enumerate(t.names):
         lines.append(f"{name} {t.width} {t.height}")
-        for row in (*t.K, (k1, k2, k3), (p1, p2), t.C[number] + move - offset, *t.R[number]):
-            lines.append(" ".join(f"{value:.14f}" for value in row))
+        rows = (*t.K, (k1, k2, k3), (p1, p2), t.C[number] + move - offset, *t.R[number])
+        lines += [" ".join(f"{value:.14f}" for value in row) for row in rows]
         G = _c2w(t, number)[:3, :3]
         omega, phi, kappa = np.arctan2(-G[1, 2], G[2, 2]), np.arcsin(G[0, 2]), np.arctan2(-G[0, 1], G[0, 0])
         outer.append(" ".join([name, *(f"{v:.9f}" for v in (*(t.C[number] + move), *np.degrees([omega, phi, kappa])))]))
@@ -238,8 +240,7 @@ def bundler(folder: Path, truth: Truth, wrong: str | None = None) -> Path:
     lines = ["# Bundle file v0.3", f"{len(t.names)} {len(t.points)}"]
     for number in range(len(t.names)):
         lines.append(f"{t.fx!r} {t.dist[0]!r} {t.dist[1]!r}")
-        for row in (*(F @ t.R[number]), F @ t.t[number]):
-            lines.append(" ".join(repr(float(value)) for value in row))
+        lines += [" ".join(repr(float(value)) for value in row) for row in (*(F @ t.R[number]), F @ t.t[number])]
     tracks: dict[int, list[str]] = {row: [] for row in range(len(t.points))}
     for number, (px, rows) in enumerate(truth.seen):
         for (u, v), row in zip(px, rows, strict=True):
