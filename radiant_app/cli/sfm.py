@@ -19,6 +19,7 @@ def sfm(
     effort: options.EffortOption = "auto",
     masks: MaskFolder = None,
     poses: options.PosesOption = None,
+    refine_poses: options.RefinePosesOption = False,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -51,7 +52,7 @@ def sfm(
         contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
-    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, poses, resume=resume)
+    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, poses, refine_poses=refine_poses, resume=resume)
     if as_json:
         finish(result, as_json)
     else:

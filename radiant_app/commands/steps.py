@@ -38,11 +38,12 @@ def sfm(  # noqa: PLR0913
     placement: dict[str, Any] | None = None,
     poses: Path | None = None,
     *,
+    refine_poses: bool = False,
     resume: bool = False,
 ) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`, where `resume` goes on;
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`."""
-    task = sfm_task(source, config, masks, Placement(**(placement or {})), poses)
+    task = sfm_task(source, config, masks, Placement(**(placement or {})), poses, refine_poses=refine_poses)
     with display:
         result = reconstruct_into(out, task, display, resume=resume)
     return {

@@ -88,6 +88,8 @@ class TrainRequest:
     """Folder of masks, see `radiant_core.io.photos.masks`; not with a scene, which has its own."""
     poses: Path | None = None
     """Alignment to use, as `SfmOptions.poses`; not with a scene, which has its poses."""
+    refine_poses: bool = False
+    """As `SfmOptions.refine_poses`; not with a scene either."""
     up: str | None = None
     """Which way is up; like the next two a field of `Placement`, and not with a scene."""
     distance: str | None = None
@@ -202,6 +204,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         seed=request.seed,
         sfm=SfmOptions(
             poses=request.poses,
+            refine_poses=request.refine_poses,
             masks=request.masks,
             up=request.up,
             distance=request.distance,
@@ -219,8 +222,10 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
             f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
             "it is made, or train from the photographs."
         )
-    if request.poses is not None:
-        raise BadInput(f"{request.source} is a scene, which has its poses: leave out --poses, or train from the photographs.")
+    if request.poses is not None or request.refine_poses:
+        raise BadInput(
+            f"{request.source} is a scene, which has its poses: leave out --poses and --refine-poses, or train from the photographs."
+        )
     if request.masks is not None:
         raise BadInput(
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "

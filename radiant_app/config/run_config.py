@@ -116,6 +116,8 @@ class SfmOptions:
     poses: Annotated[Path | None, Option(metavar="FILE", shown="what lies beside the photographs")] = None
     """Alignment to use: a COLMAP model's folder, or a file of another program
     (docs/begun_elsewhere.md); none: photographs are placed anew."""
+    refine_poses: Annotated[bool, Option(name="--refine-poses")] = False
+    """Adjust rough poses of an alignment to its photographs, in the frame that it has."""
     masks: Path | None = None
     """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored."""
     up: Annotated[str | None, Option(shown="auto")] = None
@@ -400,6 +402,10 @@ class RunConfig:
             self._check_network()
         if not 0 <= self.seed <= MAX_SEED:
             raise BadInput(f"seed is {self.seed}, expected 0 to {MAX_SEED}.")
+        if self.frames != "shared" and self.sfm.refine_poses:
+            raise BadInput(
+                f"--refine-poses adjusts all poses together, and with --frames {self.frames} devices have their own: leave it out."
+            )
         if self.frames == "gps" and self.sfm.poses is not None:
             raise BadInput("poses are given and frames is 'gps', whose devices place their photographs: use --frames known or shared.")
         if self.frames != "shared" and self.plan.cut_by == "looks":

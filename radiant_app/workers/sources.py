@@ -73,7 +73,15 @@ def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
-def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placement, poses: Path | None = None) -> SfmTask:
+def sfm_task(
+    source: Path,
+    sfm: SfmConfig,
+    masks: Path | None,
+    placement: Placement,
+    poses: Path | None = None,
+    *,
+    refine_poses: bool = False,
+) -> SfmTask:
     """Structure from motion of a source within a folder of masks and by `poses`, if there are
     any."""
     return SfmTask(
@@ -82,6 +90,7 @@ def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placem
         masks=None if masks is None else str(masks.resolve()),
         placement=placement,
         poses=None if poses is None else str(poses) if poses == NO_POSES else str(poses.resolve()),
+        refine_poses=refine_poses,
     )
 
 
@@ -99,17 +108,24 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
 
 def _reconstruct(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     from radiant_core.sfm.known_poses import scene_from_mill19
-    from radiant_core.sfm.pose_project import scene_from_alignment
+    from radiant_core.sfm.pose_project import Alignment, scene_from_alignment, scene_from_rough_colmap
     from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
     kind, images, model = detect_source(Path(task.source), poses_of(task))
     masks = None if task.masks is None else Path(task.masks)
     if kind == "colmap":
         assert model is not None
+        if task.refine_poses:
+            given = Alignment(path=model, photos=images, refine_poses=True)
+            return scene_from_rough_colmap(given, folder, report, masks, task.placement)
         return scene_from_colmap(model, images, folder, report, masks, task.placement)
     if kind == "alignment":
         assert model is not None
-        return scene_from_alignment(model, images, folder, report, masks, task.placement)
+        given = Alignment(path=model, photos=images, refine_poses=task.refine_poses)
+        return scene_from_alignment(given, folder, report, masks, task.placement)
+    if task.refine_poses:
+        what = "a Mill 19 folder, whose poses are used as they are" if kind == "mill19" else "photographs without an alignment"
+        raise BadInput(f"{images} is {what}: leave out --refine-poses, or name the poses to adjust with --poses.")
     if kind == "mill19":
         if replace(task.placement, contradictions="stop") != Placement():
             raise BadInput(

@@ -1,5 +1,5 @@
-"""Poses that come with the photographs: a COLMAP model, another alignment, or a Mill 19 folder. Once
-per run.
+"""Poses that come with the photographs: a COLMAP model, another alignment, a Mill 19 folder. Once a
+run.
 
 The world is that of the poses, but for a whole offset where they lie far from its origin; z must be
 up for a plan of the ground.

@@ -269,7 +269,7 @@ class _Thumbnails:
         if number not in self._features:
             picture, scale = self.of(number)
             grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-            sift = getattr(cv2, "SIFT_create")(nfeatures=NUM_FEATURES)  # noqa: B009  not in its stub
+            sift = getattr(cv2, "SIFT_create")(nfeatures=NUM_FEATURES)  # noqa: B009
             points, descriptors = sift.detectAndCompute(grey, None)
             places = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
             described = np.zeros((0, 128), np.float32) if descriptors is None else descriptors

@@ -17,7 +17,7 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
 from radiant_core.georef.given_world import place_world
-from radiant_core.io.colmap.image_files import ImageFiles, match_images, require_files
+from radiant_core.io.colmap.image_files import ImageFiles, match_images, read_with_files, require_files
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.folders import photograph_names
 from radiant_core.io.photos.listing import photograph_size_wh
@@ -30,6 +30,7 @@ from radiant_core.sfm.colmap.workspace import start_clean
 from radiant_core.sfm.config import Report, SfmResult
 from radiant_core.sfm.known_poses import misfit_text
 from radiant_core.sfm.pose_check import check_poses
+from radiant_core.sfm.pose_refinement import REFINED, refined_model
 from radiant_core.sfm.reconstruct import GivenModel, scene_from_model
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED
@@ -61,12 +62,12 @@ class PosedProject:
         return {view.name: lenses[view.lens_id] for view in self.alignment.views if lenses[view.lens_id].camera(1) is None}
 
 
-def read_project(path: Path, photos: Path) -> PosedProject:
+def read_project(path: Path, photos: Path, *, rough: bool = False) -> PosedProject:
     """The alignment in `path` of the photographs in `photos`, checked. Raises BadInput where it
-    cannot be read, is of other photographs, or does not fit them."""
+    cannot be read, is of other photographs, or does not fit them; `rough`: as `check_poses`."""
     alignment, files = read_with_photographs(path, photos)
     require_files(files, [view.name for view in alignment.views])
-    return placed_project(alignment.named(files), photos)
+    return placed_project(alignment.named(files), photos, rough=rough)
 
 
 def read_with_photographs(path: Path, photos: Path) -> tuple[PoseFile, ImageFiles]:
@@ -82,12 +83,12 @@ def read_with_photographs(path: Path, photos: Path) -> tuple[PoseFile, ImageFile
     return alignment, match_images(names, photos)
 
 
-def placed_project(alignment: PoseFile, photos: Path | None) -> PosedProject:
+def placed_project(alignment: PoseFile, photos: Path | None, *, rough: bool = False) -> PosedProject:
     """The alignment in the scene's world; with `photos`, by whose names its own go, it is held
     against them first. Raises BadInput where it does not fit them."""
     if photos is not None:
         alignment = _in_their_size(alignment, photos)
-    check = None if photos is None else check_poses(alignment, photos)
+    check = None if photos is None else check_poses(alignment, photos, rough=rough)
     centers = np.array([-view.cam_from_world[:3, :3].T @ view.cam_from_world[:3, 3] for view in alignment.views])
     given_from_scene, frame = place_world(alignment.world, centers)
     return PosedProject(
@@ -99,19 +100,44 @@ def placed_project(alignment: PoseFile, photos: Path | None) -> PosedProject:
     )
 
 
-def scene_from_alignment(
-    path: Path, photos: Path, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """What a scene is made from."""
+
+    path: Path
+    """Of the alignment: a file, or the folder of a COLMAP model."""
+    photos: Path
+    refine_poses: bool = False
+    """Whether poses are adjusted to the photographs, in the frame that they were given in."""
+
+
+def scene_from_rough_colmap(
+    given: Alignment, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
 ) -> SfmResult:
-    """The scene of the alignment in `path` and the photographs in `photos`; raises as
-    `read_project` and `scene_from_colmap`."""
+    """`scene_from_colmap` with poses that are adjusted first; raises alike."""
     start_clean(work_folder)
-    project = read_project(path, photos)
+    shutil.rmtree(work_folder / GIVEN, ignore_errors=True)
+    model, files = read_with_files(given.path, given.photos)
+    write_for_colmap(model, work_folder / GIVEN)
+    source, masks, refined = refined_model(GivenModel(folder=work_folder / GIVEN, images=given.photos), work_folder, report, masks)
+    result = scene_from_model(source, work_folder, report, masks, placement)
+    return replace(result, decisions=(refined, *result.decisions), warnings=(*files.notes(), *result.warnings))
+
+
+def scene_from_alignment(
+    given: Alignment, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
+) -> SfmResult:
+    """The scene of another program's alignment and its photographs; raises as `read_project` and
+    `scene_from_colmap`."""
+    path, photos = given.path, given.photos
+    start_clean(work_folder)
+    project = read_project(path, photos, rough=given.refine_poses)
     if project.frame is not None and replace(placement, contradictions="stop") != UNPLACED:
         raise BadInput(
             f"{project.alignment.title} says what its coordinates are ({project.alignment.world.title}), which is used as it is: leave out "
             "--up, --north, --distance, --height and --gcp."
         )
-    for name in (GIVEN, STRAIGHT):
+    for name in (GIVEN, STRAIGHT, REFINED):
         shutil.rmtree(work_folder / name, ignore_errors=True)
     images, masks = _straight(project, photos, work_folder, report, masks)
     write_for_colmap(project.model, work_folder / GIVEN)
@@ -124,10 +150,14 @@ def scene_from_alignment(
         crs=crs_of(project.alignment),
         used=frozenset(alignment_files(path)),
     )
+    decisions = [] if project.check is None else [project.check]
+    if given.refine_poses:
+        source, masks, refined = refined_model(source, work_folder, report, masks)
+        decisions.append(refined)
     result = scene_from_model(source, work_folder, report, masks, placement)
     return replace(
         result,
-        decisions=(*(() if project.check is None else (project.check,)), *result.decisions),
+        decisions=(*decisions, *result.decisions),
         warnings=(said_of(project.alignment), *project.alignment.notes, *result.warnings),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,8 @@ from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.masks import save_mask
 from radiant_core.sfm.config import SfmResult
 from radiant_core.sfm.given_poses import Where, read_given_poses
-from radiant_core.sfm.pose_project import scene_from_alignment
+from radiant_core.sfm.pose_project import Alignment, scene_from_alignment
+from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
 from tests.colmap_projects import quiet
 from tests.core.io.poses import writers
@@ -59,7 +61,7 @@ CASES = {
 def test_the_frame_stays_that_of_the_file(name: str, tmp_path: Path, bent) -> None:
     photos, truth = bent
     write, place, kind = CASES[name]
-    result = scene_from_alignment(write(tmp_path, truth), photos, tmp_path / "work", quiet)
+    result = scene_from_alignment(Alignment(path=write(tmp_path, truth), photos=photos), tmp_path / "work", quiet)
     require_back(result, truth, place)
     scene = result.scene
     assert scene.frame.kind == kind and len(scene.cameras) == 12 and len(scene.points) > 300
@@ -79,7 +81,7 @@ def test_a_lens_that_colmap_has_no_model_for_is_straightened(tmp_path: Path) -> 
     for name in truth.names:
         save_mask(tmp_path / "masks" / f"{name}.png", np.arange(240 * 320).reshape(240, 320) % 320 > 20)
     path = writers.metashape(tmp_path, truth)
-    result = scene_from_alignment(path, tmp_path / "images", tmp_path / "work", quiet, tmp_path / "masks")
+    result = scene_from_alignment(Alignment(path=path, photos=tmp_path / "images"), tmp_path / "work", quiet, tmp_path / "masks")
     assert result.undistorted_folder != tmp_path / "images" and result.masks_folder is not None
     # The true points project where a pinhole has them, and there the picture is the hamlet's own.
     from tests.colmap_projects import HAMLET
@@ -103,8 +105,9 @@ def test_a_lens_that_colmap_has_no_model_for_is_straightened(tmp_path: Path) -> 
 
 def test_what_the_file_says_of_its_frame_is_not_said_otherwise(tmp_path: Path, bent) -> None:
     photos, truth = bent
+    given = Alignment(path=writers.metashape(tmp_path, truth), photos=photos)
     with pytest.raises(BadInput, match="used as it is: leave out --up"):
-        scene_from_alignment(writers.metashape(tmp_path, truth), photos, tmp_path / "work", quiet, None, Placement(height_m=30.0))
+        scene_from_alignment(given, tmp_path / "work", quiet, None, Placement(height_m=30.0))
 
 
 def test_photographs_of_another_size_scale_the_lens_and_turned_ones_are_refused(tmp_path: Path, bent) -> None:
@@ -116,10 +119,10 @@ def test_photographs_of_another_size_scale_the_lens_and_turned_ones_are_refused(
             (tmp_path / folder).mkdir(exist_ok=True)
             cv2.imwrite(str(tmp_path / folder / name), changed)
     path = writers.openmvg(tmp_path, truth)
-    result = scene_from_alignment(path, tmp_path / "half", tmp_path / "work", quiet)
+    result = scene_from_alignment(Alignment(path=path, photos=tmp_path / "half"), tmp_path / "work", quiet)
     assert len(result.scene.points) > 300 and result.scene.cameras.sizes_wh.max() < 170
     with pytest.raises(BadInput, match="EXIF orientation"):
-        scene_from_alignment(path, tmp_path / "turned", tmp_path / "work", quiet)
+        scene_from_alignment(Alignment(path=path, photos=tmp_path / "turned"), tmp_path / "work", quiet)
 
 
 @pytest.mark.parametrize("where", ["together", "by device", "own"])
@@ -151,3 +154,28 @@ def test_devices_get_a_frame_that_all_share_and_lenses_that_they_can_undistort(t
     bending = bent_hamlet(tmp_path, BROWN, k4=0.02, skew=1.5)
     with pytest.raises(BadInput, match="k4 or skew, which devices cannot undistort"):
         read_given_poses(tmp_path / "images", writers.metashape(tmp_path, bending), "together")
+
+
+def test_rough_poses_are_refused_and_adjusted_where_asked_in_the_same_frame(tmp_path: Path, bent) -> None:
+    photos, truth = bent
+    rng = np.random.default_rng(0)
+    turns = np.array([cv2.Rodrigues(rng.normal(0, np.radians(0.8), 3))[0] for _ in truth.names])
+    centers = truth.C + rng.normal(0, 0.25, truth.C.shape)
+    R = turns @ truth.R
+    rough = replace(truth, R=R, t=-np.einsum("cij,cj->ci", R, centers))
+    path = writers.pix4d(tmp_path, rough, prj="EPSG:25832")
+    with pytest.raises(BadInput, match=r"expected at most 2.0 px: .* let --refine-poses adjust"):
+        scene_from_alignment(Alignment(path=path, photos=photos), tmp_path / "work", quiet)
+    result = scene_from_alignment(Alignment(path=path, photos=photos, refine_poses=True), tmp_path / "work", quiet)
+    cameras = result.scene.cameras
+    numbers = [truth.names.index(name) for name in cameras.names]
+    assert result.given_frame is not None
+    adjusted = result.given_frame.given_from_scene.apply(cameras.centers) - writers.UTM
+    # Relative to each other within what 320 px tell from 32 m, 0.43 m before; the frame is that of all rough centres.
+    fit = fit_sim3(adjusted, truth.C[numbers])
+    off_m = np.linalg.norm(fit.apply(adjusted) - truth.C[numbers], axis=1)
+    assert np.median(off_m) < 0.05 and off_m.max() < 0.2
+    assert np.linalg.norm((adjusted - centers[numbers]).mean(axis=0)) < 1e-6
+    assert abs(fit.scale - 1) < 0.02
+    decision = next(decision for decision in result.decisions if decision.topic == "refined poses")
+    assert decision.figure is not None and 0.1 < decision.figure < 1
