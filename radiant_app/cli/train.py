@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -99,10 +99,14 @@ def train(
     if as_json or "psnr_db" not in result:
         finish(result, as_json)
     else:
-        print_model(out / "scene.ply", result)
-        if listen.num_decisions and not verbose:
-            typer.echo(f"decisions: {listen.num_decisions}, in {out / 'manifest.json'}; -v prints them here")
-        typer.echo(f"next: radiant inspect {quote(str(out))}")
+        _print_result(out, result, 0 if verbose else listen.num_decisions)
+
+
+def _print_result(out: Path, result: dict[str, Any], num_hidden: int) -> None:
+    print_model(out / "scene.ply", result)
+    if num_hidden:
+        typer.echo(f"decisions: {num_hidden}, in {out / 'manifest.json'}; -v prints them here")
+    typer.echo(f"next: radiant inspect {quote(str(out))}")
 
 
 def _options_of(preset: Preset, numbers: Mapping[str, int | None], settings: Sequence[str]) -> TrainOptions:
