@@ -19,6 +19,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -229,7 +230,7 @@ def _require_colours(project: PoseFile, thumbnails: _Thumbnails) -> None:
         )
 
 
-def _nearest_seen(pixels: FloatArray, depths: FloatArray, size_wh: tuple[int, int]) -> FloatArray:
+def _nearest_seen(pixels: FloatArray, depths: FloatArray, size_wh: tuple[int, int]) -> NDArray[np.int64]:
     """Rows of the points that lie in a view and not behind nearer ones of their cell."""
     inside = np.flatnonzero(np.isfinite(pixels[:, 0]))
     columns, lines = (pixels[inside] // (max(size_wh) / CELLS_ACROSS)).astype(np.int64).T

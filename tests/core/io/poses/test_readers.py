@@ -120,3 +120,15 @@ def test_half_a_pixel_is_seen_where_the_file_says_what_its_photographs_see(name:
     photos, truth = bent(dist, changed)
     with pytest.raises(BadInput, match="half a pixel"):
         read_project(write(tmp_path, truth, "half"), photos)
+
+
+@pytest.mark.parametrize("name", ["nerfstudio", "pyopf"])
+def test_what_the_programs_wrote_themselves_is_the_truth(name: str, bent) -> None:
+    """colmap_to_json of nerfstudio 1.1.5 from a binary COLMAP model of the truth; pyopf 1.4.1's classes and its `save`."""
+    dist = (*BROWN[:4], 0.0) if name == "nerfstudio" else BROWN
+    photos, truth = bent(dist, {})
+    folder = Path(__file__).parent / "written" / name
+    (path,) = [path for path in folder.iterdir() if path.name in ("transforms.json", "project.opf")]
+    project = read_project(path, photos)
+    _require_truth(project, truth, *world_of(truth, "utm" if name == "pyopf" else None))
+    assert len(project.alignment.points) == (0 if name == "pyopf" else len(truth.points))

@@ -201,7 +201,8 @@ def pix4d(folder: Path, truth: Truth, wrong: str | None = None, *, prj: str | No
 def openmvg(folder: Path, truth: Truth, wrong: str | None = None, *, structure: bool = True) -> Path:
     t = wronged(truth, wrong)
     k1, k2, p1, p2, k3 = t.dist
-    views, extrinsics = [], []
+    views: list[dict[str, Any]] = []
+    extrinsics: list[dict[str, Any]] = []
     for number, name in enumerate(t.names):
         data = {
             "local_path": "/",
@@ -214,13 +215,8 @@ def openmvg(folder: Path, truth: Truth, wrong: str | None = None, *, structure: 
         }
         views.append({"key": number, "value": {"polymorphic_id": 1 << 30, "ptr_wrapper": {"id": (1 << 31) + number + 1, "data": data}}})
         extrinsics.append({"key": number, "value": {"rotation": t.R[number].tolist(), "center": t.C[number].tolist()}})
-    views.append(
-        {
-            **views[0],
-            "key": 99,
-            "value": {"polymorphic_id": 1 << 30, "ptr_wrapper": {"id": 5, "data": {**data, "id_view": 99, "id_pose": 99}}},
-        }
-    )
+    unplaced = {**views[0]["value"]["ptr_wrapper"]["data"], "id_view": 99, "id_pose": 99}
+    views.append({"key": 99, "value": {"polymorphic_id": 1 << 30, "ptr_wrapper": {"id": 5, "data": unplaced}}})
     lens = {"width": t.width, "height": t.height, "focal_length": t.fx, "principal_point": [t.cx, t.cy], "disto_t2": [k1, k2, k3, p1, p2]}
     kind = {"polymorphic_id": (1 << 31) + 1, "polymorphic_name": "pinhole_brown_t2", "ptr_wrapper": {"id": (1 << 31) + 99, "data": lens}}
     seen: dict[int, list[Any]] = {row: [] for row in range(len(t.points))}
