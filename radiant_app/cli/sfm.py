@@ -13,7 +13,7 @@ from radiant_app.report.tables import finish, print_scene
 
 
 def sfm(
-    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
+    source: Annotated[Path, typer.Argument(help="Photographs, an alignment beside them, a COLMAP project.", show_default=False)],
     out: Out,
     matching: MatchingOption = "auto",
     effort: options.EffortOption = "auto",

@@ -46,7 +46,7 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
     """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
     known = _read_record(folder)
     files = _describe_files(used_files(config.source, config.sfm.masks, config.sfm.poses), known or {})
-    settings = [message_record(task.sfm), message_record(task.placement)]
+    settings = [message_record(task.sfm), message_record(task.placement), *(["refine_poses"] if task.refine_poses else [])]
     key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, config.sfm.masks is None)
     if (folder / SEAL_NAME).is_file():
         reason = OLDER if known is None else _change(known, files)
@@ -57,9 +57,10 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
     return key
 
 
-def used_files(source: Path, masks: Path | None, poses: Path | None = None) -> dict[str, Path]:
-    """Name → file that structure from motion uses; of a COLMAP project its model and images."""
-    kind, images, model = detect_source(source, poses)
+def used_files(source: Path, masks: Path | None, asked: Path | None = None) -> dict[str, Path]:
+    """Name → file that structure from motion uses; of a COLMAP project its model and images;
+    `asked`: what --poses names."""
+    kind, images, model = detect_source(source, asked)
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
         posed = {(path.parts[-3], path.stem) for path in poses}

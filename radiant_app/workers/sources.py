@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.georef.given_frame import NAME as GIVEN_FRAME
 from radiant_core.georef.given_frame import save_given_frame
 from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
-from radiant_core.io.poses.recognise import the_alignment
+from radiant_core.io.poses.recognise import photographs_beside, the_alignment
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
@@ -45,7 +45,9 @@ def locate_source(source: Path, poses: Path | None = None) -> tuple[SourceKind, 
     """`detect_source` of a folder that may be of another kind."""
     pictures = picture_folder(source)
     if poses is not None and poses != NO_POSES:
-        return "colmap" if poses.is_dir() else "alignment", pictures or source, poses
+        if poses.is_dir():
+            return "colmap", pictures or source, poses
+        return "alignment", photographs_beside(poses, pictures or source), poses
     if poses is None and (source / "train" / "metadata").is_dir():
         return "mill19", source, None
     models = find_models(source)
@@ -53,7 +55,7 @@ def locate_source(source: Path, poses: Path | None = None) -> tuple[SourceKind, 
         return "colmap", pictures, models[0].folder
     alignment = the_alignment(source) if poses is None else None
     if alignment is not None:
-        return "alignment", pictures or source, alignment
+        return "alignment", photographs_beside(alignment, pictures or source), alignment
     return "photographs", source / "images" if (source / "images").is_dir() else source, None
 
 
@@ -108,7 +110,7 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
 
 def _reconstruct(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     from radiant_core.sfm.known_poses import scene_from_mill19
-    from radiant_core.sfm.pose_project import Alignment, scene_from_alignment, scene_from_rough_colmap
+    from radiant_core.sfm.pose_project import Alignment, NoAlignment, scene_from_alignment, scene_from_rough_colmap
     from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
     kind, images, model = detect_source(Path(task.source), poses_of(task))
@@ -122,7 +124,12 @@ def _reconstruct(task: SfmTask, folder: Path, report: Callable[[SfmProgress], No
     if kind == "alignment":
         assert model is not None
         given = Alignment(path=model, photos=images, refine_poses=task.refine_poses)
-        return scene_from_alignment(given, folder, report, masks, task.placement)
+        try:
+            return scene_from_alignment(given, folder, report, masks, task.placement)
+        except NoAlignment as error:
+            if task.poses is not None:
+                raise
+            raise BadInput(f"{error} It lies beside the photographs: --poses {NO_POSES} leaves it aside.") from None
     if task.refine_poses:
         what = "a Mill 19 folder, whose poses are used as they are" if kind == "mill19" else "photographs without an alignment"
         raise BadInput(f"{images} is {what}: leave out --refine-poses, or name the poses to adjust with --poses.")

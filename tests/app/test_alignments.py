@@ -15,9 +15,11 @@ from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.source_key import used_files
-from radiant_app.workers.sources import NO_POSES, detect_source
+from radiant_app.workers.sources import NO_POSES, detect_source, reconstruct_source, sfm_task
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.needs import Overrides
 from tests.colmap_projects import center_of, hamlet_model, write_model
 from tests.core.io.poses import writers
@@ -67,6 +69,47 @@ def test_opensfm_is_found_where_odm_leaves_it(project) -> None:
     (folder / "opensfm").mkdir()
     writers.opensfm(folder / "opensfm", truth)
     assert detect_source(folder)[2] == folder / "opensfm" / "reconstruction.json"
+
+
+def test_polycam_has_its_photographs_beside_its_cameras(tmp_path: Path, bent) -> None:
+    folder, truth = bent
+    writers.polycam(tmp_path, truth)
+    for name in ("images", "corrected_images"):
+        shutil.copytree(folder / "images", tmp_path / "keyframes" / name)
+    assert detect_source(tmp_path)[1] == tmp_path / "keyframes" / "corrected_images"
+
+
+def test_older_odm_leaves_bundle_files_beside_the_same_alignment(project) -> None:
+    folder, truth = project
+    (folder / "opensfm").mkdir()
+    writers.bundler(folder / "opensfm", truth)
+    path = writers.opensfm(folder / "opensfm", truth)
+    assert detect_source(folder)[2] == path
+
+
+def test_a_file_that_is_no_alignment_can_be_left_aside(project, tmp_path: Path) -> None:
+    folder, _ = project
+    (folder / "transforms.json").write_text("{}")
+    task = sfm_task(folder, SfmConfig(), None, Placement())
+    with pytest.raises(BadInput, match=r"transforms.json has no 'frames'.*--poses none leaves it aside"):
+        reconstruct_source(task, tmp_path / "work", lambda progress: None)
+    named = sfm_task(folder, SfmConfig(), None, Placement(), folder / "transforms.json")
+    with pytest.raises(BadInput, match=r"export the file again.$"):
+        reconstruct_source(named, tmp_path / "work", lambda progress: None)
+    with pytest.raises(BadInput, match="photographs without an alignment: leave out --refine-poses"):
+        reconstruct_source(
+            sfm_task(folder, SfmConfig(), None, Placement(), NO_POSES, refine_poses=True), tmp_path / "w", lambda progress: None
+        )
+
+
+def test_poses_of_a_colmap_model_are_adjusted_too(project, tmp_path: Path) -> None:
+    from tests.stress.pose_formats import true_model
+
+    folder, truth = project
+    write_model(tmp_path / "model", true_model(truth))
+    task = sfm_task(folder, SfmConfig(), None, Placement(), tmp_path / "model", refine_poses=True)
+    result = reconstruct_source(task, tmp_path / "work", lambda progress: None)
+    assert len(result.scene.cameras) == 12 and any(decision.topic == "refined poses" for decision in result.decisions)
 
 
 def test_of_two_alignments_none_is_taken_unless_it_is_named(project) -> None:

@@ -41,6 +41,10 @@ MAX_ASPECT = 0.01
 """By how much the shapes of a photograph and its lens may differ: rounding of a reduced size."""
 
 
+class NoAlignment(BadInput):
+    """A file that was taken for an alignment cannot be read as one."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedProject:
     """An alignment that fits its photographs, moved into the scene's world."""
@@ -73,7 +77,10 @@ def read_project(path: Path, photos: Path, *, rough: bool = False) -> PosedProje
 def read_with_photographs(path: Path, photos: Path) -> tuple[PoseFile, ImageFiles]:
     """The alignment in `path` and which of its photographs are in `photos`, not checked. Raises
     BadInput where it cannot be read, or has fewer than two poses or one twice."""
-    alignment = read_alignment(path, _sizes_in(photos))
+    try:
+        alignment = read_alignment(path, _sizes_in(photos))
+    except BadInput as error:
+        raise NoAlignment(str(error)) from error
     names = [view.name for view in alignment.views]
     if len(names) < 2:
         raise BadInput(f"{path} has {len(names)} pose, expected those of all photographs: export the alignment again.")

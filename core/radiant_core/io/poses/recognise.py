@@ -25,8 +25,14 @@ from radiant_core.io.poses.realityscan import is_header, read_realityscan
 from radiant_core.io.poses.transforms import SPLITS, read_transforms
 
 HEAD_BYTES = 4096
-INNER_FOLDERS = ("", "opensfm", "1_initial/params", "params", *(f"keyframes/{name}" for name in polycam.FOLDERS))
-"""Where programs leave an alignment, below the folder of a project."""
+INNER_FOLDERS = {
+    "": "",
+    "opensfm": "reconstruction.json",
+    "1_initial/params": pix4d.INTERNAL,
+    **{f"keyframes/{name}": ".json" for name in polycam.FOLDERS},
+}
+"""Where programs leave an alignment below the folder of a project, and how it ends there: older
+versions of ODM leave bundle files beside the same alignment."""
 SPLIT_NAMES = tuple(f"transforms_{split}.json" for split in SPLITS)
 Reader = Callable[[Path, SizeOf], PoseFile]
 
@@ -109,10 +115,17 @@ def read_alignment(path: Path, size_of: SizeOf) -> PoseFile:
 
 
 def _files_in(folder: Path) -> Iterator[Path]:
-    for inner in INNER_FOLDERS:
+    for inner, ending in INNER_FOLDERS.items():
         place = folder / inner
-        if place.is_dir():
-            yield from (path for path in sorted(place.iterdir()) if path.is_file() and not path.name.startswith("."))
+        paths = sorted(place.iterdir()) if place.is_dir() else []
+        yield from (path for path in paths if path.is_file() and not path.name.startswith(".") and path.name.endswith(ending))
+
+
+def photographs_beside(path: Path, folder: Path) -> Path:
+    """The folder of an alignment's photographs: `folder`, or that of Polycam's cameras, which has
+    them twice."""
+    beside = path.parent.with_name(path.parent.name.replace("cameras", "images"))
+    return beside if path.parent.name in polycam.FOLDERS and beside.is_dir() else folder
 
 
 def _first_of(path: Path) -> Path:
