@@ -341,8 +341,8 @@ class RunConfig:
     """
 
     source: Path
-    """Photographs, with an alignment beside them or without, a COLMAP project (images/ and sparse/),
-    or a Mill 19 folder."""
+    """Photographs, with an alignment beside them or without, a COLMAP project (images/ and
+    sparse/), or a Mill 19 folder."""
     out: Path
     """Folder of the run, new or empty; a batch has one beside its file."""
     system: Path | None = None
