@@ -32,10 +32,7 @@ from radiant_core.train.config import Preset
 
 
 def train(
-    scene: Annotated[
-        Path,
-        typer.Argument(help="A run, a folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False),
-    ],
+    scene: Annotated[Path, typer.Argument(help="A run, a folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)],
     out: Annotated[
         Path, typer.Option("--out", help="Folder of model, figures, pictures; or MODEL.ply, of a run or scene.", show_default=False)
     ],
