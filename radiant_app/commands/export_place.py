@@ -8,7 +8,7 @@ from typing import Any
 
 from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
-from radiant_core.frames import Frame
+from radiant_core.frames import Frame, Sim3
 from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
 from radiant_core.georef.given_frame import GIVEN, GivenFrame, load_given_frame
 from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_heights, require_placed
@@ -125,6 +125,22 @@ def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ..
     if frame is None or frame.kind != "metric":
         return ()
     return grid_warnings(parse_crs(crs), frame.origin_lat_lon_alt[None], require_grids=require_grids)
+
+
+def grid_system(folder: Path, crs: str | None, frame: Frame) -> tuple[Crs | None, Sim3 | None]:
+    """The system of a run's GeoTIFF, by default that of the alignment that it was made from, and
+    the exact way to it from the scene where it is that. None: its UTM zone; raises as
+    `grid_crs`."""
+    given = load_given_frame(folder)
+    named = None if given is None or given.crs is None else _projected(given.crs)
+    if given is None or given.crs is None or named is None or frame.kind != "metric":
+        return None if crs is None else grid_crs(crs, frame), None
+    if crs is not None and not _is_system(crs, given.crs):
+        return grid_crs(crs, frame), None
+    if crs is None and (named.horizontal_epsg is None or named.unit_m != 1.0 or named.axes != ("east", "north")):
+        # No GeoTIFF can be in such a system: nobody asked for one.
+        return None, None
+    return grid_crs(given.crs if crs is None else crs, frame), given.given_from_scene
 
 
 def grid_crs(text: str, frame: Frame) -> Crs:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.georef.crs import parse_crs
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.masks import save_mask
 from radiant_core.sfm.config import SfmResult
@@ -17,6 +18,7 @@ from radiant_core.sfm.given_poses import Where, read_given_poses
 from radiant_core.sfm.pose_project import Alignment, scene_from_alignment
 from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.survey.map_grid import map_frame_of
 from tests.colmap_projects import quiet
 from tests.core.io.poses import writers
 from tests.core.io.poses.bent_hamlet import BROWN, Truth, bent_hamlet
@@ -72,6 +74,12 @@ def test_the_frame_stays_that_of_the_file(name: str, tmp_path: Path, bent) -> No
     # z is up by a degree: the hamlet's photographs look down.
     looks = scene.cameras.cam_from_world[:, 2, 2]
     assert np.abs(looks - truth.R[[truth.names.index(each) for each in scene.cameras.names], 2, 2]).max() < 0.02
+    if name == "utm":
+        map_frame = map_frame_of(scene.frame, parse_crs("EPSG:25832"), result.given_frame.given_from_scene)  # type: ignore[union-attr]
+        places = writers.UTM + np.array([[0.0, 0, 0], [2000, -1500, 80]])
+        # Rasters too: over the globe the second would lie 0.5 m too low.
+        assert np.abs(map_frame.from_world(map_frame.to_world(places)) - places).max() < 1e-6
+        assert np.abs(map_frame.from_world(scene.cameras.centers) - given_points(truth, place)[0]).max() < 1e-3
     assert result.warnings[0].startswith(("cameras.xml of", "p_calibrated_camera_parameters.txt of", "reconstruction.json of"))
     assert not any("not used" in warning and "xml" in warning for warning in result.warnings)
 
