@@ -49,7 +49,7 @@ class Survey:
 
 
 def load_survey(folder: Path, crs: str | None = None, *, as_trained: bool = False) -> Survey:
-    """The survey of a run folder on the map that `crs` names, else that of its alignment or its UTM
+    """The survey of a run folder on the map that `crs` names, else its alignment's or its UTM
     zone, of the model by its cleaning unless `as_trained`; BadInput for a model alone, or a run without
     ground."""
     if not folder.is_dir():
