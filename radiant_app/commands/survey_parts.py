@@ -49,8 +49,8 @@ class Survey:
 
 
 def load_survey(folder: Path, crs: str | None = None, *, as_trained: bool = False) -> Survey:
-    """The survey of a run folder on the map that `crs` names, else its alignment's or its UTM
-    zone, of the model by its cleaning unless `as_trained`; BadInput for a model alone, or a run without
+    """The survey of a run folder on the map that `crs` names, else its alignment's or its UTM zone,
+    of the model by its cleaning unless `as_trained`; BadInput for a model alone, or a run without
     ground."""
     if not folder.is_dir():
         raise BadInput(f"{folder} is no folder of a run: a survey needs the cameras beside the model.")
