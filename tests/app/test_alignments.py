@@ -136,11 +136,13 @@ def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file
         writers.pix4d(folder, truth, prj="EPSG:25832")
     else:
         writers.metashape(folder, truth, ecef=ECEF if place == "ecef" else None)
+    (folder / "scene.nvm").write_text("NVM_V3")
     told: list[str] = []
     request = TrainRequest(source=folder, out=tmp_path / "out", overrides=Overrides(num_steps=4, long_side_px=64))
     train(request, lambda event: told.append(event.message) if isinstance(event, Warned) else None)
     first = next(message for message in told if "gives the poses of" in message)
-    assert "12 photographs" in first and not any("are not used" in message and "cameras.xml" in message for message in told)
+    assert "12 photographs" in first and first.endswith("beside the photographs there are 1 .nvm (poses of VisualSfM): they are not used.")
+    assert sum("are not used" in message for message in told) == 1
     centers = truth.C @ ECEF[:3, :3].T + ECEF[:3, 3] if place == "ecef" else truth.C + (writers.UTM if place == "utm" else 0)
     for crs in (None, "given", *(("EPSG:25832",) if place == "utm" else ())):
         out = tmp_path / f"colmap_{crs}".replace(":", "_")

@@ -19,6 +19,7 @@ from radiant_core.frames import Frame, Sim3
 from radiant_core.georef.given_world import place_world
 from radiant_core.io.colmap.image_files import ImageFiles, match_images, read_with_files, require_files
 from radiant_core.io.colmap.records import ColmapModel
+from radiant_core.io.photos.beside import OPENING
 from radiant_core.io.photos.folders import photograph_names
 from radiant_core.io.photos.listing import photograph_size_wh
 from radiant_core.io.poses.lens import Lens
@@ -165,8 +166,14 @@ def scene_from_alignment(
     return replace(
         result,
         decisions=(*decisions, *result.decisions),
-        warnings=(said_of(project.alignment), *project.alignment.notes, *result.warnings),
+        warnings=(*_in_one_line(said_of(project.alignment), result.warnings), *project.alignment.notes),
     )
+
+
+def _in_one_line(used: str, warnings: tuple[str, ...]) -> tuple[str, ...]:
+    """What is used and what is left beside it as the first warning, then the others."""
+    left = [warning for warning in warnings if warning.startswith(OPENING)]
+    return ("; ".join([used.removesuffix("."), *left]) if left else used, *(warning for warning in warnings if warning not in left))
 
 
 def said_of(alignment: PoseFile) -> str:

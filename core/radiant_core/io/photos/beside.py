@@ -11,6 +11,7 @@ from pathlib import Path
 from radiant_core.io.photos.folders import MASK_FOLDERS, SUFFIXES, UNREAD_SUFFIXES, in_short, read_folder
 
 CONTROL_LIST = "gcp_list.txt"
+OPENING = "beside the photographs there are"
 _PROJECT_FILES = {
     "transforms.json": "poses of nerfstudio or instant-ngp",
     **dict.fromkeys(("transforms_train.json", "transforms_val.json", "transforms_test.json"), "poses of NeRF"),
@@ -77,7 +78,7 @@ def beside_warning(
     if not there:
         return ()
     told = [f"{name} ({kind})" for name, kind in there] if named else sorted({kind for _, kind in there})
-    return (f"beside the photographs there are {in_short(told)}: they are not used.",)
+    return (f"{OPENING} {in_short(told)}: they are not used.",)
 
 
 def unread_in(folder: Path) -> dict[str, int]:
