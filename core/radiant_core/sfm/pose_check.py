@@ -2,8 +2,8 @@
 
     observations   |lens(R X + t) − pixel|  of what the file says that its photographs see
     points         share of them that fall into two photographs, in front; their colours there
-    matches        without observations: distance of SIFT matches of a few pairs from their epipolar
-                   lines, d = |x₂ᵀ E x₁| / √(‖(E x₁)₁₂‖² + ‖(Eᵀ x₂)₁₂‖²) · f (Sampson, 1982)
+    matches        without observations or colours: distance of SIFT matches of a few pairs from
+                   their epipolar lines, d = |x₂ᵀ E x₁| / √(‖(E x₁)₁₂‖² + ‖(Eᵀ x₂)₁₂‖²) · f (Sampson, 1982)
 
 Each is compared with what another reading of the same numbers gives (radial coefficients of the
 other sign, p₁ and p₂ exchanged, poses the other way round, axes of another library): where one of
@@ -99,6 +99,7 @@ LENS_READINGS = (
     Reading(says="a principal point that counts from half a pixel before", lens=lambda lens: _shifted(lens, 0.5)),
     Reading(says="a principal point that counts from half a pixel behind", lens=lambda lens: _shifted(lens, -0.5)),
 )
+UNCHECKED = "no pair of photographs could be matched, and the file does not say what they see: the poses are not checked"
 AS_READ = Reading(says="as it was read")
 Errors = Callable[[Reading], FloatArray]
 """Distances (N,) px under a reading; NaN where it puts a point nowhere."""
@@ -109,22 +110,25 @@ def check_poses(project: PoseFile, photos: Path, *, rough: bool = False) -> Deci
     with the figure where it does not fit them. `rough`: what is wrong by pixels is adjusted, so
     that only other readings are refused."""
     limit_px = max(LEAST_LIMIT_PX, LIMIT_SHARE * max(max(lens.size_wh) for lens in project.lenses.values()))
-    seen = project.num_seen
     _require_inside(project)
+    thumbnails, seen = _Thumbnails(project=project, photos=photos), project.num_seen
+    decision = None
     if seen:
         figure = _require_small(project, lambda reading: _reprojection_px(project, reading), ("points", limit_px, rough))
-        return _decision(project, figure, "px", f"median distance of {seen} observed points from where the poses put them")
-    thumbnails = _Thumbnails(project=project, photos=photos)
-    pairs = tuple(_matched_pairs(project, thumbnails))
-    if not pairs:
+        decision = _decision(project, figure, "px", f"median distance of {seen} observed points from where the poses put them")
+    # Observations without colours say nothing of the photographs.
+    if decision is None or project.colors is None:
+        decision = decision or _decision(project, 0.0, "matched pairs", UNCHECKED)
+        pairs = tuple(_matched_pairs(project, thumbnails))
+        if pairs:
+            figure = _require_small(project, lambda reading: _epipolar_px(pairs, reading), ("matched points", limit_px, rough))
+            _require_in_front(project, pairs)
+            count = sum(len(pair.pixels[0]) for pair in pairs)
+            reason = f"median distance of {count} matches in {len(pairs)} pairs from their epipolar lines"
+            decision = _decision(project, figure, "px", reason)
+    if not rough:
         _require_colours(project, thumbnails)
-        reason = "no pair of photographs could be matched, and the file does not say what they see: the poses are not checked"
-        return _decision(project, 0.0, "matched pairs", reason)
-    figure = _require_small(project, lambda reading: _epipolar_px(pairs, reading), ("matched points", limit_px, rough))
-    _require_in_front(project, pairs)
-    _require_colours(project, thumbnails)
-    count = sum(len(pair.pixels[0]) for pair in pairs)
-    return _decision(project, figure, "px", f"median distance of {count} matches in {len(pairs)} pairs from their epipolar lines")
+    return decision
 
 
 def _decision(project: PoseFile, figure: float, unit: str, reason: str) -> Decision:

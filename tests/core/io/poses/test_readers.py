@@ -132,3 +132,15 @@ def test_what_the_programs_wrote_themselves_is_the_truth(name: str, bent) -> Non
     project = read_project(path, photos)
     _require_truth(project, truth, *world_of(truth, "utm" if name == "pyopf" else None))
     assert len(project.alignment.points) == (0 if name == "pyopf" else len(truth.points))
+
+
+@pytest.mark.parametrize("name", ["opensfm with tracks", "openmvg", "realityscan"])
+def test_poses_of_other_photographs_are_refused(name: str, tmp_path: Path, bent) -> None:
+    """The same names, each for the next photograph: what the file says of itself fits."""
+    write, dist, changed, _ = FORMATS[name]
+    photos, truth = bent(dist, changed)
+    (tmp_path / "images").mkdir()
+    for number, each in enumerate(truth.names):
+        (tmp_path / "images" / each).write_bytes((photos / truth.names[(number + 5) % len(truth.names)]).read_bytes())
+    with pytest.raises(BadInput, match=r"does not fit its photographs.*(px|grey levels)"):
+        read_project(write(tmp_path, truth), tmp_path / "images")
