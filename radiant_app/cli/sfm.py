@@ -13,11 +13,13 @@ from radiant_app.report.tables import finish, print_scene
 
 
 def sfm(
-    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
+    source: Annotated[Path, typer.Argument(help="Photographs, an alignment beside them, a COLMAP project.", show_default=False)],
     out: Out,
     matching: MatchingOption = "auto",
     effort: options.EffortOption = "auto",
     masks: MaskFolder = None,
+    poses: options.PosesOption = None,
+    refine_poses: options.RefinePosesOption = False,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -50,7 +52,7 @@ def sfm(
         contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
-    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, resume=resume)
+    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, poses, refine_poses=refine_poses, resume=resume)
     if as_json:
         finish(result, as_json)
     else:

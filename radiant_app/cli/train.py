@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,14 +17,18 @@ from radiant_app.cli.option_types import (
     HeightOption,
     LongSide,
     MaskFolder,
+    PosesOption,
+    RefinePosesOption,
     Seed,
     TrainPresetOption,
     UpOption,
     Verbose,
 )
 from radiant_app.config.fields import train_options, with_settings
+from radiant_app.config.run_config import TrainOptions
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.report.tables import finish, print_model
+from radiant_core.train.config import Preset
 
 
 def train(
@@ -49,6 +54,8 @@ def train(
     ] = None,
     long_side_px: LongSide = None,
     masks: MaskFolder = None,
+    poses: PosesOption = None,
+    refine_poses: RefinePosesOption = False,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -68,9 +75,7 @@ def train(
     with show_starting():
         from radiant_app.commands import train as commands
 
-    numbers = {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}
-    typed = {f"train.{name}": value for name, value in numbers.items() if value is not None}
-    options = train_options({"train.preset": train_preset, **with_settings(typed, settings or (), "train")})
+    options = _options_of(train_preset, {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}, settings or [])
     request = commands.TrainRequest(
         source=scene,
         out=out,
@@ -78,6 +83,8 @@ def train(
         overrides=options.overrides,
         time_s=None if time is None else seconds_of(time),
         masks=masks,
+        poses=poses,
+        refine_poses=refine_poses,
         up=up,
         distance=distance,
         height_m=height,
@@ -91,8 +98,18 @@ def train(
         result = commands.train(request, listen, resume=resume)
     if as_json or "psnr_db" not in result:
         finish(result, as_json)
-        return
+    else:
+        _print_result(out, result, 0 if verbose else listen.num_decisions)
+
+
+def _print_result(out: Path, result: dict[str, Any], num_hidden: int) -> None:
     print_model(out / "scene.ply", result)
-    if listen.num_decisions and not verbose:
-        typer.echo(f"decisions: {listen.num_decisions}, in {out / 'manifest.json'}; -v prints them here")
+    if num_hidden:
+        typer.echo(f"decisions: {num_hidden}, in {out / 'manifest.json'}; -v prints them here")
     typer.echo(f"next: radiant inspect {quote(str(out))}")
+
+
+def _options_of(preset: Preset, numbers: Mapping[str, int | None], settings: Sequence[str]) -> TrainOptions:
+    """The preset with the numbers that were typed and what `--set` says."""
+    typed = {f"train.{name}": value for name, value in numbers.items() if value is not None}
+    return train_options({"train.preset": preset, **with_settings(typed, settings, "train")})

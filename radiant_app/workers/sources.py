@@ -1,4 +1,4 @@
-"""Sources of a run: a folder of photographs, a COLMAP project, or a Mill 19 folder."""
+"""Sources of a run: photographs, a COLMAP project or another alignment, or a Mill 19 folder."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.georef.given_frame import NAME as GIVEN_FRAME
 from radiant_core.georef.given_frame import save_given_frame
 from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
+from radiant_core.io.poses.recognise import photographs_beside, the_alignment
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
@@ -26,31 +27,43 @@ SURVEY = "ground_control"
 """What result.json and metrics.json name the fit to surveyed points and positions by."""
 POSITIONS, DOUBTS = "gps_positions", "doubts"
 """What they name the count of GPS positions that place the scene by, and doubts about that."""
-SourceKind = Literal["photographs", "colmap", "mill19"]
+SourceKind = Literal["photographs", "colmap", "alignment", "mill19"]
+NO_POSES = Path("none")
+"""What `--poses` is given to place photographs anew, whatever lies beside them."""
 
 
-def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
-    """Kind, folder of photographs, and the COLMAP model's folder if there is one: `images/` beside
-    `sparse/` is a COLMAP project, of whose models `find_models` chooses; `train/metadata` is
-    Mill 19. BadInput when it is no folder, or one of another kind."""
+def detect_source(source: Path, poses: Path | None = None) -> tuple[SourceKind, Path, Path | None]:
+    """Kind, folder of photographs, and the COLMAP model's folder or the alignment's file if there
+    is one: `images/` beside `sparse/` is a COLMAP project, of whose models `find_models` chooses;
+    `train/metadata` is Mill 19; `recognise.py` knows other alignments. `poses` goes before them
+    all. BadInput when it is no folder, one of another kind, or one with several alignments."""
     require_photographs(source)
-    return locate_source(source)
+    return locate_source(source, poses)
 
 
-def locate_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
+def locate_source(source: Path, poses: Path | None = None) -> tuple[SourceKind, Path, Path | None]:
     """`detect_source` of a folder that may be of another kind."""
-    if (source / "train" / "metadata").is_dir():
+    pictures = picture_folder(source)
+    if poses is not None and poses != NO_POSES:
+        if poses.is_dir():
+            return "colmap", pictures or source, poses
+        return "alignment", photographs_beside(poses, pictures or source), poses
+    if poses is None and (source / "train" / "metadata").is_dir():
         return "mill19", source, None
-    models, pictures = find_models(source), picture_folder(source)
-    if models and pictures is not None:
+    models = find_models(source)
+    if poses is None and models and pictures is not None:
         return "colmap", pictures, models[0].folder
+    alignment = the_alignment(source) if poses is None else None
+    if alignment is not None:
+        return "alignment", photographs_beside(alignment, pictures or source), alignment
     return "photographs", source / "images" if (source / "images").is_dir() else source, None
 
 
-def notes_on_source(source: Path) -> tuple[str, ...]:
+def notes_on_source(source: Path, poses: Path | None = None) -> tuple[str, ...]:
     """What a source holds that is not used although it could be; names no photograph."""
-    if detect_source(source)[0] != "mill19":
-        return notes_on_project(source)
+    kind = detect_source(source, poses)[0]
+    if kind != "mill19":
+        return notes_on_project(source) if poses is None and kind != "alignment" else ()
     unused = [path.name for path in (source / "images", source / "sparse") if path.is_dir()]
     return (f"train/metadata makes {source.name} a Mill 19 folder; not used: {', '.join(unused)}.",) if unused else ()
 
@@ -62,27 +75,64 @@ def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
-def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placement) -> SfmTask:
-    """Structure from motion of a source within a folder of masks, if there is one."""
-    return SfmTask(source=str(source.resolve()), sfm=sfm, masks=None if masks is None else str(masks.resolve()), placement=placement)
+def sfm_task(
+    source: Path,
+    sfm: SfmConfig,
+    masks: Path | None,
+    placement: Placement,
+    poses: Path | None = None,
+    *,
+    refine_poses: bool = False,
+) -> SfmTask:
+    """Structure from motion of a source within a folder of masks and by `poses`, if there are
+    any."""
+    return SfmTask(
+        source=str(source.resolve()),
+        sfm=sfm,
+        masks=None if masks is None else str(masks.resolve()),
+        placement=placement,
+        poses=None if poses is None else str(poses) if poses == NO_POSES else str(poses.resolve()),
+        refine_poses=refine_poses,
+    )
+
+
+def poses_of(task: SfmTask) -> Path | None:
+    """The alignment that a task names."""
+    return None if task.poses is None else Path(task.poses)
 
 
 def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     """Run structure from motion in `folder` on the source that the task names."""
     result = _reconstruct(task, folder, report)
-    notes = notes_on_source(Path(task.source))
+    notes = notes_on_source(Path(task.source), poses_of(task))
     return replace(result, warnings=(*notes, *result.warnings), unnamed_warnings=(*notes, *result.unnamed_warnings))
 
 
 def _reconstruct(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     from radiant_core.sfm.known_poses import scene_from_mill19
+    from radiant_core.sfm.pose_project import Alignment, NoAlignment, scene_from_alignment, scene_from_rough_colmap
     from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
-    kind, images, model = detect_source(Path(task.source))
+    kind, images, model = detect_source(Path(task.source), poses_of(task))
     masks = None if task.masks is None else Path(task.masks)
     if kind == "colmap":
         assert model is not None
+        if task.refine_poses:
+            given = Alignment(path=model, photos=images, refine_poses=True)
+            return scene_from_rough_colmap(given, folder, report, masks, task.placement)
         return scene_from_colmap(model, images, folder, report, masks, task.placement)
+    if kind == "alignment":
+        assert model is not None
+        given = Alignment(path=model, photos=images, refine_poses=task.refine_poses)
+        try:
+            return scene_from_alignment(given, folder, report, masks, task.placement)
+        except NoAlignment as error:
+            if task.poses is not None:
+                raise
+            raise BadInput(f"{error} It lies beside the photographs: --poses {NO_POSES} leaves it aside.") from None
+    if task.refine_poses:
+        what = "a Mill 19 folder, whose poses are used as they are" if kind == "mill19" else "photographs without an alignment"
+        raise BadInput(f"{images} is {what}: leave out --refine-poses, or name the poses to adjust with --poses.")
     if kind == "mill19":
         if replace(task.placement, contradictions="stop") != Placement():
             raise BadInput(
