@@ -3,15 +3,15 @@ default.
 
     for each kind, number of photographs and seed: the preset as it is, without each helper in turn,
     and plain, without all of them; as many steps each, scored on every eighth photograph
+    plain once more, with as many steps as take the CPU seconds of the preset
 
     gain of a helper = PSNR of the preset − PSNR without it, paired over seeds and images
 
 What the preset lets photographs choose is chosen once, with all helpers, and then set for those
 without one: trials are not repeated, and the CPU seconds of the preset alone have them in. Where a
-helper decides by itself that it has nothing to do, the training without it is the same,
-and its bits are not computed a second time: its gain is 0 unless the score differs. Rows lie in
-OUT/rows as soon as they are measured, so an interrupted matrix goes on; the table is made of all
-rows in OUT that fit the settings, whatever call measured them.
+helper decides by itself that it has nothing to do, the training without it is the same, and its
+steps are not taken a second time: its gain is 0 unless the score differs. Rows lie in OUT/rows as
+soon as they are measured, so an interrupted matrix goes on where it was.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from radiant_core.evaluate.metric import Metric
 from radiant_core.hierarchy.device import PreparedTraining, fit_prepared, prepare_training
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Recorder
+from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
 from radiant_core.light.captures import read_captures
 from radiant_core.numerics import FloatArray
@@ -51,7 +52,6 @@ from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.extent import working_extent
 from radiant_core.train.needs import PIXELS_PER_SPLAT, Overrides, fit_to_backend
 from radiant_core.train.photographs import load_training_views
-from radiant_core.train.results import TrainResult
 from radiant_core.train.views import TrainingViews
 
 HELPERS: Mapping[str, Mapping[str, Any]] = {
@@ -70,7 +70,8 @@ HELPERS: Mapping[str, Mapping[str, Any]] = {
 """Each helper of the preset, and the settings that switch it off."""
 ADDED: Mapping[str, Mapping[str, Any]] = {"dense points": {"dense_points": "always"}}
 """Helpers that the preset does not use, and the settings that switch them on."""
-DEFAULT, PLAIN = "default", "plain"
+DEFAULT, PLAIN, PLAIN_LONGER = "default", "plain", "plain, equal time"
+MOST_TIMES_LONGER = 4.0
 NUMBERS = (30, 90)
 QUICK: Mapping[str, Any] = {"kinds": ("turntable", "clouds"), "numbers": (24,), "long_side_px": 128, "num_steps": 200}
 MARGIN_DB = 0.1
@@ -95,7 +96,7 @@ class KindsBench:
     num_steps: int = 720
 
     def __post_init__(self) -> None:
-        for given, known, what in ((self.kinds, KINDS, "kind of scene"), (self.helpers, HELPERS | ADDED, "helper")):
+        for given, known, what in ((self.kinds, KINDS, "kind of scene"), (self.helpers, {**HELPERS, **ADDED}, "helper")):
             if unknown := [name for name in given if name not in known]:
                 raise BadInput(f"{what} {unknown[0]!r} is unknown: use {', '.join(known)}.")
         if min(self.numbers) < 9:
@@ -109,9 +110,13 @@ class KindsBench:
 
     @property
     def changes(self) -> Mapping[str, Mapping[str, Any]]:
-        """What every other arm changes in the default, by its name."""
-        every = {path: value for change in HELPERS.values() for path, value in change.items()}
-        return {PLAIN: every, **{name: {**HELPERS, **ADDED}[name] for name in self.helpers}}
+        """What the arms of single helpers change in the default, by the helper."""
+        return {name: {**HELPERS, **ADDED}[name] for name in self.helpers}
+
+    @property
+    def without_all(self) -> Mapping[str, Any]:
+        """What plain changes in the default."""
+        return {path: value for change in HELPERS.values() for path, value in change.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +127,7 @@ class KindRow:
     kind: str
     num_photographs: int
     arm: str
-    """A helper that is changed, `DEFAULT` or `PLAIN`."""
+    """A helper that is changed, `DEFAULT`, `PLAIN` or `PLAIN_LONGER`."""
     seed: int
     cpu_s: float
     """Preparing and training, in which trials count."""
@@ -130,8 +135,8 @@ class KindRow:
     num_gaussians: int
     psnr_db: tuple[float, ...]
     psnr_cc_db: tuple[float, ...]
-    same_as: str = ""
-    """The arm whose steps were taken with the same bits, if any was."""
+    steps: str = ""
+    """Hash of all that decides the bits of its steps."""
     choices: Mapping[str, str] = field(default_factory=dict)
     """What was decided, by topic."""
     chosen: Mapping[str, Any] = field(default_factory=dict)
@@ -145,7 +150,7 @@ class KindRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Gain:
-    """What a helper gains on one scene; where it is `PLAIN`, what the default gains over that."""
+    """What a helper gains on one scene, or the default over plain and over plain in equal time."""
 
     kind: str
     num_photographs: int
@@ -155,14 +160,14 @@ class Gain:
     cpu_s: float
     """CPU seconds that it costs."""
     acts: bool
-    """Whether a step of a training differs by it."""
+    """Whether any step of a training differs by it."""
 
 
 def bench_kinds(bench: KindsBench) -> tuple[list[KindRow], list[Metric]]:
     """Measure what is missing of the matrix, write its tables into `out`, and return its rows and
     metrics `kinds.<kind>-<photographs>.<…>`."""
     scenes = list(product(bench.kinds, bench.numbers))
-    display, total = terminal_display(), len(scenes) * len(bench.seeds) * (1 + len(bench.changes))
+    display, total = terminal_display(), len(scenes) * len(bench.seeds) * (3 + len(bench.changes))
     rows: list[KindRow] = []
     with stage_bar(display, "kinds"):
         for kind, number in scenes:
@@ -180,6 +185,9 @@ def _rows_of_scene(bench: KindsBench, kind: str, number: int) -> Iterator[KindRo
         for seed in bench.seeds:
             default = replace(bench.default, seed=seed)
             yield (first := cell.row(DEFAULT, default))
+            yield (bare := cell.row(PLAIN, plain := with_settings(default, bench.without_all)))
+            longer = round(plain.num_steps * min(MOST_TIMES_LONGER, max(1.0, first.cpu_s / bare.cpu_s)))
+            yield cell.row(PLAIN_LONGER, replace(plain, num_steps=longer))
             for arm, change in bench.changes.items():
                 yield cell.row(arm, with_settings(default, {**first.chosen, **change}))
 
@@ -192,8 +200,6 @@ class _Cell:
     kind: str
     number: int
     work: Path
-    done: dict[str, tuple[str, TrainResult]] = field(default_factory=dict)
-    """Results by what decides their bits, with the first arm that had them."""
 
     @cached_property
     def split(self) -> Split:
@@ -230,22 +236,30 @@ class _Cell:
         recorder, task = Recorder(stage="train"), DeviceTask(scene=self.split.training, train=config, backend=resolve_backend("auto"))
         views, begun_s = self.views, time.process_time()
         prepared = prepare_training(task, views, recorder)
-        key = _key_of_steps(prepared)
-        same_as, result = self.done[key] if key in self.done else ("", fit_prepared(prepared, recorder))
+        steps = _key_of_steps(prepared)
+        # The default's model is kept for those of other arms that are the same.
+        model, num_steps = self.bench.out / "models" / f"{steps}.safetensors", prepared.config.num_steps
+        if arm != DEFAULT and model.is_file():
+            splats = load_splats(model)
+        else:
+            result = fit_prepared(prepared, recorder)
+            splats, num_steps = result.splats, result.num_steps
         cpu_s = time.process_time() - begun_s
-        self.done.setdefault(key, (arm, result))
-        figures = score_model(self.split, prepared, result)
+        if arm == DEFAULT:
+            model.parent.mkdir(parents=True, exist_ok=True)
+            save_splats(model, splats)
+        figures = score_model(self.split, prepared, splats)
         return KindRow(
             kind=self.kind,
             num_photographs=self.number,
             arm=arm,
             seed=config.seed,
             cpu_s=cpu_s,
-            num_steps=result.num_steps,
-            num_gaussians=len(result.splats),
+            num_steps=num_steps,
+            num_gaussians=len(splats),
             psnr_db=figures.psnr_db,
             psnr_cc_db=figures.psnr_cc_db,
-            same_as=same_as,
+            steps=steps,
             choices={decision.topic: decision.choice for decision in recorder.decisions},
             chosen={
                 each.name: value
@@ -262,7 +276,7 @@ def _key_of_steps(prepared: PreparedTraining) -> str:
     config = with_settings(config, {**_PREPARED_ONLY, "max_extent_per_distance": None})
     if hasattr(config.density, "pixels_per_splat"):
         config = with_settings(config, {"density.pixels_per_splat": None})
-    return content_key(training_key(prepared.initial, prepared.views, config, prepared.options), extent)
+    return content_key(training_key(prepared.initial, prepared.views, config, prepared.options), extent)[:16]
 
 
 def gains_of(rows: Sequence[KindRow]) -> list[Gain]:
@@ -287,7 +301,7 @@ def gains_of(rows: Sequence[KindRow]) -> list[Gain]:
                 psnr_db=_difference(with_it, without, "psnr_db"),
                 psnr_cc_db=_difference(with_it, without, "psnr_cc_db"),
                 cpu_s=float(np.mean([a.cpu_s - b.cpu_s for a, b in zip(with_it, without, strict=True)])),
-                acts=not all(own[seed].same_as for seed in seeds),
+                acts=any(own[seed].steps != default[seed].steps for seed in seeds),
             )
         )
     return gains
@@ -304,7 +318,7 @@ def _by_seed_and_image(rows: Sequence[KindRow], figure: str) -> FloatArray:
 def _metrics(rows: Sequence[KindRow]) -> list[Metric]:
     metrics = []
     for row in rows:
-        if row.arm in (DEFAULT, PLAIN) and row.seed == min(each.seed for each in rows):
+        if row.arm in (DEFAULT, PLAIN, PLAIN_LONGER) and row.seed == min(each.seed for each in rows):
             of_arm = [each for each in rows if (each.scene, each.arm) == (row.scene, row.arm)]
             for figure, unit in (("psnr_db", "dB"), ("psnr_cc_db", "dB"), ("cpu_s", "s"), ("num_gaussians", "1")):
                 value = float(np.mean([np.mean(getattr(each, figure)) for each in of_arm]))
@@ -318,7 +332,7 @@ def _metrics(rows: Sequence[KindRow]) -> list[Metric]:
 
 
 def _key(name: str) -> str:
-    return name.replace(" ", "_").replace(":", "")
+    return name.replace(" ", "_").replace(":", "").replace(",", "")
 
 
 def write_tables(bench: KindsBench, rows: Sequence[KindRow]) -> None:
@@ -340,7 +354,10 @@ def markdown(rows: Sequence[KindRow]) -> str:
     gains = {(f"{gain.kind}-{gain.num_photographs}", gain.helper): gain for gain in gains_of(rows)}
     scenes = list(dict.fromkeys(row.scene for row in rows))
     helpers = [name for name in (*HELPERS, *ADDED) if any(helper == name for _, helper in gains)]
-    lines = ["| scene | default | plain | default − plain | corrected | CPU s | Gaussians |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        _line("scene", "default", "plain", "default − plain", "corrected", "− plain, equal time", "CPU s", "Gaussians"),
+        "|---" * 8 + "|",
+    ]
     for scene in scenes:
         if (scene, PLAIN) in gains:
             both = [[row for row in rows if (row.scene, row.arm) == (scene, arm)] for arm in (DEFAULT, PLAIN)]
@@ -350,7 +367,9 @@ def markdown(rows: Sequence[KindRow]) -> str:
                 " / ".join(f"{np.mean([row.num_gaussians for row in own]):,.0f}" for own in both),
             )
             gain = gains[scene, PLAIN]
-            lines.append(_line(scene, *means, _bounded(gain.psnr_db), _bounded(gain.psnr_cc_db), *costs))
+            longer = gains.get((scene, PLAIN_LONGER))
+            in_time = "" if longer is None else _bounded(longer.psnr_db)
+            lines.append(_line(scene, *means, _bounded(gain.psnr_db), _bounded(gain.psnr_cc_db), in_time, *costs))
     lines += ["", _line("scene", *helpers), "|---" * (len(helpers) + 1) + "|"]
     lines += [_line(scene, *(_gain_text(gains.get((scene, helper))) for helper in helpers)) for scene in scenes]
     return "\n".join(lines) + "\n"

@@ -57,10 +57,10 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_images, load_training_views
-from radiant_core.train.results import TrainResult
 from radiant_viewer.charts.curve_chart import CurvePoint
 
 BUDGETS_S = (60.0, 180.0, 600.0)
@@ -362,7 +362,7 @@ def _train_row(split: Split, variant: str, config: TrainConfig, budget_s: float,
     left_s = max(1e-3, budget_s - (time.process_time() - begun_s))
     result = fit_prepared(replace(prepared, config=replace(prepared.config, budget_s=left_s)), Recorder())
     cpu_s = time.process_time() - begun_s
-    figures = score_model(split, prepared, result)
+    figures = score_model(split, prepared, result.splats)
     return TrainedRow(
         variant=variant,
         budget_s=budget_s,
@@ -388,14 +388,14 @@ class HeldOutFigures:
     flip: tuple[float | None, ...]
 
 
-def score_model(split: Split, prepared: PreparedTraining, result: TrainResult) -> HeldOutFigures:
+def score_model(split: Split, prepared: PreparedTraining, splats: Splats) -> HeldOutFigures:
     """Score a model on the photographs that its split holds out, in the light that is predicted."""
     scored = split.held_out.cameras.scaled(prepared.config.long_side_px)
     photographs = load_images(split.source.images, scored)
     weights = pixel_weights(split.source.masks, scored)
     used = [None] * len(photographs) if weights is None else [used_pixels(each) for each in weights]
-    renders = [view.image for view in render_views(result.splats, scored)]
-    if (light := _light(split, prepared, result, scored)) is not None:
+    renders = [view.image for view in render_views(splats, scored)]
+    if (light := _light(split, prepared, splats, scored)) is not None:
         renders = [show_in_light(image, light.held_out, index, scored) for index, image in enumerate(renders)]
     triples = [(image, photograph / 255, own) for image, photograph, own in zip(renders, photographs, used, strict=True)]
     figures = [_psnrs_db(*triple) for triple in triples]
@@ -406,12 +406,12 @@ def score_model(split: Split, prepared: PreparedTraining, result: TrainResult) -
     )
 
 
-def _light(split: Split, prepared: PreparedTraining, result: TrainResult, scored: Cameras) -> LightOfScore | None:
+def _light(split: Split, prepared: PreparedTraining, splats: Splats, scored: Cameras) -> LightOfScore | None:
     """The light of the photographs held out beside the model's, as it is predicted."""
     if prepared.config.light == "none":
         return None
     trained = load_training_views(split.source.images, prepared.scene.cameras.scaled(COMPARED_PX), split.source.masks)
-    return light_of_score(result.splats, trained, scored, split.source.captures, prepared.config.light)
+    return light_of_score(splats, trained, scored, split.source.captures, prepared.config.light)
 
 
 def _psnrs_db(image: ArrayLike, photograph: ArrayLike, used: Used) -> tuple[float, float]:

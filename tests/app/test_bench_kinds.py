@@ -12,7 +12,19 @@ import pytest
 import generate
 from radiant_app.bench import kind_scenes
 from radiant_app.bench.kind_scenes import KINDS, make_scene
-from radiant_app.bench.kinds import DEFAULT, HELPERS, PLAIN, QUICK, KindRow, KindsBench, bench_kinds, bench_of, gains_of, markdown
+from radiant_app.bench.kinds import (
+    DEFAULT,
+    HELPERS,
+    PLAIN,
+    PLAIN_LONGER,
+    QUICK,
+    KindRow,
+    KindsBench,
+    bench_kinds,
+    bench_of,
+    gains_of,
+    markdown,
+)
 from radiant_app.bench.options import BenchOptions
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
@@ -34,13 +46,17 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[KindsBench, list
 
 def test_the_default_is_not_worse_than_plain(measured: tuple[KindsBench, list[KindRow]]) -> None:
     bench, rows = measured
-    assert [(row.kind, row.arm) for row in rows] == [(kind, arm) for kind in bench.kinds for arm in (DEFAULT, PLAIN, *bench.helpers)]
+    arms = (DEFAULT, PLAIN, PLAIN_LONGER, *bench.helpers)
+    assert [(row.kind, row.arm) for row in rows] == [(kind, arm) for kind in bench.kinds for arm in arms]
     means = {(row.kind, row.arm): float(np.mean(row.psnr_db)) for row in rows}
     for kind in bench.kinds:
         assert means[kind, DEFAULT] > means[kind, PLAIN] - MARGIN_DB, means
         # Both have learnt the scene: a picture of the mean colour has 12 to 15 dB.
         assert means[kind, PLAIN] > 15.5, means
-    assert all(row.num_steps == bench.num_steps and len(row.psnr_db) == 3 for row in rows)
+    assert all(len(row.psnr_db) == 3 and row.num_steps == bench.num_steps for row in rows if row.arm != PLAIN_LONGER)
+    for kind in bench.kinds:
+        default, plain, longer = (next(row for row in rows if (row.kind, row.arm) == (kind, arm)) for arm in (DEFAULT, PLAIN, PLAIN_LONGER))
+        assert longer.num_steps == round(bench.num_steps * np.clip(default.cpu_s / plain.cpu_s, 1, 4))
 
 
 def test_a_helper_that_has_nothing_to_do_takes_the_same_steps(measured: tuple[KindsBench, list[KindRow]]) -> None:
@@ -66,7 +82,7 @@ def test_rows_that_are_there_are_not_measured_again_and_tables_hold_them(measure
     assert found["kinds.turntable-24.default.psnr_db"] == pytest.approx(np.mean(rows[0].psnr_db))
     assert found["kinds.clouds-24.gain.skipped_images.mean_db"] == 0
     stored = json.loads((bench.out / "kinds.json").read_text())
-    assert len(stored["rows"]) == len(rows) and len(stored["gains"]) == 6
+    assert len(stored["rows"]) == len(rows) and len(stored["gains"]) == 8
     text = (bench.out / "kinds.md").read_text()
     assert text == markdown(rows) and text.count("| turntable-24 |") == 2 and "| · |" in text
 

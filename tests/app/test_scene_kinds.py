@@ -40,7 +40,7 @@ def test_in_a_room_every_ray_ends_at_a_wall_but_those_through_the_window() -> No
         assert (rays[:, 1] > 0).all() and (at[:, 0] > WINDOW_X_M[0] - 0.01).all() and (at[:, 0] < WINDOW_X_M[1] + 0.01).all()
         assert (at[:, 2] > WINDOW_Z_M[0] - 0.01).all() and (at[:, 2] < WINDOW_Z_M[1] + 0.01).all()
         num_sky += len(rows)
-    assert 0.005 < num_sky / (16 * depth.size) < 0.2
+    assert 0.005 < num_sky / (16 * config.width_px * config.height_px) < 0.2
 
 
 def test_lamps_light_a_room_by_the_distance_and_what_stands_before_them_throws_shadows(monkeypatch: pytest.MonkeyPatch) -> None:
