@@ -68,8 +68,12 @@ HELPERS: Mapping[str, Mapping[str, Any]] = {
     "small pictures first": {"start_scale": 1.0},
 }
 """Each helper of the preset, and the settings that switch it off."""
-ADDED: Mapping[str, Mapping[str, Any]] = {"dense points": {"dense_points": "always"}}
-"""Helpers that the preset does not use, and the settings that switch them on."""
+ADDED: Mapping[str, Mapping[str, Any]] = {
+    "dense points": {"dense_points": "always"},
+    "fill-in points always": {"fill_in": True},
+    "light always": {"light": "always"},
+}
+"""What the preset does not do, or not where it decides against it, and the settings that force it."""
 DEFAULT, PLAIN, PLAIN_LONGER = "default", "plain", "plain, equal time"
 MOST_TIMES_LONGER = 4.0
 NUMBERS = (30, 90)
@@ -281,34 +285,50 @@ def _key_of_steps(prepared: PreparedTraining) -> str:
 
 def gains_of(rows: Sequence[KindRow]) -> list[Gain]:
     """What every helper gains on every scene whose default was measured with the same seeds."""
-    groups: dict[tuple[str, int, str], dict[int, KindRow]] = {}
-    for row in rows:
-        groups.setdefault((row.kind, row.num_photographs, row.arm), {})[row.seed] = row
-    gains = []
-    for (kind, number, arm), own in groups.items():
-        default = groups.get((kind, number, DEFAULT), {})
-        seeds = sorted(own.keys() & default.keys())
-        if arm == DEFAULT or not seeds:
-            continue
-        with_it, without = [default[seed] for seed in seeds], [own[seed] for seed in seeds]
-        if arm in ADDED:
-            with_it, without = without, with_it
-        gains.append(
-            Gain(
-                kind=kind,
-                num_photographs=number,
-                helper=arm,
-                psnr_db=_difference(with_it, without, "psnr_db"),
-                psnr_cc_db=_difference(with_it, without, "psnr_cc_db"),
-                cpu_s=float(np.mean([a.cpu_s - b.cpu_s for a, b in zip(with_it, without, strict=True)])),
-                acts=any(own[seed].steps != default[seed].steps for seed in seeds),
-            )
+    return [
+        Gain(
+            kind=pair.with_it[0].kind,
+            num_photographs=pair.with_it[0].num_photographs,
+            helper=pair.helper,
+            psnr_db=_difference([pair], "psnr_db"),
+            psnr_cc_db=_difference([pair], "psnr_cc_db"),
+            cpu_s=float(np.mean([a.cpu_s - b.cpu_s for a, b in zip(pair.with_it, pair.without, strict=True)])),
+            acts=pair.acts,
         )
-    return gains
+        for pair in _pairs(rows)
+    ]
 
 
-def _difference(a: Sequence[KindRow], b: Sequence[KindRow], figure: str) -> PairedDifference:
-    return paired_bootstrap(*(_by_seed_and_image(rows, figure) for rows in (a, b)))
+@dataclass(frozen=True, kw_only=True)
+class _Pair:
+    """Rows of one scene with a helper and without it, seed by seed."""
+
+    helper: str
+    with_it: list[KindRow]
+    without: list[KindRow]
+
+    @property
+    def acts(self) -> bool:
+        """Whether any step differs."""
+        return any(a.steps != b.steps for a, b in zip(self.with_it, self.without, strict=True))
+
+
+def _pairs(rows: Sequence[KindRow]) -> Iterator[_Pair]:
+    groups: dict[tuple[str, str], dict[int, KindRow]] = {}
+    for row in rows:
+        groups.setdefault((row.scene, row.arm), {})[row.seed] = row
+    for (scene, arm), own in groups.items():
+        default = groups.get((scene, DEFAULT), {})
+        seeds = sorted(own.keys() & default.keys())
+        if arm != DEFAULT and seeds:
+            sides = [default[seed] for seed in seeds], [own[seed] for seed in seeds]
+            with_it, without = sides[::-1] if arm in ADDED else sides
+            yield _Pair(helper=arm, with_it=with_it, without=without)
+
+
+def _difference(pairs: Sequence[_Pair], figure: str) -> PairedDifference:
+    a, b = ([_by_seed_and_image(getattr(pair, side), figure) for pair in pairs] for side in ("with_it", "without"))
+    return paired_bootstrap(a, b)
 
 
 def _by_seed_and_image(rows: Sequence[KindRow], figure: str) -> FloatArray:
@@ -372,7 +392,22 @@ def markdown(rows: Sequence[KindRow]) -> str:
             lines.append(_line(scene, *means, _bounded(gain.psnr_db), _bounded(gain.psnr_cc_db), in_time, *costs))
     lines += ["", _line("scene", *helpers), "|---" * (len(helpers) + 1) + "|"]
     lines += [_line(scene, *(_gain_text(gains.get((scene, helper))) for helper in helpers)) for scene in scenes]
+    lines += ["", *_summary(rows)]
     return "\n".join(lines) + "\n"
+
+
+def _summary(rows: Sequence[KindRow]) -> list[str]:
+    """A line for each helper: over all scenes, every one with equal weight, and its extremes."""
+    lines = [_line("helper", "acts on", "gain", "most", "least"), "|---" * 5 + "|"]
+    of_helper: dict[str, list[_Pair]] = {}
+    for pair in _pairs(rows):
+        of_helper.setdefault(pair.helper, []).append(pair)
+    for helper, pairs in of_helper.items():
+        means = sorted((_difference([pair], "psnr_db").mean, pair.with_it[0].scene) for pair in pairs)
+        least, most = (f"{mean:+.2f}, {scene}" for mean, scene in (means[0], means[-1]))
+        acting = f"{sum(pair.acts for pair in pairs)} of {len(pairs)}"
+        lines.append(_line(helper, acting, _bounded(_difference(pairs, "psnr_db")), most, least))
+    return lines
 
 
 def _line(*cells: str) -> str:

@@ -84,7 +84,9 @@ def test_rows_that_are_there_are_not_measured_again_and_tables_hold_them(measure
     stored = json.loads((bench.out / "kinds.json").read_text())
     assert len(stored["rows"]) == len(rows) and len(stored["gains"]) == 8
     text = (bench.out / "kinds.md").read_text()
-    assert text == markdown(rows) and text.count("| turntable-24 |") == 2 and "| · |" in text
+    assert (
+        text == markdown(rows) and text.count("| turntable-24 |") == 2 and "| · |" in text and "| skipped images | 0 of 2 | +0.00" in text
+    )
 
 
 def test_other_seeds_widen_the_bounds_to_what_seeds_differ_by() -> None:
