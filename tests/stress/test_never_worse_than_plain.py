@@ -14,7 +14,9 @@ import pytest
 from radiant_app.bench.kind_scenes import KINDS
 from radiant_app.bench.kinds import MARGIN_DB, PLAIN, KindsBench, bench_kinds, gains_of
 
-SEEDS = (0, 1)
+SEEDS = (0,)
+FEWEST_SURE = 4
+"""Of fewer held-out photographs a mean says too little to be held against the margin."""
 
 
 @pytest.mark.stress
@@ -23,10 +25,8 @@ SEEDS = (0, 1)
 def test_the_default_is_never_worse_than_plain(kind: str, number: int, tmp_path: Path) -> None:
     out = Path(os.environ.get("RADIANT_KINDS", tmp_path))
     rows, _ = bench_kinds(KindsBench(out=out, kinds=(kind,), numbers=(number,), helpers=(), seeds=SEEDS))
-    (gain,) = gains_of(rows)
-    assert gain.helper == PLAIN
-    difference = gain.psnr_db
-    print(f"{kind}, {number}: default − plain {difference.mean:+.2f} dB ({difference.low:+.2f} … {difference.high:+.2f})")
-    # The mean of few images and seeds is worse than the margin by chance, so what is refused is
-    # a loss of which the bounds are sure, or one of more than the bounds of most kinds.
-    assert difference.high >= -MARGIN_DB and difference.mean >= -5 * MARGIN_DB
+    gains = {gain.helper: gain.psnr_db for gain in gains_of(rows)}
+    for name, gain in gains.items():
+        print(f"{kind}, {number}: default − {name} {gain.mean:+.2f} dB ({gain.low:+.2f} … {gain.high:+.2f})")
+    sure = gains[PLAIN].num_images >= FEWEST_SURE
+    assert (gains[PLAIN].mean if sure else gains[PLAIN].high) >= -MARGIN_DB
