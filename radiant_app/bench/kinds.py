@@ -73,7 +73,7 @@ ADDED: Mapping[str, Mapping[str, Any]] = {
     "fill-in points always": {"fill_in": True},
     "light always": {"light": "always"},
 }
-"""What the preset does not do, or not where it decides against it, and the settings that force it."""
+"""What the preset does not do, or where it decides against it, and the settings that force it."""
 DEFAULT, PLAIN, PLAIN_LONGER = "default", "plain", "plain, equal time"
 MOST_TIMES_LONGER = 4.0
 NUMBERS = (30, 90)
