@@ -65,9 +65,10 @@ def _write_scene(config: SceneConfig, folder: Path, photographer: Photographer, 
         (folder / name).mkdir()
     shots = plan_flight(config)
     for number, shot in enumerate(shots):
-        (folder / "images" / shot.name).write_bytes(jpeg_bytes(config, photographer.photograph(shot, number), shot))
+        own = photographer.of_shot(shot)
+        (folder / "images" / shot.name).write_bytes(jpeg_bytes(own.config, own.photograph(shot, number), shot))
         if config.depth:
-            np.savez_compressed(folder / "depth" / f"{Path(shot.name).stem}.npz", depth_m=photographer.depth(shot))
+            np.savez_compressed(folder / "depth" / f"{Path(shot.name).stem}.npz", depth_m=own.depth(shot))
         on_photo()
     write_known_model(folder / "known", photographer, shots)
 

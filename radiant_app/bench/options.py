@@ -10,7 +10,7 @@ from typing import Literal, get_args
 from radiant_core.choices import CutBy, LpipsNetwork
 from radiant_core.errors import BadInput
 
-BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper", "together"]
+BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper", "together", "kinds"]
 HeldPart = Literal["interleaved", "line"]
 """interleaved: every eighth photograph; line: a whole line of the flight, the middle one first."""
 HoldOut = Literal["interleaved", "line", "both"]
@@ -21,24 +21,25 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "threads": ("raster",),
     "presets": ("train",),
     "budgets_s": ("train",),
-    "num_seeds": _ON_MODELS,
+    "num_seeds": (*_ON_MODELS, "kinds"),
     "num_splits": ("train",),
-    "num_photographs": ("train",),
+    "num_photographs": ("train", "kinds"),
     "hold_out": ("train", "methods"),
     "off_path": ("train", "methods"),
-    "long_side_px": (*_ON_MODELS, "together"),
-    "num_steps": ("methods", "paper"),
+    "long_side_px": (*_ON_MODELS, "together", "kinds"),
+    "num_steps": ("methods", "paper", "kinds"),
     "field_steps": ("methods", "paper"),
     "lpips_weights": ("paper",),
     "lpips_network": ("paper",),
     "ablations": ("train",),
     "plot": ("train", "methods"),
-    "methods": ("sfm", *_ON_MODELS),
+    "methods": ("sfm", *_ON_MODELS, "kinds"),
+    "kinds": ("kinds",),
     "layout": ("methods",),
     "num_placements": ("methods",),
     "cut_by": ("methods",),
     "max_gaussians": ("methods",),
-    "out": (*_ON_MODELS, "together"),
+    "out": (*_ON_MODELS, "together", "kinds"),
     "baseline": ("sfm", "plan", "raster"),
 }
 """Benchmarks by option; an option that is not here is accepted by all."""
@@ -51,6 +52,7 @@ _FLAGS = {
     "hold_out": "--hold-out",
     "off_path": "--off-path",
     "methods": "--method",
+    "kinds": "--kind",
     "num_placements": "--placements",
     "num_steps": "--steps",
     "lpips_network": "--lpips-net",
@@ -79,7 +81,7 @@ class BenchOptions:
     num_splits: int = 1
     """How many eighths of the photographs, or lines, are held out, one after the other."""
     num_photographs: int | None = None
-    """Photographs to train on, evenly chosen; None for all."""
+    """Photographs to train on, evenly chosen, None for all (train); of a scene (kinds)."""
     hold_out: HoldOut = "interleaved"
     """What a split holds out: every eighth photograph, a whole flight line, or either in turn."""
     off_path: Path | None = None
@@ -99,7 +101,9 @@ class BenchOptions:
     plot: Path | None = None
     """PNG of the curves."""
     methods: tuple[str, ...] = ()
-    """Methods to compare (methods), sections (paper) or ablations (train); empty for all."""
+    """Methods (methods), sections (paper), ablations (train) or helpers (kinds); empty for all."""
+    kinds: tuple[str, ...] = ()
+    """Kinds of scenes; empty for all."""
     layout: str = "2x2"
     """Edges x devices per edge, or `OF_RUN`."""
     num_placements: int = 1
@@ -125,6 +129,8 @@ class BenchOptions:
                 raise BadInput(f"--layout {OF_RUN} uses the plan and settings of the run: leave out {_flag(field.name)}.")
         if name in ("methods", "paper", "together") and (self.scene is None or self.out is None):
             raise BadInput(f"the benchmark {name} needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
+        if name == "kinds" and self.out is None:
+            raise BadInput("the benchmark kinds needs --out, a folder for its scenes, rows and tables.")
         if self.bless and self.baseline is None:
             raise BadInput("--bless writes the figures into the file of --baseline: name it.")
 

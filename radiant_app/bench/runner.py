@@ -62,6 +62,8 @@ def measure(name: BenchName, options: BenchOptions) -> Sequence[Metric]:
             return _measure_paper(options)
         case "together":
             return _measure_together(options)
+        case "kinds":
+            return _measure_kinds(options)
 
 
 def _measure_training(options: BenchOptions) -> Sequence[Metric]:
@@ -135,6 +137,14 @@ def _measure_together(options: BenchOptions) -> Sequence[Metric]:
     return bench_together(
         ScalingBench(scene=options.scene, out=options.out, long_side_px=options.long_side_px or (160 if options.quick else 384), **some)
     )
+
+
+def _measure_kinds(options: BenchOptions) -> Sequence[Metric]:
+    from radiant_app.bench.kinds import bench_kinds, bench_of
+
+    metrics = bench_kinds(bench_of(options))[1]
+    typer.echo(f"written: {options.out}/kinds.md")
+    return metrics
 
 
 def _draw(plot: Path | None, curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str) -> None:

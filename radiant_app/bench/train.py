@@ -57,10 +57,10 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_images, load_training_views
-from radiant_core.train.results import TrainResult
 from radiant_viewer.charts.curve_chart import CurvePoint
 
 BUDGETS_S = (60.0, 180.0, 600.0)
@@ -176,7 +176,9 @@ class TrainedRow:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Source:
+class Source:
+    """Photographs with their cameras, as a benchmark loads them."""
+
     name: str
     scene: SfmScene
     images: Path
@@ -185,8 +187,10 @@ class _Source:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Split:
-    source: _Source
+class Split:
+    """What of a source is trained on, and what is held out."""
+
+    source: Source
     part: HeldPart
     first: int
     training: SfmScene
@@ -267,7 +271,7 @@ def curves_of(rows: Sequence[TrainedRow]) -> dict[str, list[CurvePoint]]:
     return curves
 
 
-def _ablations(bench: TrainBench, splits: Sequence[_Split]) -> tuple[list[TrainedRow], list[Metric]]:
+def _ablations(bench: TrainBench, splits: Sequence[Split]) -> tuple[list[TrainedRow], list[Metric]]:
     whole, budget_s = bench.presets[0], bench.budgets_s[0]
     base = _config(whole, bench.long_side_px)
     variants = {whole: base, **{name: with_settings(base, change) for name, change in bench.changes.items()}}
@@ -290,7 +294,7 @@ def _config(preset: str, long_side_px: int) -> TrainConfig:
     return replace(config, num_steps=UNLIMITED_STEPS)
 
 
-def _load(source: Path, work: Path) -> _Source:
+def _load(source: Path, work: Path) -> Source:
     try:
         scene, _, images = load_scored_scene(source)
         masks, captures = masks_folder_of(source), captures_of(source)
@@ -302,10 +306,10 @@ def _load(source: Path, work: Path) -> _Source:
         scene, images, masks = result.scene, result.undistorted_folder, None
         captures = read_captures(detect_source(source)[1], scene.cameras.names)
     name = source.resolve().parent.name if source.name in ("images", "sfm") else source.resolve().name
-    return _Source(name=name, scene=scene, images=images, masks=masks, captures=captures)
+    return Source(name=name, scene=scene, images=images, masks=masks, captures=captures)
 
 
-def _splits(source: _Source, bench: TrainBench) -> list[_Split]:
+def _splits(source: Source, bench: TrainBench) -> list[Split]:
     jobs = list(product(parts_of(bench.hold_out), bench.splits))
     for part, first in jobs:
         held = mask_of(part, source.scene.cameras, first)
@@ -317,19 +321,20 @@ def _splits(source: _Source, bench: TrainBench) -> list[_Split]:
                 f"but at least 2 are needed, and some to train on{then}."
             )
     views = None if bench.off_path is None else load_off_path(bench.off_path, source.scene.cameras, bench.long_side_px)
-    return [_split(source, part, first, bench, views) for part, first in jobs]
+    return [split_source(source, part, first, bench, views) for part, first in jobs]
 
 
-def _split(source: _Source, part: HeldPart, first: int, bench: TrainBench, off_path: OffPath | None = None) -> _Split:
+def split_source(source: Source, part: HeldPart, first: int, bench: TrainBench, off_path: OffPath | None = None) -> Split:
+    """Part `first` of a source held out, as the benchmark asks."""
     held = mask_of(part, source.scene.cameras, first)
     trained, most = np.flatnonzero(~held), bench.num_photographs
     if most is not None:
         trained = trained[np.unique(np.linspace(0, len(trained) - 1, min(most, len(trained))).astype(np.int64))]
     training, held_out = (source.scene.restricted_to(part) for part in (trained, np.flatnonzero(held)))
-    return _Split(source=source, part=part, first=first, training=training, held_out=held_out, off_path=off_path)
+    return Split(source=source, part=part, first=first, training=training, held_out=held_out, off_path=off_path)
 
 
-def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
+def _row(out: Path | None, split: Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     if out is None:
         return _train_row(split, variant, config, budget_s, seed)
     views = {} if split.off_path is None else {"off_path": split.off_path.key}
@@ -345,7 +350,7 @@ def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, bud
     return row
 
 
-def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
+def _train_row(split: Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     cameras = split.training.cameras.scaled(config.long_side_px)
     views = load_training_views(split.source.images, cameras, split.source.masks)
     begun_s = time.process_time()
@@ -357,15 +362,7 @@ def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float
     left_s = max(1e-3, budget_s - (time.process_time() - begun_s))
     result = fit_prepared(replace(prepared, config=replace(prepared.config, budget_s=left_s)), Recorder())
     cpu_s = time.process_time() - begun_s
-    scored = split.held_out.cameras.scaled(config.long_side_px)
-    photographs = load_images(split.source.images, scored)
-    weights = pixel_weights(split.source.masks, scored)
-    used = [None] * len(photographs) if weights is None else [used_pixels(each) for each in weights]
-    renders = [view.image for view in render_views(result.splats, scored)]
-    if (light := _light(split, prepared, result, scored)) is not None:
-        renders = [show_in_light(image, light.held_out, index, scored) for index, image in enumerate(renders)]
-    triples = [(image, photograph / 255, own) for image, photograph, own in zip(renders, photographs, used, strict=True)]
-    figures = [_psnrs_db(*triple) for triple in triples]
+    figures = score_model(split, prepared, result.splats)
     return TrainedRow(
         variant=variant,
         budget_s=budget_s,
@@ -373,21 +370,48 @@ def _train_row(split: _Split, variant: str, config: TrainConfig, budget_s: float
         cpu_s=cpu_s,
         num_steps=result.num_steps,
         num_gaussians=len(result.splats),
-        psnr_db=tuple(plain for plain, _ in figures),
-        psnr_cc_db=tuple(corrected for _, corrected in figures),
-        flip=tuple(flip(*triple) for triple in triples),
+        psnr_db=figures.psnr_db,
+        psnr_cc_db=figures.psnr_cc_db,
+        flip=figures.flip,
         part=split.part,
         split=split.first,
         off_path=None if split.off_path is None else split.off_path.score(result.splats),
     )
 
 
-def _light(split: _Split, prepared: PreparedTraining, result: TrainResult, scored: Cameras) -> LightOfScore | None:
+@dataclass(frozen=True, kw_only=True)
+class HeldOutFigures:
+    """Of each held-out image: as the fields of the same names in `TrainedRow`."""
+
+    psnr_db: tuple[float, ...]
+    psnr_cc_db: tuple[float, ...]
+    flip: tuple[float | None, ...]
+
+
+def score_model(split: Split, prepared: PreparedTraining, splats: Splats) -> HeldOutFigures:
+    """Score a model on the photographs that its split holds out, in the light that is predicted."""
+    scored = split.held_out.cameras.scaled(prepared.config.long_side_px)
+    photographs = load_images(split.source.images, scored)
+    weights = pixel_weights(split.source.masks, scored)
+    used = [None] * len(photographs) if weights is None else [used_pixels(each) for each in weights]
+    renders = [view.image for view in render_views(splats, scored)]
+    if (light := _light(split, prepared, splats, scored)) is not None:
+        renders = [show_in_light(image, light.held_out, index, scored) for index, image in enumerate(renders)]
+    triples = [(image, photograph / 255, own) for image, photograph, own in zip(renders, photographs, used, strict=True)]
+    figures = [_psnrs_db(*triple) for triple in triples]
+    return HeldOutFigures(
+        psnr_db=tuple(plain for plain, _ in figures),
+        psnr_cc_db=tuple(corrected for _, corrected in figures),
+        flip=tuple(flip(*triple) for triple in triples),
+    )
+
+
+def _light(split: Split, prepared: PreparedTraining, splats: Splats, scored: Cameras) -> LightOfScore | None:
     """The light of the photographs held out beside the model's, as it is predicted."""
     if prepared.config.light == "none":
         return None
     trained = load_training_views(split.source.images, prepared.scene.cameras.scaled(COMPARED_PX), split.source.masks)
-    return light_of_score(result.splats, trained, scored, split.source.captures, prepared.config.light)
+    return light_of_score(splats, trained, scored, split.source.captures, prepared.config.light)
 
 
 def _psnrs_db(image: ArrayLike, photograph: ArrayLike, used: Used) -> tuple[float, float]:
@@ -402,7 +426,7 @@ def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedR
     return groups
 
 
-def _alignment_metrics(split: _Split) -> list[Metric]:
+def _alignment_metrics(split: Split) -> list[Metric]:
     """How well the scene's cameras lie on those that the views off the path came with."""
     if (views := split.off_path) is None:
         return []

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenegen.ground import linear
-from scenegen.mesh import Look, Material, MeshBuilder, Placement, add_lid, add_prism, rectangle
+from scenegen.mesh import Look, Material, MeshBuilder, Placement, add_box, add_lid, add_prism, rectangle
 from scenegen.noise import Floats
 
 WINDOW_SPACING_M = 2.5
@@ -39,7 +39,7 @@ def add_house(builder: MeshBuilder, place: Placement, size_m: tuple[float, float
     _add_walls(builder, place, (length, width), eaves_z, wall)
     _add_gabled_roof(builder, place, (length, width), (eaves_z, ridge_z), (wall, tiles))
     chimney = _beside(place, float(rng.uniform(-0.3, 0.3)) * length, float(rng.choice([-1.0, 1.0])) * 0.9)
-    _add_box(builder, chimney, (0.9, 0.7), (eaves_z, ridge_z + 0.9), Look(material=Material.PLAIN, tint=BRICK))
+    add_box(builder, chimney, (0.9, 0.7), (eaves_z, ridge_z + 0.9), Look(material=Material.PLAIN, tint=BRICK))
     if rng.random() < 0.4:
         dormer = _beside(place, float(rng.uniform(-0.2, 0.2)) * length, 0.27 * width)
         _add_walls(builder, dormer, (2.2, 0.40 * width), eaves_z + 1.7, wall)
@@ -59,13 +59,13 @@ def add_flats(builder: MeshBuilder, place: Placement, size_m: tuple[float, float
         tint = METAL if rng.random() < 0.6 else WHITE
         look = Look(material=Material.PLAIN, tint=tint)
         size = (float(rng.uniform(0.8, 2.6)), float(rng.uniform(0.8, 1.8)))
-        _add_box(builder, machine, size, (height - 0.1, height + float(rng.uniform(0.4, 1.6))), look)
+        add_box(builder, machine, size, (height - 0.1, height + float(rng.uniform(0.4, 1.6))), look)
 
 
 def add_shed(builder: MeshBuilder, place: Placement, rng: np.random.Generator) -> None:
     """Add a garden shed with a bright roof."""
     tint = tint_noise(FLAT_TINTS[rng.integers(len(FLAT_TINTS))], rng, 0.4)
-    _add_box(builder, place, (2.6, 2.0), (-FOUNDATION_M, 2.1), Look(material=Material.PLAIN, tint=BRICK))
+    add_box(builder, place, (2.6, 2.0), (-FOUNDATION_M, 2.1), Look(material=Material.PLAIN, tint=BRICK))
     roof = Look(material=Material.FLAT_ROOF, tint=tint, number=int(rng.integers(1, 2**30)))
     add_lid(builder, place, rectangle(3.0, 2.4), 2.15, roof)
 
@@ -113,12 +113,6 @@ def _add_flat_block(builder: MeshBuilder, place: Placement, size_m: tuple[float,
     add_prism(builder, place, (outer, inner), (height + 0.45, height + 0.451), rim)
     add_prism(builder, place, (inner, inner), (height, height + 0.45), rim)
     add_lid(builder, place, inner, height + 0.02, roof)
-
-
-def _add_box(builder: MeshBuilder, place: Placement, size_m: tuple[float, float], z: tuple[float, float], look: Look) -> None:
-    outline = rectangle(*size_m)
-    add_prism(builder, place, (outline, outline), z, look)
-    add_lid(builder, place, outline, z[1], look)
 
 
 def _beside(place: Placement, along: float, across: float) -> Placement:

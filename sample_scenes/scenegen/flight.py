@@ -3,6 +3,8 @@
     survey  a drone's lawn-mower flight of nadir photographs, then obliques from a ring
     orbit   two rings around the block in the middle, looking at it from all sides
     street  a walk along the street in the middle at the height of a head, looking ahead and aside
+    facade  passes along the fronts of three houses (`facade.py`)
+    room    from places inside a furnished room, outwards (`room.py`)
     turntable  rounds of a still camera's pictures of a house that turns (`turntable.py`)
 
 Once per scene. Of a survey, n nadir photographs over width x height make round(√(n · 3/4 · height /
@@ -19,10 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.config import SceneConfig
+from scenegen.facade import facade_views
 from scenegen.layout import BLOCK_U_M, BLOCK_V_M, Layout
+from scenegen.room import room_views
 from scenegen.turntable import TARGET_M, turntable_centers
 
 SECONDS_PER_PHOTO = 2.0
+IN_A_ROW, SECOND_CAMERA_EV = 3, 0.4
+"""Cameras take so many photographs by turns; the second one's are brighter by so many stops."""
 ORBIT_HEIGHTS_M = (9.0, 17.0)
 EYE_HEIGHT_M = 1.8
 STREET_TURNS_DEG = (0.0, 45.0, -45.0, 20.0, -20.0)
@@ -32,14 +38,18 @@ GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """One photograph's name, cam_from_world (4,4), GPS position (3,) m east-north-up, time s and
-    exposure in stops."""
+    """One photograph's name, cam_from_world (4,4), GPS position (3,) m east-north-up, time s,
+    exposure in stops, camera and shake."""
 
     name: str
     cam_from_world: NDArray[np.float64]
     gps_position_m: NDArray[np.float64]
     time_s: float
     exposure_ev: float
+    camera: int = 0
+    """Which of the scene's cameras took it."""
+    shake_px: tuple[float, float] = (0.0, 0.0)
+    """How far the picture moved while the shutter was open."""
 
     @property
     def center_m(self) -> NDArray[np.float64]:
@@ -57,18 +67,18 @@ def survey_lines(config: SceneConfig) -> tuple[int, int]:
 def plan_flight(config: SceneConfig) -> list[Shot]:
     """The photographs of one flight, in the order they were taken."""
     rng = np.random.default_rng([config.seed, 1] if config.date == 0 else [config.seed, 1, config.date])
-    poses = {"survey": _survey_poses, "orbit": _orbit_poses, "street": _street_poses, "turntable": _turntable_poses}[config.flight](
-        config, rng
-    )
+    poses = _POSES[config.flight](config, rng)
     errors = _gps_errors(config, rng)
-    drift = _exposures_ev(config)
+    drift, shakes = _exposures_ev(config), _shakes_px(config)
     return [
         Shot(
             name=f"drone_{k:04d}.jpg",
             cam_from_world=pose,
             gps_position_m=-pose[:3, :3].T @ pose[:3, 3] + errors[k],
             time_s=k * SECONDS_PER_PHOTO,
-            exposure_ev=float(drift[k]),
+            exposure_ev=float(drift[k]) + SECOND_CAMERA_EV * (k // IN_A_ROW % config.num_lenses),
+            camera=k // IN_A_ROW % config.num_lenses,
+            shake_px=shakes[k],
         )
         for k, pose in enumerate(poses)
     ]
@@ -124,6 +134,14 @@ def _turntable_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDAr
     return [look_pose(center, TARGET_M - center, np.array([0.0, 0.0, 1.0])) for center in turntable_centers(config)]
 
 
+def _facade_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    return [look_pose(center, forward, np.array([0.0, 0.0, 1.0])) for center, forward in facade_views(config, rng)]
+
+
+def _room_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    return [look_pose(center, forward, np.array([0.0, 0.0, 1.0])) for center, forward in room_views(config, rng)]
+
+
 def _nadir_poses(config: SceneConfig, rng: np.random.Generator) -> list[NDArray[np.float64]]:
     """Rows along x, flown to and fro; the image's top points along the flight, tilted by a few
     degrees."""
@@ -173,3 +191,18 @@ def _exposures_ev(config: SceneConfig) -> NDArray[np.float64]:
     wave ahead."""
     phase = np.arange(config.num_cameras) / config.num_cameras
     return config.exposure_drift_ev * np.sin(2.0 * np.pi * (1.5 * phase + 0.1 + 0.5 * config.date))
+
+
+def _shakes_px(config: SceneConfig) -> list[tuple[float, float]]:
+    """How far each picture moves (C), some 1.5 % of its width in the shaken ones."""
+    rng = np.random.default_rng([config.seed, 5])
+    shaken = rng.permutation(config.num_cameras) < round(config.shaken_share * config.num_cameras)
+    angles = rng.uniform(0.0, 2.0 * np.pi, config.num_cameras)
+    lengths = shaken * rng.uniform(0.01, 0.02, config.num_cameras) * config.width_px
+    return [(float(length * np.cos(angle)), float(length * np.sin(angle))) for length, angle in zip(lengths, angles, strict=True)]
+
+
+_POSES = {
+    "survey": _survey_poses, "orbit": _orbit_poses, "street": _street_poses,
+    "facade": _facade_poses, "room": _room_poses, "turntable": _turntable_poses,
+}  # fmt: skip

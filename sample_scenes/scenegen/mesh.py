@@ -121,6 +121,13 @@ def rectangle(length: float, width: float) -> NDArray[np.float64]:
     return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array([length, width]) / 2.0
 
 
+def add_box(builder: MeshBuilder, place: Placement, size_m: tuple[float, float], z: tuple[float, float], look: Look) -> None:
+    """Add the sides and the top of a box of size_m between two heights."""
+    outline = rectangle(*size_m)
+    add_prism(builder, place, (outline, outline), z, look)
+    add_lid(builder, place, outline, z[1], look)
+
+
 def add_lid(builder: MeshBuilder, place: Placement, outline: NDArray, z: float, look: Look) -> None:
     """Add a flat horizontal polygon with outline (K,2) at height z; uvs are local metres."""
     builder.add_polygon(place.world(np.column_stack([outline, np.full(len(outline), z)])), outline, look)

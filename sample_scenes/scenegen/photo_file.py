@@ -65,8 +65,8 @@ def _exif(config: SceneConfig, shot: Shot) -> Image.Exif:
     details = exif.get_ifd(ExifTags.IFD.Exif)
     details[ExifTags.Base.DateTimeOriginal] = taken.strftime("%Y:%m:%d %H:%M:%S")
     # A sensor 13.2 mm wide, so 24 mm on 35 mm film is a lens of 8.8 mm.
-    details[ExifTags.Base.FocalLength] = IFDRational(Fraction(88, 10))
-    details[ExifTags.Base.FocalLengthIn35mmFilm] = 24
+    details[ExifTags.Base.FocalLength] = IFDRational(Fraction(config.lens_mm * 88 / 240).limit_denominator(1000))
+    details[ExifTags.Base.FocalLengthIn35mmFilm] = round(config.lens_mm)
     details[ExifTags.Base.ExifImageWidth], details[ExifTags.Base.ExifImageHeight] = config.width_px, config.height_px
     if config.gps:
         exif.get_ifd(ExifTags.IFD.GPSInfo).update(_gps_tags(shot, taken))

@@ -1,6 +1,7 @@
 """Photographs and depth maps of the town by casting rays (Embree, through Open3D).
 
-    colour = albedo · (ambient + sun · max(0, n·l) · visible), then haze 1 - exp(-t / 2.6 km)
+    colour = albedo · (ambient + sun · max(0, n·l) · visible · clouds)
+             then haze 1 - exp(-t / 2.6 km)
 
 Per photograph: samples² rays per pixel and one shadow ray per hit, in strips of some 30,000 rays so
 that every array stays in the cache. A ray's direction has z = 1 in the camera, so the distance
@@ -17,11 +18,13 @@ from numpy.typing import NDArray
 
 from scenegen.alterations import alterations_of
 from scenegen.config import SceneConfig
+from scenegen.facade import facade_mesh
 from scenegen.flight import Shot
 from scenegen.ground import linear
 from scenegen.layout import Layout
 from scenegen.mesh import Mesh
-from scenegen.noise import Floats, gaussian_noise
+from scenegen.noise import Floats, gaussian_noise, value_noise
+from scenegen.room import ROOM_AMBIENT, lamp_light, room_mesh
 from scenegen.surfaces import Hits, paint, ruffle_leaves, sky_color
 from scenegen.town import build_town
 from scenegen.turntable import AMBIENT, LAMP, lamp_direction, turntable_mesh, wall_radiance
@@ -33,6 +36,8 @@ SUN, AMBIENT_SKY, AMBIENT_GROUND = (
 )  # fmt: skip
 HAZE, HAZE_LENGTH_M = linear(0.78, 0.84, 0.90), 2600.0
 SHADOW_OFFSET_M = 0.03
+CLOUD_CELL_M, WIND_M_PER_S = 45.0, np.array([4.0, 2.5])
+SHAKE_SAMPLES = 7
 
 
 def layout_of(config: SceneConfig) -> Layout:
@@ -43,13 +48,17 @@ def layout_of(config: SceneConfig) -> Layout:
 def town_of(config: SceneConfig) -> Mesh:
     """The mesh of the scene, with its altered houses."""
     layout = layout_of(config)
-    if config.flight == "turntable":
-        return turntable_mesh(config.seed)
+    if config.flight in _STAGES:
+        return _STAGES[config.flight](config.seed)
     return build_town(layout, alterations_of(layout, config.altered_houses))
 
 
+_STAGES = {"facade": facade_mesh, "room": room_mesh, "turntable": turntable_mesh}
+"""Flights over a mesh of their own, and that mesh."""
+
+
 class Photographer:
-    """Holds the town and takes photographs of it with one lens."""
+    """Holds the town and takes photographs of it with one lens; `of_shot` has that of a shot."""
 
     def __init__(self, config: SceneConfig) -> None:
         self.config = config
@@ -63,6 +72,10 @@ class Photographer:
         other = copy(self)
         other.config = config
         return other
+
+    def of_shot(self, shot: Shot) -> Photographer:
+        """The photographer with the camera of the shot."""
+        return self if shot.camera == 0 else self.with_config(self.config.of_camera(shot.camera))
 
     def clearance_m(self, place: NDArray) -> float:
         """Distance from a place (3,) to the nearest surface."""
@@ -79,7 +92,7 @@ class Photographer:
             x, y = np.meshgrid(
                 (np.arange(width * samples) + 0.5) / samples, top + (np.arange(rows * samples) + 0.5) / samples
             )  # fmt: skip
-            radiance = self._radiance(shot, np.column_stack([x.ravel(), y.ravel()]))
+            radiance = self._shaken(shot, np.column_stack([x.ravel(), y.ravel()]))
             strips.append(radiance.reshape(rows, samples, width, samples, 3).mean(axis=(1, 3)))
         return self._develop(np.concatenate(strips), shot.exposure_ev, number)
 
@@ -98,11 +111,17 @@ class Photographer:
         """sRGB colours (N,3) seen at pixels (N,2), without sensor noise."""
         return _encode(self._radiance(shot, pixels))
 
+    def _shaken(self, shot: Shot, pixels: NDArray) -> Floats:
+        if shot.shake_px == (0.0, 0.0):
+            return self._radiance(shot, pixels)
+        places = np.linspace(-0.5, 0.5, SHAKE_SAMPLES)[:, None] * np.array(shot.shake_px)
+        return np.mean([self._radiance(shot, pixels + place) for place in places], axis=0).astype(np.float32)
+
     def _radiance(self, shot: Shot, pixels: NDArray) -> Floats:
         origins, directions = world_rays(self.config, shot, pixels)
         if self.config.flight == "turntable":
             return self._radiance_before_wall(shot, origins, directions)
-        return self.radiance_along(origins, directions)
+        return self.radiance_along(origins, directions, shot.time_s)
 
     def _radiance_before_wall(self, shot: Shot, origins: Floats, directions: Floats) -> Floats:
         answer = {key: value.numpy() for key, value in self._scene.cast_rays(_rays(origins, directions)).items()}
@@ -119,7 +138,7 @@ class Photographer:
         """sRGB (…,3) of linear radiance, at the middle exposure and without sensor noise."""
         return _encode(radiance)
 
-    def radiance_along(self, origins: Floats, directions: Floats) -> Floats:
+    def radiance_along(self, origins: Floats, directions: Floats, time_s: float = 0.0) -> Floats:
         """Linear light (N,3) that comes along rays (N,3) from origins (N,3)."""
         answer = {key: value.numpy() for key, value in self._scene.cast_rays(_rays(origins, directions)).items()}
         length = np.linalg.norm(directions, axis=1)
@@ -131,7 +150,8 @@ class Photographer:
             picked = {key: value[met] for key, value in answer.items()}
             hits = self._hits(origins[met] + directions[met] * picked["t_hit"][:, None], directions[met], picked)
             seen = np.exp(-picked["t_hit"] * length[met] / HAZE_LENGTH_M)[:, None]
-            radiance[met] = self._lit(hits) * seen + HAZE * (1.0 - seen)
+            lit = self._lit_by_lamps(hits) if self.config.flight == "room" else self._lit(hits, time_s)
+            radiance[met] = lit * seen + HAZE * (1.0 - seen)
         return radiance
 
     def _hits(self, points: Floats, directions: Floats, answer: dict[str, NDArray]) -> Hits:
@@ -151,7 +171,27 @@ class Photographer:
             numbers=self._mesh.numbers[triangle], footprint_m=pixel_m.astype(np.float32),
         )  # fmt: skip
 
-    def _lit(self, hits: Hits) -> Floats:
+    def _lit_by_lamps(self, hits: Hits) -> Floats:
+        """Light of a room's lamps reflected by hits (N,3)."""
+        normals = ruffle_leaves(self.layout, hits)
+        from_points = hits.points + hits.normals * np.float32(SHADOW_OFFSET_M)
+        light = np.tile(ROOM_AMBIENT, (len(from_points), 1))
+        for to_lamp, strength in lamp_light(from_points, normals):
+            # A direction as long as the way, so that nothing beyond the lamp is in it.
+            shadowed = self._scene.test_occlusions(_rays(from_points, to_lamp), tfar=1.0).numpy()
+            light += strength * ~shadowed[:, None]
+        return paint(self.layout, hits) * light
+
+    def _through_clouds(self, points: Floats, time_s: float) -> Floats:
+        """Share (N,) of the sun that clouds leave at points (N,3): they are as wide as a few houses
+        and drift with the wind."""
+        if self.config.cloud_shadow == 0.0:
+            return np.ones(len(points), np.float32)
+        x, y = (points[:, :2] - WIND_M_PER_S * time_s).T.astype(np.float32)
+        cover = value_noise(x, y, CLOUD_CELL_M, self.layout.salt(72))
+        return 1.0 - np.float32(self.config.cloud_shadow) * np.clip(4.0 * (cover - 0.4), 0.0, 1.0)
+
+    def _lit(self, hits: Hits, time_s: float) -> Floats:
         """Light of sky, ground and sun reflected by hits (N,3)."""
         normals = ruffle_leaves(self.layout, hits)
         facing = np.maximum(normals @ SUN_DIRECTION, 0.0)
@@ -159,7 +199,7 @@ class Photographer:
         shadowed = self._scene.test_occlusions(_rays(from_points, np.broadcast_to(SUN_DIRECTION, hits.points.shape))).numpy()
         upward = (0.5 + 0.5 * normals[:, 2])[:, None]
         ambient = AMBIENT_SKY * upward + AMBIENT_GROUND * (1.0 - upward)
-        return paint(self.layout, hits) * (ambient + SUN * (facing * ~shadowed)[:, None])
+        return paint(self.layout, hits) * (ambient + SUN * (facing * ~shadowed * self._through_clouds(hits.points, time_s))[:, None])
 
     def _develop(self, radiance: Floats, exposure_ev: float, number: int) -> NDArray[np.uint8]:
         """Exposure, sRGB curve, sensor noise, rounding."""

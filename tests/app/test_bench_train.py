@@ -16,7 +16,17 @@ from scipy.spatial import KDTree
 from radiant_app.bench.off_path import load_off_path
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.runner import run_bench
-from radiant_app.bench.train import TrainBench, TrainedRow, _by_seed_and_image, _load, _split, _train_row, bench_of, bench_train, curves_of
+from radiant_app.bench.train import (
+    TrainBench,
+    TrainedRow,
+    _by_seed_and_image,
+    _load,
+    _train_row,
+    bench_of,
+    bench_train,
+    curves_of,
+    split_source,
+)
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
@@ -61,7 +71,7 @@ def test_more_splits_hold_out_other_photographs_and_all_of_them_are_compared(pro
     bench = TrainBench(scene=project, budgets_s=(0.4,), splits=(0, 1), seeds=(0, 1), long_side_px=96)
     rows, metrics = bench_train(bench)
     assert {(row.split, row.seed) for row in rows if row.variant == "standard"} == set(product((0, 1), (0, 1)))
-    splits = [_split(_load(project, project), "interleaved", first, bench) for first in (0, 1)]
+    splits = [split_source(_load(project, project), "interleaved", first, bench) for first in (0, 1)]
     names = [set(split.held_out.cameras.names) for split in splits]
     assert not names[0] & names[1] and all(not own & set(split.training.cameras.names) for own, split in zip(names, splits, strict=True))
     means = [
@@ -119,8 +129,8 @@ def test_masked_pixels_are_neither_trained_on_nor_scored(tmp_path: Path) -> None
     assert source.masks is None
     masks = _masks_of_the_left_half(tmp_path / "masks", project / "images")
     config = replace(train_preset("default"), long_side_px=96)
-    whole = _train_row(_split(source, "interleaved", 0, TrainBench(scene=project)), "default", config, 0.3, 0)
-    masked = _train_row(_split(replace(source, masks=masks), "interleaved", 0, TrainBench(scene=project)), "default", config, 0.3, 0)
+    whole = _train_row(split_source(source, "interleaved", 0, TrainBench(scene=project)), "default", config, 0.3, 0)
+    masked = _train_row(split_source(replace(source, masks=masks), "interleaved", 0, TrainBench(scene=project)), "default", config, 0.3, 0)
     assert np.isfinite(masked.psnr_db).all() and masked.psnr_db != whole.psnr_db
 
 
@@ -236,12 +246,12 @@ def test_a_whole_flight_line_is_held_out(tmp_path: Path) -> None:
     for path in (sample_scenes_folder() / "town" / "images").iterdir():
         (project / "images" / path.name).symlink_to(path)
     source = _load(project, tmp_path)
-    split = _split(source, "line", 0, TrainBench(scene=project))
+    split = split_source(source, "line", 0, TrainBench(scene=project))
     numbers = sorted(int(name[6:10]) for name in split.held_out.cameras.names)
     assert len(numbers) >= 4 and np.ptp(numbers) == len(numbers) - 1
     assert np.ptp(split.held_out.cameras.centers[:, 0]) > 5 * np.ptp(split.held_out.cameras.centers[:, 1])
     with pytest.raises(BadInput, match="ask for at most"):
-        _split(source, "line", 50, TrainBench(scene=project))
+        split_source(source, "line", 50, TrainBench(scene=project))
 
 
 def test_a_flight_line_is_reported_beside_the_interleaved_split(project: Path, tmp_path: Path) -> None:
