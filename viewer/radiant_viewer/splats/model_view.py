@@ -200,7 +200,7 @@ class ModelView(QObject):
         thinned = self._is_thinned and not rests
         camera = view.pose.camera((max(32, round(width / coarse)), max(32, round(height / coarse))))
         self._asked = (self._wanted, coarse == 1 and not thinned)
-        view.keep_camera()
+        view.plotter.keep_camera()
         if thinned:
             part = replace(part, max_gaussians=MOVING_GAUSSIANS)
         self._process.ask(VIEW, camera, self._host.theme.view, part)
