@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,7 +33,6 @@ from radiant_core.render.reach import Reach
 from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
-from radiant_viewer.pictures.turntable import HAZE_TIMES, in_scene
 from radiant_viewer.runs.run_view import RunView, load_run_view
 from radiant_viewer.runs.unplanned import folder_kind, scene_box
 
@@ -138,19 +137,11 @@ def _near_planes(splats: Splats, cameras: Cameras, display: ProgressDisplay) -> 
 
 def _scene_alone(splats: Splats, box: FloatArray, display: ProgressDisplay) -> Splats:
     """What lies in the scene's box (2,3); all where that would be nothing."""
-    shown = in_scene(splats, box, HAZE_TIMES)
-    if not shown.any():
-        return splats
-    decision = Decision(
-        stage="render",
-        topic="haze",
-        choice="what lies around the scene is not drawn",
-        figure=int((~shown).sum()),
-        unit=f"of {len(splats):,} Gaussians",
-        reason="an orbit sees the scene from where nobody took photographs, through the haze around it; --uncleaned shows it",
-    )
-    display(Decided(decision=decision))
-    return splats.select(shown)
+    from radiant_viewer.runs.shown_model import shown_model
+
+    shown = shown_model(splats, box)
+    display(Decided(decision=replace(shown.decision, stage="render", reason=f"{shown.decision.reason}; --uncleaned shows it")))
+    return shown.splats
 
 
 class _ModelOnce:
@@ -199,8 +190,8 @@ def held_out_of_training(run: RunView) -> Cameras:
 
 def _flight(request: RenderRequest, lens: Lens, model: _ModelOnce) -> tuple[Cameras, FloatArray]:
     """The cameras of a flight, and the box (2,3) of the scene."""
-    from radiant_app.report.hero import framed_box
     from radiant_viewer.runs.run_layers import ground_height
+    from radiant_viewer.runs.shown_model import framed_box
 
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")
@@ -212,7 +203,7 @@ def _flight(request: RenderRequest, lens: Lens, model: _ModelOnce) -> tuple[Came
         _require_orbit(request, "was made without a plan")
         box = scene_box(run.scene)
         return _orbit_around(box, request.num_frames, lens), box
-    box = framed_box(run)
+    box = framed_box(run.scene, run.cloud_plan)
     ground = ground_height(run.scene)
     corners = np.concatenate([border for border in run.cloud_plan.borders if len(border)])
     low, high = corners.min(axis=0), corners.max(axis=0)
