@@ -27,6 +27,7 @@ from radiant_core.plan.borders.borders import Border
 from radiant_core.plan.borders.buffers import EdgeBuffer
 from radiant_core.plan.borders.forecast import BorderForecast
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.render.trajectories import box_corners
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.charts.charts import comparison_picture
@@ -45,7 +46,7 @@ from radiant_viewer.runs.border_figures import border_figures
 from radiant_viewer.runs.run_layers import figures_layer, ground_height, plan_layers
 from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, require_splats
 from radiant_viewer.runs.seam_findings import SeamFinding, proven_excess_db, seam_findings, verdict_text
-from radiant_viewer.runs.shown_model import framed_box, framed_positions, shown_model, shown_of_run
+from radiant_viewer.runs.shown_model import framed_box, framed_positions, model_box, shown_model, shown_of_run
 from radiant_viewer.runs.unplanned import FolderKind, finish_command
 
 SIZE_WH = (1280, 900)
@@ -234,6 +235,17 @@ def splats_picture(
         subtitle += f"   ·   from {camera}"
     text = PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit)
     return compose_page(draw_splat_view(layers, splats, view), layers, size_wh, text)
+
+
+def model_picture(splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
+    """Return a model alone by our renderer, from obliquely above."""
+    box = model_box(splats)
+    shown = shown_model(splats, box)
+    subtitle = f"{len(shown.splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
+    subtitle += f"; {shown.sentence}" if shown.sentence else ""
+    drawing = draw_splat_view([], shown.splats, fit_camera(box_corners(box), drawing_size_wh(size_wh, is_map=False)))
+    # A model alone has no unit.
+    return compose_page(drawing, [], size_wh, PageText(title="Model", subtitle=subtitle, unit="units"))
 
 
 def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:

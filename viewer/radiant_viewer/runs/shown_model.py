@@ -35,6 +35,8 @@ MODEL, SURROUNDINGS = "Gaussians", "Surroundings"
 """Layers of a model: what is seen at first, and all else."""
 HIGHEST_SHARE = 0.99
 """Of the points in the box: what stands higher is haze."""
+MIN_OPAQUE = 0.1
+"""Share of a model's Gaussians from which on the opaque ones alone say where it is."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,6 +111,16 @@ def framed_box(scene: SfmScene, cloud_plan: CloudPlan) -> FloatArray:
     if inside.any():
         box[:, 2] = np.quantile(points[inside, 2], [1 - HIGHEST_SHARE, HIGHEST_SHARE])
     return box
+
+
+def model_box(splats: Splats) -> FloatArray:
+    """Return lower and upper corner (2,3) of where a model alone has most of its surfaces: haze and
+    sky are thin or far, and neither moves the middle of what is opaque. BadInput without any
+    Gaussian."""
+    from radiant_core.geometry.open3d_ops import surface_points
+
+    centers, chosen = surface_points(splats, np.inf)
+    return middle_box(centers if chosen.mean() > MIN_OPAQUE else splats.means.astype(np.float64))
 
 
 def framed_positions(scene: SfmScene, cloud_plan: CloudPlan) -> FloatArray:
