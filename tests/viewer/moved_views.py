@@ -47,7 +47,7 @@ class Mover:
         self.window, self.rng = window, np.random.default_rng(seed)
         self._bookmarked = False
         self.moves: tuple[Callable[[], str], ...] = (
-            *(partial(self.press, key) for key in ("F", "T", "N", "Shift+N", "Ctrl+1", "Ctrl+2", "Return", "F", "F")),
+            *(partial(self.press, key) for key in ("F", "T", "N", "Shift+N", "Ctrl+1", "Ctrl+2", "Ctrl+5", "V", "Return", "F", "F")),
             *(partial(self._button, text) for text in ("Fit", "Fly to", "Seam tour")),
             *(partial(self._drag, button) for button in (LEFT, MIDDLE, RIGHT)),
             self._fly, self._wheel, self._double_click, self._bookmark, self._resize, self._share, self._play,

@@ -6,6 +6,8 @@ release within 4 px. Needs the `desktop` extra.
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Callable
 from typing import cast
 
@@ -41,6 +43,8 @@ TOP_SLOT = 400
 MAP_EYE = float(SLOTS_PER_LAYER * (TOP_SLOT + 8))
 """Height of the map's eye over its layers, which heights only order."""
 FIT_ANGLE_DEG = 30.0
+PAUSE_S, MOST_BEFORE = 0.8, 50
+"""Rest after which a new move begins; how many can be taken back."""
 ClickTaker = Callable[["Canvas", tuple[int, int]], bool]
 """Takes the canvas and the pixel (x, y from the lower left); returns whether it used the click."""
 
@@ -84,6 +88,10 @@ class Canvas:
         )
         self.backdrop = Backdrop(self.plotter)
         self.before_screenshot: Callable[[], None] = lambda: None
+        self.said: Callable[[str], None] = lambda words: None
+        self.ground_under: Callable[[FloatArray], float | None] = lambda place: None
+        self._seen_before: deque[ViewPose] = deque(maxlen=MOST_BEFORE)
+        self._aimed_s = -np.inf
         layout.addWidget(self.plotter, stretch=1)
         # By Qt: some of VTK's styles keep the release of a button to themselves.
         self._clicks = _ClickFilter(self.plotter, self._on_click)
@@ -175,6 +183,31 @@ class Canvas:
             return None
         row, column = (int(share * side) for share, side in zip((pixel[1] / height, pixel[0] / width), picture.shape[:2], strict=True))
         return float(picture[row, column, 3]) or None
+
+    def depth_ahead(self, share: float) -> float | None:
+        """How far along the view the model is, but for this share of its pixels; None without
+        any."""
+        if (picture := self.backdrop.picture) is None:
+            return None
+        # A sixteenth of the pixels says as much.
+        depths = picture[::4, ::4, 3]
+        return float(np.quantile(depths[depths > 0], share)) if (depths > 0).any() else None
+
+    def ground_below(self, place: FloatArray) -> float | None:
+        """Height of the ground under a place (3,), if known."""
+        return self.ground_under(place)
+
+    def say(self, words: str) -> None:
+        """Tell the user."""
+        self.said(words)
+
+    def go_back(self) -> None:
+        """See what was seen before the last move."""
+        if not self._seen_before:
+            self.said("There is no view before this one")
+            return
+        pose, self._aimed_s = self._seen_before.pop(), time.monotonic()
+        self.set_pose(pose)
 
     def watch_camera(self, moved: Callable[[], None]) -> None:
         """Call `moved` whenever the camera or the size of the view changes."""
@@ -270,7 +303,11 @@ class Canvas:
         """Aim the camera, in coordinates relative to `origin`: all that moves it but the mouse on
         the map comes here. What depends on it follows: the range of depths, the picture of the
         model (`watch_camera`), and the next frame."""
-        camera = self.plotter.camera
+        camera, now_s = self.plotter.camera, time.monotonic()
+        # What is done without a pause is one move, to be taken back as one.
+        if not self.is_map and now_s - self._aimed_s > PAUSE_S:
+            self._seen_before.append(self.pose)
+        self._aimed_s = now_s
         camera.focal_point, camera.position, camera.up = tuple(focal_point), tuple(position), tuple(up)
         if angle_deg is not None:
             camera.view_angle = angle_deg

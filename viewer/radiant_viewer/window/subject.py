@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Surroundings
@@ -16,6 +19,7 @@ from radiant_viewer.layers.ortho_layer import ortho_layer
 from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.runs.cleaned_model import CleanedModel, surroundings
 from radiant_viewer.runs.cleaning_session import CleaningSession
+from radiant_viewer.runs.ground_map import GroundMap
 from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.plan_view import load_plan_view
 from radiant_viewer.runs.run_layers import ground_height, run_layers
@@ -48,6 +52,17 @@ class Subject:
         """Places (K,3) that a view of all frames: the scene, or all layers where nothing says where
         it is."""
         return framing_positions(self.layers) if self.framed is None else self.framed
+
+    @cached_property
+    def _ground_map(self) -> GroundMap | None:
+        points = self.run.scene.points if self.run is not None and len(self.run.scene.points) else None
+        if points is None and self.model is not None:
+            points = self.model.splats.means.astype(np.float64)
+        return None if points is None else GroundMap.of(points)
+
+    def ground_under(self, place: FloatArray) -> float | None:
+        """Height of the ground under a place (3,), where points say it."""
+        return None if self._ground_map is None else self._ground_map.under(place)
 
     def cleaning_session(self) -> CleaningSession | None:
         """The cleaning of the model; None without one."""

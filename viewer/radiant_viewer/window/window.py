@@ -55,6 +55,7 @@ from radiant_viewer.window.window_size import fit_to_screen, remember_size
 SELECTED = "Selected camera"
 MAP_SHARE, EDITED_SHARE = 0.35, 0.6
 """Share of the map of both views' width; larger while a plan is edited on it."""
+STEPS = (("Left", -1, "worse"), ("Right", 1, "better"))
 PICK_PX = 14
 """Largest distance of a click from the camera that it selects."""
 _Result = TypeVar("_Result")
@@ -87,12 +88,12 @@ class InspectorWindow(QMainWindow):
         self.edit_button: QAction | None = None
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
-        splitter = QSplitter(Qt.Orientation.Horizontal)
+        self.splitter = splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin, unit=subject.unit)
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
+        self.view.said, self.view.ground_under = self.show_status, subject.ground_under
         self._marks = Marks((self.map, self.view))
         splitter.setStretchFactor(1, 1)
-        self.splitter = splitter
         self.setCentralWidget(splitter)
         self.layer_dock = LayerDock(self.layers, hidden_at_first(self.layers), self._on_visibility)
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
@@ -131,7 +132,7 @@ class InspectorWindow(QMainWindow):
         except RadiantError as error:
             self.show_status(str(error))
             box = QMessageBox(QMessageBox.Icon.Warning, "Radiant", str(error), QMessageBox.StandardButton.Ok, self)
-            # Not modal: it must not block a film that is being written, or a test.
+            # Not modal: it must not block a film, or a test.
             box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
             box.open()
             return None
@@ -273,7 +274,7 @@ class InspectorWindow(QMainWindow):
 
     def save_window_picture(self, path: Path) -> None:
         """Write the window with its docks as PNG; BadInput where it cannot be written."""
-        # Grabbed from the screen: Qt's own picture of a widget leaves out what OpenGL drew.
+        # Of the screen: Qt's own picture of a widget leaves out what OpenGL drew.
         if not self.screen().grabWindow(int(self.winId())).save(str(path), "PNG"):
             raise BadInput(f"cannot write {path}: choose a folder that exists and a name that ends in .png.")
         self.show_status(f"Saved {path}")
@@ -349,10 +350,10 @@ class InspectorWindow(QMainWindow):
         entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
             ("Fit", "Fit the scene into both views", "F", self.reset_views),
             *(("", f"See the scene from {word}", f"Ctrl+{key}", partial(self._see_from, side)) for key, side, word in SIDE_KEYS),
+            ("", "See again what the 3D view showed before the last move", "V", self.view.go_back),
             ("Fly to", "See the scene from the selected camera", "Return", self.fly_to_selected if self.run else None),
             ("Worst photograph", "The held-out photograph with the lowest PSNR", "W", photo.show_worst if photo else None),
-            ("", "The next worse held-out photograph", "Alt+Left", (lambda: photo.step(-1)) if photo else None),
-            ("", "The next better held-out photograph", "Alt+Right", (lambda: photo.step(1)) if photo else None),
+            *(("", f"The next {word} held-out photograph", f"Alt+{key}", partial(photo.step, by)) for key, by, word in STEPS if photo),
             ("Seam tour", "The worst seam first", "T", self._begin_tour if seams else None),
             ("", "The next seam", "N", (lambda: seams.step(1)) if seams else None),
             ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
@@ -461,8 +462,8 @@ class InspectorWindow(QMainWindow):
 
     def _draws(self, layer: Layer) -> bool:
         """Whether a layer is drawn as it is: Gaussians are drawn as the model while that can be."""
-        is_model = layer.name in (MODEL, SURROUNDINGS) and self.model is not None and not self.model.has_failed
-        return self.layer_dock.is_visible(layer.name) and not is_model
+        is_drawn = layer.name in (MODEL, SURROUNDINGS) and self.model is not None and not self.model.has_failed
+        return self.layer_dock.is_visible(layer.name) and not is_drawn
 
     def _on_model_failed(self, reason: str) -> None:
         self._on_visibility()
