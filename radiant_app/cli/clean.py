@@ -32,6 +32,7 @@ def clean(
     undo: Annotated[bool, typer.Option("--undo", help="Take the last step back.")] = False,
     redo: Annotated[bool, typer.Option("--redo", help="Make the step again that was taken back last.")] = False,
     reset: Annotated[bool, typer.Option("--reset", help="Take all steps back.")] = False,
+    pages: Annotated[bool, typer.Option("--pages", help="Make report.html and scene.html of a run anew, as it is cleaned now.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Leave floaters and haze out of a model wherever it is shown or exported; nothing is lost."""
@@ -55,6 +56,7 @@ def clean(
         undo=MAX_STEPS if reset else int(undo),
         redo=redo,
         measure=measure,
+        pages=pages,
     )
     result = change(request, terminal_display())
     if not as_json:

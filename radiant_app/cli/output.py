@@ -15,7 +15,9 @@ from radiant_core.errors import BadInput
 
 def render(
     model: Annotated[Path, typer.Argument(help="A run, the folder of `radiant train`, or a model file.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="New folder of PNGs, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", help="New folder of PNGs, a .png, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)
+    ],
     cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without any path the held-out cameras.")] = None,
     trajectory: Annotated[Trajectory | None, typer.Option(help="orbit: once around; border: along --border or the worst seam.")] = None,
     border: Annotated[str | None, typer.Option(help="Two edges, as EAST,WEST: fly along their border.")] = None,

@@ -32,6 +32,7 @@ from radiant_core.io.cleaning_file import cleaning_path, load_cleaning, save_cle
 from radiant_core.io.waypoints.region import load_region
 from radiant_viewer.runs.cleaned_model import OWN_SUPPORT, CleanedModel, cleaned_model, find_support, surroundings
 from radiant_viewer.runs.run_view import RunView, load_run_view, require_splats
+from radiant_viewer.runs.sent_pages import older_sentence
 
 MEASURED_LONG_SIDE_PX = 640
 Warn = Callable[[str], None]
@@ -54,6 +55,8 @@ class CleanRequest:
     undo: int = 0
     redo: bool = False
     measure: bool = False
+    pages: bool = False
+    """Whether the pages of the run that are sent are made anew."""
 
 
 def clean(request: CleanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -75,7 +78,14 @@ def clean(request: CleanRequest, display: ProgressDisplay) -> dict[str, Any]:
     result = cleaned_model(model.whole, after, _around(run, model))
     if after != before:
         save_cleaning(path, after)
-    return _figures(result, path, "units" if run is None else run.unit)
+    figures = _figures(result, path, "units" if run is None else run.unit)
+    if request.pages:
+        from radiant_app.commands.pages import rewrite_pages
+
+        return {**figures, **rewrite_pages(request.model, display)}
+    if sentence := older_sentence(request.model):
+        display(Warned(stage="clean", message=f"{sentence}: 'radiant clean {request.model} --pages' makes them anew."))
+    return figures
 
 
 def require_cleaned_model(run: RunView) -> CleanedModel:

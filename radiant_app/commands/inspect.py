@@ -69,11 +69,6 @@ class Picture:
 
 def save_picture(source: Path, view: str | None, path: Path, picture: Picture = Picture()) -> str:
     """Write a view (or the usual one) as PNG; BadInput for a wrong view or an existing `path`."""
-    if source.is_file() and model_kind(source) is not None:
-        raise BadInput(
-            f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "
-            f"pictures by 'radiant render {source} --trajectory orbit --frames 8 --out FOLDER'."
-        )
     if path.suffix.lower() != ".png":
         raise BadInput(f"cannot write {path}: give a name that ends in .png.")
     from radiant_app.commands.steps import require_file_to_be
@@ -85,6 +80,8 @@ def save_picture(source: Path, view: str | None, path: Path, picture: Picture = 
 
 
 def _save_picture(source: Path, view: str | None, path: Path, picture: Picture) -> str:
+    if source.is_file() and model_kind(source) is not None:
+        return _save_model_picture(source, view, path, picture)
     plan, scene = plan_file_of(source), picture.scene
     if plan is None:
         from radiant_app.commands.steps import screenshot
@@ -104,6 +101,20 @@ def _save_picture(source: Path, view: str | None, path: Path, picture: Picture) 
         save_png(path, plan_picture(shown.scene, shown.cloud_plan, shown.edge_plans, size_wh=picture.size_wh))
     else:
         save_png(path, cameras_picture(shown.scene, shown.roles, size_wh=picture.size_wh))
+    return f"written: {path}"
+
+
+def _save_model_picture(source: Path, view: str | None, path: Path, picture: Picture) -> str:
+    if view not in (None, "splats"):
+        raise BadInput(f"{source} is a model alone, of which there are no {view}: use --view splats, or give the folder of a run.")
+    if picture.camera is not None or picture.scene is not None:
+        raise BadInput(f"{source} is a model alone, without photographs and plan: leave out --camera and --scene.")
+    from radiant_app.commands.given_model import given_model
+    from radiant_app.report.progress import terminal_display
+    from radiant_viewer.pictures.images import save_png
+    from radiant_viewer.runs.run_pictures import model_picture
+
+    save_png(path, model_picture(given_model(source, terminal_display()).splats, picture.size_wh))
     return f"written: {path}"
 
 

@@ -34,6 +34,7 @@ def feeds_of(run: Path) -> RunFeeds:
         gantt_rows=lambda: _gantt_rows(run),
         gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)],
         progress=_Progress(run),
+        pages=(*python, "radiant_app", "clean", str(run), "--pages"),
         survey=SurveyCommands(
             measuring=(*python, "radiant_app.commands.measure_worker", str(run)),
             ortho=lambda out: (*python, "radiant_app", "export", str(run), str(out), "--format", "ortho"),

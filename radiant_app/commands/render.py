@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,24 +24,21 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import Trajectory
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
-from radiant_core.geometry.open3d_ops import surface_points
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.render.reach import Reach
-from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, middle_box, orbit, through_keyframes
+from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
-from radiant_viewer.pictures.turntable import HAZE_TIMES, in_scene
 from radiant_viewer.runs.run_view import RunView, load_run_view
 from radiant_viewer.runs.unplanned import folder_kind, scene_box
 
 OTHER_FILMS = (".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".wmv", ".apng", ".webp")
 """Endings that no one means for a folder of frames."""
 MAX_KEYFRAME_BYTES = 1 << 24
-MIN_OPAQUE = 0.1
-"""Share of a model's Gaussians from which on the opaque ones alone say where it is."""
+PICTURE, OTHER_PICTURES = ".png", (".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 ORBIT_ELEVATION_DEG, ORBIT_RADII = 35.0, 0.9
 """Distance of an orbit, in diagonals of the regions."""
 FLIGHT_HEIGHTS = 0.5
@@ -69,7 +66,7 @@ class RenderRequest:
 def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Write PNG pictures into the new folder `out`, or a film; returns what was written. Raises
     BadInput before anything is rendered, and where a picture does not fit into memory."""
-    is_film = request.out.suffix.lower() in ENDINGS
+    request, is_film = _one_picture(request), request.out.suffix.lower() in ENDINGS
     if request.out.suffix.lower() in OTHER_FILMS:
         raise BadInput(f"{request.out.name} is a film of a kind that is not written here: let its name end in {', '.join(ENDINGS)}.")
     if is_film:
@@ -78,6 +75,7 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             raise BadInput("a film needs a path: add --trajectory orbit, --trajectory border, --keyframes or --cameras.")
     model = _ModelOnce(request, display)
     cameras, scene = _cameras(request, model)
+    _require_one(request, cameras)
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
     splats = model.splats
     splats = splats if scene is None else _scene_alone(splats, scene, display)
@@ -93,6 +91,11 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
                 film.add(np.ascontiguousarray(image[: size_wh[1], : size_wh[0]]))
                 report(done, len(cameras), name)
         return {"film": str(request.out), "frames": len(cameras), "seconds": round(len(cameras) / request.fps, 2)}
+    if request.out.suffix.lower() == PICTURE:
+        with folder_made_for(request.out):
+            _, image = next(_pictures(splats, cameras, near_m))
+            write_atomic(request.out, png_bytes(image))
+        return {"picture": str(request.out)}
     with create_folder(request.out), stage_bar(display, "render") as report:
         for done, (name, image) in enumerate(_pictures(splats, cameras, near_m), 1):
             path = request.out / f"{name}.png"
@@ -100,6 +103,28 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             write_atomic(path, png_bytes(image))
             report(done, len(cameras), name)
     return {"pictures": len(cameras), "folder": str(request.out)}
+
+
+def _one_picture(request: RenderRequest) -> RenderRequest:
+    """The request of a single picture, where `out` is named as one: without any path a look at the
+    scene from outside. BadInput where it would be more than one, or of a kind that is not
+    written."""
+    name, ending = request.out.name, request.out.suffix.lower()
+    if ending in OTHER_PICTURES:
+        raise BadInput(f"{name} is a picture of a kind that is not written here: let its name end in {PICTURE}.")
+    if ending != PICTURE:
+        return request
+    require_file_to_be(request.out)
+    if request.trajectory is None and request.cameras is None and request.keyframes is None:
+        return replace(request, trajectory="orbit", num_frames=1)
+    if request.trajectory is not None and request.num_frames != 1:
+        raise BadInput(f"{name} is one picture, and {request.num_frames} were asked for: add --frames 1, or name a folder or a film.")
+    return request
+
+
+def _require_one(request: RenderRequest, cameras: Cameras) -> None:
+    if request.out.suffix.lower() == PICTURE and len(cameras) != 1:
+        raise BadInput(f"{request.out.name} is one picture, and the path has {len(cameras)}: name a folder or a film.")
 
 
 def _pictures(splats: Splats, cameras: Cameras, near_m: FloatArray | None) -> Iterator[tuple[str, NDArray[np.uint8]]]:
@@ -138,19 +163,11 @@ def _near_planes(splats: Splats, cameras: Cameras, display: ProgressDisplay) -> 
 
 def _scene_alone(splats: Splats, box: FloatArray, display: ProgressDisplay) -> Splats:
     """What lies in the scene's box (2,3); all where that would be nothing."""
-    shown = in_scene(splats, box, HAZE_TIMES)
-    if not shown.any():
-        return splats
-    decision = Decision(
-        stage="render",
-        topic="haze",
-        choice="what lies around the scene is not drawn",
-        figure=int((~shown).sum()),
-        unit=f"of {len(splats):,} Gaussians",
-        reason="an orbit sees the scene from where nobody took photographs, through the haze around it; --uncleaned shows it",
-    )
-    display(Decided(decision=decision))
-    return splats.select(shown)
+    from radiant_viewer.runs.shown_model import shown_model
+
+    shown = shown_model(splats, box)
+    display(Decided(decision=replace(shown.decision, stage="render", reason=f"{shown.decision.reason}; --uncleaned shows it")))
+    return shown.splats
 
 
 class _ModelOnce:
@@ -199,20 +216,19 @@ def held_out_of_training(run: RunView) -> Cameras:
 
 def _flight(request: RenderRequest, lens: Lens, model: _ModelOnce) -> tuple[Cameras, FloatArray]:
     """The cameras of a flight, and the box (2,3) of the scene."""
-    from radiant_app.report.hero import framed_box
     from radiant_viewer.runs.run_layers import ground_height
+    from radiant_viewer.runs.shown_model import framed_box, model_box
 
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")
-        # Haze and sky are thin or far: neither moves the middle of what is opaque.
-        box = middle_box(_opaque(model.splats))
+        box = model_box(model.splats)
         return _orbit_around(box, request.num_frames, lens), box
     run = load_run_view(request.model)
     if run.kind != "run":
         _require_orbit(request, "was made without a plan")
         box = scene_box(run.scene)
         return _orbit_around(box, request.num_frames, lens), box
-    box = framed_box(run)
+    box = framed_box(run.scene, run.cloud_plan)
     ground = ground_height(run.scene)
     corners = np.concatenate([border for border in run.cloud_plan.borders if len(border)])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -227,12 +243,6 @@ def _flight(request: RenderRequest, lens: Lens, model: _ModelOnce) -> tuple[Came
 def _require_orbit(request: RenderRequest, what: str) -> None:
     if request.trajectory != "orbit":
         raise BadInput(f"{request.model} {what} and has no borders to fly along: use --trajectory orbit, --keyframes or --cameras.")
-
-
-def _opaque(splats: Splats) -> FloatArray:
-    """Centres of the Gaussians that make surfaces; of all where few do."""
-    centers, chosen = surface_points(splats, np.inf)
-    return centers if chosen.mean() > MIN_OPAQUE else splats.means.astype(np.float64)
 
 
 def _orbit_around(box: FloatArray, num_frames: int, lens: Lens) -> Cameras:

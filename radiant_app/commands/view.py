@@ -33,7 +33,7 @@ def scene_page(model: Path, splats: Splats | None, *, with_photographs: bool, as
         from radiant_viewer.runs.run_view import load_run_view
 
         require_model(model)
-        return page_of_run(load_run_view(model, as_trained=as_trained), with_photographs=with_photographs)
+        return page_of_run(load_run_view(model, as_trained=as_trained), with_photographs=with_photographs, with_surroundings=as_trained)
     if splats is None:
         raise BadInput(f"{model} is no run: give its folder, or a .ply file.")
     return page_of_model(splats, model.stem)

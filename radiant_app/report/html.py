@@ -19,7 +19,7 @@ from radiant_app.files.system_file import load_system
 from radiant_app.report.advice import what_to_try
 from radiant_app.report.gaps import gaps_of
 from radiant_app.report.ground_control import survey_lines, survey_of_run, survey_rows
-from radiant_app.report.hero import NUM_SIDES, SIZE_WH, framed_box
+from radiant_app.report.hero import NUM_SIDES, SIZE_WH
 from radiant_app.report.pace import clock_text
 from radiant_app.report.survey import Survey, survey_of
 from radiant_app.report.verdict import verdict_of
@@ -304,11 +304,12 @@ def _save_sides(run: Path, listen: Listener) -> list[str]:
     from radiant_viewer.pictures.images import save_png
     from radiant_viewer.pictures.turntable import turntable
     from radiant_viewer.runs.run_view import load_run_view, require_splats
+    from radiant_viewer.runs.shown_model import framed_box
 
     view = load_run_view(run)
     sides: list[str] = []
     _tell(listen, 1, 0, NUM_SIDES)
-    for image in turntable(require_splats(view), framed_box(view), NUM_SIDES, SIZE_WH):
+    for image in turntable(require_splats(view), framed_box(view.scene, view.cloud_plan), NUM_SIDES, SIZE_WH):
         if not sides:
             save_png(run / "pictures" / "model.png", image)
         sides.append(_jpeg(image))

@@ -18,7 +18,7 @@ from radiant_app.commands.clean import CleanRequest, clean
 from radiant_app.commands.evaluate import EvaluateRequest, evaluate
 from radiant_app.commands.export import export
 from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.inspect import plan_file_of, save_picture
+from radiant_app.commands.inspect import Picture, plan_file_of, save_picture
 from radiant_app.commands.measure import export_measures
 from radiant_app.commands.render import RenderRequest, render
 from radiant_app.report.progress import ProgressDisplay
@@ -37,6 +37,7 @@ from radiant_core.render.trajectories import Lens, cameras_looking_at
 from radiant_core.splats import Splats
 from radiant_core.survey.map_grid import map_frame_of
 from radiant_core.train.config import TrainConfig
+from radiant_viewer.pictures.images import load_image
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.window.subject import load_subject
 from tests.app.test_evaluate import ground, site
@@ -71,8 +72,14 @@ def test_every_kind_is_exported_rendered_cleaned_scored_and_shown(site: Path, tm
         assert evaluate(EvaluateRequest(model=path, scene=site / "sfm"), display)["num_gaussians"] == 5
         assert load_subject(path).summary.startswith("5 Gaussians") and plan_file_of(path) is None
         assert ("taken as they stand" in said.getvalue()) == (path.suffix == ".spz")
-        with pytest.raises(BadInput, match="is a model alone and --screenshot draws the views of a run"):
-            save_picture(path, None, tmp_path / "x.png")
+        save_picture(path, None, tmp_path / f"{number}_shown.png", Picture(size_wh=(640, 420)))
+        # Five Gaussians on white, below the title of the page.
+        assert (load_image(tmp_path / f"{number}_shown.png")[60:].min(axis=2) < 230).sum() > 20
+        with pytest.raises(BadInput, match="a model alone, of which there are no seams: use --view splats"):
+            save_picture(path, "seams", tmp_path / "x.png")
+        one = {**vars(request), "out": tmp_path / f"{number}_one.png", "trajectory": None, "num_frames": 120}
+        assert render(RenderRequest(**one), display) == {"picture": str(tmp_path / f"{number}_one.png")}
+        assert load_image(tmp_path / f"{number}_one.png").shape == (24, 32, 3)
         with pytest.raises(BadInput, match=r"is a file, and the folder of a run is needed here: a model alone is opened by"):
             load_run_view(path)
 
@@ -235,3 +242,17 @@ def test_no_text_of_a_table_of_measures_is_a_formula(tmp_path: Path) -> None:
     (tmp_path / "survey/measures.json").write_text(json.dumps({"a": row}))
     export_measures(tmp_path / "b.csv", load_measures(tmp_path), frame)
     assert (tmp_path / "b.csv").read_text().splitlines()[1].endswith(",'+m,,")
+
+
+def test_a_picture_is_one_file_of_a_kind_that_is_written_and_a_missing_file_is_no_missing_folder(tmp_path: Path) -> None:
+    path = next(iter(every_kind(tmp_path)))
+    display, _ = heard()
+    for out, more, said in (
+        ("a.png", {"trajectory": "orbit"}, "a.png is one picture, and 120 were asked for: add --frames 1"),
+        ("a.jpg", {"num_frames": 1}, "a.jpg is a picture of a kind that is not written here"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            render(RenderRequest(model=path, out=tmp_path / out, size_wh=(32, 24), **more), display)
+        assert not (tmp_path / out).exists()
+    with pytest.raises(BadInput, match=r"there is neither a folder nor a file .*none\.spz"):
+        load_subject(tmp_path / "none.spz")

@@ -72,7 +72,7 @@ def test_a_picture_shows_model_cameras_and_borders(run: Path, tmp_path: Path) ->
         inspect_with_open3d(run, None, tmp_path / "b.png", Picture(camera="nobody"))
     with pytest.raises(BadInput, match="picture of our own"):
         inspect_with_open3d(run, "compare", tmp_path / "b.png")
-    with pytest.raises(BadInput, match="there is no folder"):
+    with pytest.raises(BadInput, match="there is neither a folder nor a file"):
         inspect_with_open3d(tmp_path / "nothing", None, tmp_path / "b.png")
     assert not (tmp_path / "b.png").exists()
 

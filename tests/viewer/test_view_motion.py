@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_viewer.pictures import view_motion
+from radiant_viewer.pictures.offscreen import fitting_pose
 from radiant_viewer.pictures.view_pose import ViewPose
 
 SIZE_WH = (640, 400)
@@ -59,9 +60,14 @@ def test_a_pixel_and_its_depth_give_the_place_and_focus_puts_it_in_the_middle() 
     assert focused.distance == pytest.approx(0.5 * np.linalg.norm(PLACE - POSE.position))
 
 
-def test_from_above_north_is_up_and_from_the_front_one_looks_north() -> None:
-    top, front = view_motion.side_view(POSE, "top"), view_motion.side_view(POSE, "front")
-    assert top.rotation[2][2] < -0.999
-    assert -top.rotation[1][1] > 0.999
-    assert front.rotation[2] == pytest.approx([0, 1, 0], abs=1e-9)
-    assert top.focal_point == pytest.approx(POSE.focal_point)
+def test_each_side_frames_all_places_and_from_above_north_is_up() -> None:
+    places = PLACE + np.array([[0.0, 0, 0], [40, 0, 0], [40, 25, 0], [0, 25, 6]])
+    views = {side: fitting_pose(places, SIZE_WH, 30.0, direction) for side, direction in view_motion.SIDES_DEG.items()}
+    for side, pose in views.items():
+        pixels = np.array([pixel_of(pose, place) for place in places])
+        assert ((pixels > 0) & (pixels < np.array(SIZE_WH))).all(), side
+        assert ((pixels.max(axis=0) - pixels.min(axis=0)) / SIZE_WH).max() > 0.8, f"from {side} the scene is small"
+    assert views["top"].rotation[2][2] < -0.999 and -views["top"].rotation[1][1] > 0.999
+    looks = [views[side].rotation[2][:2] for side in ("south", "east", "north", "west")]
+    expected = np.array([(0, 1), (-1, 0), (0, -1), (1, 0)]) * np.cos(np.radians(20))
+    assert np.array(looks) == pytest.approx(expected, abs=1e-9)

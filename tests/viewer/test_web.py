@@ -177,7 +177,7 @@ def test_a_browser_with_webgl_draws_the_model_itself_and_follows_the_page(drawin
     page.goto(address)
     page.locator("iframe[data-loaded]").wait_for()
     frame = page.locator("iframe").element_handle().content_frame()
-    assert re.fullmatch(rf"{own}/splats-\S{{22}}/index\.html\?webgl", frame.url)
+    assert re.fullmatch(rf"{own}/splats-\S{{22}}/scene/index\.html\?webgl", frame.url)
     position = "viewer => radiantViewer.app.root.findByName('camera').getPosition().toString()"
     stood = frame.evaluate(position)
     drawn = until(page, "3D", lambda now: now.std() > 12, "the browser draws the model")

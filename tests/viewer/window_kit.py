@@ -39,11 +39,11 @@ def display() -> Iterator[str]:
         yield name
 
 
-def run_python(code: str | list[str], *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_python(code: str | list[str], *arguments: str, patience_s: float = 300, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run code, or a module named by `["-m", …]`, in a process with every warning as an error."""
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     command = [sys.executable, "-W", "error", *(["-c", code] if isinstance(code, str) else code), *arguments]
     # A home of its own: windows remember their size there.
     with tempfile.TemporaryDirectory() as home:
         env = {name: value for name, value in os.environ.items() if name not in hidden} | {"XDG_CONFIG_HOME": home} | environment
-        return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+        return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=patience_s, check=False)

@@ -35,6 +35,7 @@ from radiant_core.geometry.cleaning import (
 )
 from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS
 from radiant_viewer.docks.box_editor import BoxEditor
+from radiant_viewer.docks.pages_job import PagesJob
 from radiant_viewer.host.measure_tool import MeasureTool
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.turntable import haze_size
@@ -49,8 +50,9 @@ WITHOUT_SUPPORT = "Not measured for this model: run 'radiant clean RUN --measure
 class CleaningDock(QDockWidget):
     """`session` holds the model's cleaning, None without a model: then only the box is there."""
 
-    def __init__(self, host: Host, session: CleaningSession | None, unit: str, ground: float) -> None:
+    def __init__(self, host: Host, session: CleaningSession | None, unit: str, ground: float, pages: PagesJob) -> None:
         super().__init__("Cleaning")
+        self.pages = pages
         self.setObjectName("cleaning")
         self._host, self.session, self._unit = host, session, unit
         self.box = BoxEditor(host, session, unit)
@@ -92,6 +94,7 @@ class CleaningDock(QDockWidget):
         self.redo.setEnabled(bool(model.cleaning.undone))
         self.count.setText(self._total_text())
         self.box.show_count()
+        self.pages.look()
 
     def keep_inside(self, keep: Literal["inside", "outside"]) -> None:
         """Make a step of the drawn polygon; BadInput before it has three corners."""
@@ -106,7 +109,9 @@ class CleaningDock(QDockWidget):
     def _add(self, step: CleaningStep) -> None:
         assert self.session is not None
         self.session.add(step)
-        self._host.show_status(f"{self._total_text()}. Exports, films, pictures and surfaces follow; F5 measures seams anew.")
+        older = self.pages.look()
+        said = f"{older}: Rewrite pages" if older else "Exports, films, pictures and surfaces follow; F5 measures seams anew"
+        self._host.show_status(f"{self._total_text()}. {said}.")
 
     def _total_text(self) -> str:
         assert self.session is not None
@@ -154,7 +159,7 @@ class CleaningDock(QDockWidget):
     def _lay_out(self) -> None:
         left, rules = QVBoxLayout(), QGridLayout()
         buttons = QHBoxLayout()
-        for button in (self.undo, self.redo, self.reset):
+        for button in (self.undo, self.redo, self.reset, self.pages.button):
             buttons.addWidget(button)
         buttons.addWidget(self.count, stretch=1)
         left.addWidget(self.steps, stretch=1)

@@ -6,21 +6,23 @@ release within 4 px. Needs the `desktop` extra.
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Callable
 from typing import cast
 
 import numpy as np
 import pyvista as pv
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
-from PySide6.QtGui import QMouseEvent, QResizeEvent
+from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
-from pyvistaqt import QtInteractor
 from vtkmodules.vtkCommonCore import vtkCommand
 from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray, check_array
 from radiant_viewer.host.navigator import Navigator
 from radiant_viewer.host.scale_bar import ScaleBar
+from radiant_viewer.host.view_widget import SAMPLES_AT_REST, ViewWidget
 from radiant_viewer.layers.backdrop import Backdrop, Rgbd
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer, has_same_structure, update_layer
 from radiant_viewer.layers.layer import CLOUD_SIZE, Layer
@@ -28,20 +30,21 @@ from radiant_viewer.layers.map_labels import add_map_labels
 from radiant_viewer.layers.point_detail import PointDetail
 from radiant_viewer.layers.themes import LIGHT, Theme, apply_theme
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.pictures.offscreen import aim_camera
+from radiant_viewer.pictures.offscreen import fitting_pose
 from radiant_viewer.pictures.view_pose import ViewPose
 
 CLICK_PX = 4
-SAMPLES_AT_REST, SHARP_MS = 4, 350
-"""Samples of a pixel in a view that has not moved for so long: the model in full comes before. Four
-cost 55 ms of CPU a frame of 1280 × 800 px where OpenGL is drawn by the CPU, more than all else: a
-moving view has one."""
 LABEL_SIZE = 11
 CLOUD_POINT_PX, CLOUD_POINT_3D_PX = 2.6, 3.2
 PICTURE_FILL = 0.3
 """Opacity of regions over an orthophoto."""
 TOP_SLOT = 400
 """Slot of the map on which marks of selections and tools lie: above a hundred layers."""
+MAP_EYE = float(SLOTS_PER_LAYER * (TOP_SLOT + 8))
+"""Height of the map's eye over its layers, which heights only order."""
+FIT_ANGLE_DEG = 30.0
+PAUSE_S, MOST_BEFORE = 0.8, 50
+"""Rest after which a new move begins; how many can be taken back."""
 ClickTaker = Callable[["Canvas", tuple[int, int]], bool]
 """Takes the canvas and the pixel (x, y from the lower left); returns whether it used the click."""
 
@@ -70,7 +73,7 @@ class Canvas:
         self.note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         top.addWidget(self.note, stretch=1)
         layout.addLayout(top)
-        self.plotter = _View(self.frame, auto_update=False, multi_samples=SAMPLES_AT_REST)
+        self.plotter = ViewWidget(self.frame, auto_update=False, multi_samples=SAMPLES_AT_REST)
         # Else the first look at the camera, and the first layer, would each draw a frame.
         self.plotter.camera_set = True
         # VTK's own keys would end the view (q, e) or draw wires (w); the window has its own.
@@ -85,7 +88,10 @@ class Canvas:
         )
         self.backdrop = Backdrop(self.plotter)
         self.before_screenshot: Callable[[], None] = lambda: None
-        self._kept_camera = pv.Camera()
+        self.said: Callable[[str], None] = lambda words: None
+        self.ground_under: Callable[[FloatArray], float | None] = lambda place: None
+        self._seen_before: deque[ViewPose] = deque(maxlen=MOST_BEFORE)
+        self._aimed_s = -np.inf
         layout.addWidget(self.plotter, stretch=1)
         # By Qt: some of VTK's styles keep the release of a button to themselves.
         self._clicks = _ClickFilter(self.plotter, self._on_click)
@@ -178,28 +184,47 @@ class Canvas:
         row, column = (int(share * side) for share, side in zip((pixel[1] / height, pixel[0] / width), picture.shape[:2], strict=True))
         return float(picture[row, column, 3]) or None
 
+    def depth_ahead(self, share: float) -> float | None:
+        """How far along the view the model is, but for this share of its pixels; None without
+        any."""
+        if (picture := self.backdrop.picture) is None:
+            return None
+        # A sixteenth of the pixels says as much.
+        depths = picture[::4, ::4, 3]
+        return float(np.quantile(depths[depths > 0], share)) if (depths > 0).any() else None
+
+    def ground_below(self, place: FloatArray) -> float | None:
+        """Height of the ground under a place (3,), if known."""
+        return self.ground_under(place)
+
+    def say(self, words: str) -> None:
+        """Tell the user."""
+        self.said(words)
+
+    def go_back(self) -> None:
+        """See what was seen before the last move."""
+        if not self._seen_before:
+            self.said("There is no view before this one")
+            return
+        pose, self._aimed_s = self._seen_before.pop(), time.monotonic()
+        self.set_pose(pose)
+
     def watch_camera(self, moved: Callable[[], None]) -> None:
         """Call `moved` whenever the camera or the size of the view changes."""
         self.plotter.camera.AddObserver(vtkCommand.ModifiedEvent, lambda *_: moved())
         self.plotter.on_resize = moved
 
-    def keep_camera(self) -> None:
-        """Remember the camera for which a picture of the model is requested."""
-        self._kept_camera.DeepCopy(self.plotter.camera)
-
     def show_model(self, picture: Rgbd, *, is_coarse: bool) -> None:
         """Show a picture (H,W,4) of the model for the kept camera, and the layers as it sees
         them."""
         self.backdrop.show(picture, is_coarse=is_coarse)
-        shown = self.plotter.shown_camera or pv.Camera()
-        shown.DeepCopy(self._kept_camera)
-        self.plotter.shown_camera = shown
+        self.plotter.show_kept_camera()
         self.plotter.update()
 
     def show_layers_alone(self) -> None:
         """Show no model."""
         self.backdrop.hide()
-        self.plotter.shown_camera = None
+        self.plotter.show_own_camera()
         self.plotter.update()
 
     def screenshot(self) -> Image:
@@ -242,41 +267,53 @@ class Canvas:
 
     def set_pose(self, pose: ViewPose) -> None:
         """Move the camera; a map keeps looking straight down, centred on the focal point."""
-        camera = self.plotter.camera
         if self.is_map:
             self.center_on(pose.focal_point[:2])
-            return
-        camera.focal_point = tuple(pose.focal_point - self.origin)
-        camera.position = tuple(pose.position - self.origin)
-        camera.up, camera.view_angle = tuple(pose.up), pose.angle_deg
-        self.plotter.renderer.reset_camera_clipping_range()
+        else:
+            self._aim(pose.position - self.origin, pose.focal_point - self.origin, pose.up, angle_deg=pose.angle_deg)
 
     def center_on(self, place: FloatArray, half_height: float | None = None) -> None:
         """Centre the map on `place` (2,), with `half_height` of the world above and below."""
-        camera = self.plotter.camera
+        assert self.is_map, "a view in perspective has no middle on the ground"
         x, y = (float(value) for value in np.asarray(place) - self.origin[:2])
-        top = camera.position[2]
-        camera.focal_point, camera.position = (x, y, 0.0), (x, y, top)
-        if half_height is not None:
-            camera.parallel_scale = half_height
-        self.plotter.renderer.reset_camera_clipping_range()
+        self._aim(np.array([x, y, MAP_EYE]), np.array([x, y, 0.0]), np.array([0.0, 1, 0]), half_height=half_height)
 
     def fit(self, drawn: FloatArray) -> None:
         """Fit positions (K,3) of the world into the view; a map looks straight down, north up."""
-        local = drawn - self.origin
         if not self.is_map:
-            self.plotter.camera.view_angle = 30.0
-            aim_camera(self.plotter, local)
+            self.set_pose(fitting_pose(drawn, self.size_wh, FIT_ANGLE_DEG))
             return
-        spans = local.max(axis=0) - local.min(axis=0)
+        low, high = drawn.min(axis=0), drawn.max(axis=0)
         self.plotter.enable_parallel_projection()
         # A map is moved by dragging it.
         self.plotter.enable_custom_trackball_style(left="pan", shift_left="pan", control_left="pan", middle="pan", right="dolly")
-        camera = self.plotter.camera
-        camera.focal_point, camera.position, camera.up = (0, 0, 0), (0, 0, float(SLOTS_PER_LAYER * (TOP_SLOT + 8))), (0, 1, 0)
         width, height = self.size_wh
-        camera.parallel_scale = 0.55 * float(max(spans[1], spans[0] * height / max(width, 1), 1e-6))
-        self.plotter.renderer.reset_camera_clipping_range()
+        across, along = high[:2] - low[:2]
+        self.center_on((low[:2] + high[:2]) / 2, 0.55 * float(max(along, across * height / max(width, 1), 1e-6)))
+
+    def _aim(
+        self,
+        position: FloatArray,
+        focal_point: FloatArray,
+        up: FloatArray,
+        *,
+        angle_deg: float | None = None,
+        half_height: float | None = None,
+    ) -> None:
+        """Aim the camera, in coordinates relative to `origin`: all that moves it but the mouse on
+        the map comes here. What depends on it follows: the range of depths, the picture of the
+        model (`watch_camera`), and the next frame."""
+        camera, now_s = self.plotter.camera, time.monotonic()
+        # What is done without a pause is one move, to be taken back as one.
+        if not self.is_map and now_s - self._aimed_s > PAUSE_S:
+            self._seen_before.append(self.pose)
+        self._aimed_s = now_s
+        camera.focal_point, camera.position, camera.up = tuple(focal_point), tuple(position), tuple(up)
+        if angle_deg is not None:
+            camera.view_angle = angle_deg
+        if half_height is not None:
+            camera.parallel_scale = half_height
+        self.render()
 
     def pixels_of(self, positions: FloatArray) -> FloatArray:
         """Project positions (K,3) of the world to pixels (K,2) from the lower left; NaN behind the
@@ -307,67 +344,6 @@ class Canvas:
         scale = self.plotter.devicePixelRatioF()
         pixel = (int(x * scale), int(self.size_wh[1] - 1 - y * scale))
         any(taker(self, pixel) for taker in self.click_takers)
-
-
-class _View(QtInteractor):
-    """A view that draws only when Qt paints it: pyvistaqt 0.13 draws for VTK and again for Qt."""
-
-    _is_painting = False
-    shown_camera: pv.Camera | None = None
-    """The camera of the model's picture, for which the view is drawn; None for the view's own."""
-
-    waits: Callable[[], bool] = staticmethod(lambda: False)
-    """Whether a frame would be drawn in vain, since a picture of the model is on its way."""
-    on_resize: Callable[[], None] = staticmethod(lambda: None)
-    _painted_pose: tuple[object, ...] | None = None
-    _rest: QTimer | None = None
-
-    def come_to_rest(self) -> None:
-        """Draw the next frame as one at rest, with all samples."""
-        if self._rest is not None:
-            self._rest.stop()
-        self.render_window.SetMultiSamples(SAMPLES_AT_REST)
-
-    def _choose_samples(self) -> None:
-        camera = self.camera
-        pose = (*camera.position, *camera.focal_point, *camera.up, camera.parallel_scale, camera.view_angle)
-        if self._rest is None:
-            self._rest = QTimer(self, singleShot=True, interval=SHARP_MS)
-            self._rest.timeout.connect(self.update)
-        elif pose != self._painted_pose:
-            self._rest.start()
-        self._painted_pose = pose
-        self.render_window.SetMultiSamples(0 if self._rest.isActive() else SAMPLES_AT_REST)
-
-    def resizeEvent(self, event: QResizeEvent) -> None:
-        """Called by Qt."""
-        super().resizeEvent(event)
-        self.on_resize()
-
-    def draw_once(self) -> None:
-        """From the next paint on, let a frame that VTK's mouse styles request be painted by Qt."""
-        self.iren.interactor.AddObserver(vtkCommand.RenderEvent, lambda *_: None if self._is_painting else self.update())
-
-    def paintGL(self) -> None:
-        """Called by Qt where pyvistaqt's widget is an OpenGL one; others draw as before."""
-        interactor, own = self.iren.interactor, self.camera
-        self._is_painting = True
-        if self.waits():
-            # The last frame once more: pyvistaqt copies it and draws nothing while it is painting.
-            self._in_paint = True
-        else:
-            self._choose_samples()
-            if self.shown_camera is not None:
-                self.renderer.SetActiveCamera(self.shown_camera)
-                self.renderer.ResetCameraClippingRange()
-        interactor.EnableRenderOn()
-        try:
-            super().paintGL()
-        finally:
-            interactor.EnableRenderOff()
-            self._is_painting = self._in_paint = False
-            if self.camera is not own:
-                self.renderer.SetActiveCamera(own)
 
 
 class _ClickFilter(QObject):

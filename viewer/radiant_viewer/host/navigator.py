@@ -2,9 +2,13 @@
 
     left drag             orbit about what is under the pointer
     middle, Shift+left    pan it
-    right drag            look around; with W A S D, Q and E held as well, fly
+    right drag            look around; with W A S D, Q and E held as well, fly; the wheel then sets
+                          how fast
     wheel                 come nearer to what is under the pointer
     double click          look at it from half the distance
+
+A flight covers a share of the distance to what is ahead per second, so that it slows down before
+it, and stays over the ground unless Q sinks below it.
 
 It listens as VTK's interactor style, so that a widget in the view, such as the crop box, gets the
 mouse first.
@@ -29,7 +33,15 @@ from radiant_viewer.pictures.view_pose import ViewPose
 DEG_PER_VIEW, WHEEL_FACTOR = 200.0, 0.85
 """Turn for a drag across the whole view; distance left after one step of the wheel."""
 FLIGHT_MS, FLIGHT_SHARE = 15, 0.6
-"""Time between steps of a flight; share of the focal point's distance flown per second."""
+"""Time between steps of a flight; share of the distance to what is ahead flown per second."""
+LONGEST_STEP_S = 0.1
+"""A flight that was held up does not make up for it by a leap."""
+SPEEDS, SPEED_FACTOR = (0.1, 10.0), 1.25
+"""Least and most times as fast as usual; one step of the wheel."""
+CLEARANCE = 0.02
+"""Least height over the ground that a flight keeps, as a share of its height when it began."""
+NEAR_SHARE = 0.1
+"""This share of what is in sight may be nearer than what counts as ahead."""
 FLIGHT_KEYS = {
     Qt.Key.Key_D: (1, 0, 0), Qt.Key.Key_A: (-1, 0, 0), Qt.Key.Key_W: (0, 1, 0),
     Qt.Key.Key_S: (0, -1, 0), Qt.Key.Key_E: (0, 0, 1), Qt.Key.Key_Q: (0, 0, -1),
@@ -67,6 +79,19 @@ class Moved(Protocol):
         """How far along the view what is under a pixel (x, y from upper left) lies, if known."""
         ...
 
+    def depth_ahead(self, share: float) -> float | None:
+        """How far along the view the model is, but for this share of its pixels; None without
+        any."""
+        ...
+
+    def ground_below(self, place: FloatArray) -> float | None:
+        """Height of the ground under a place (3,), if known."""
+        ...
+
+    def say(self, words: str) -> None:
+        """Tell the user."""
+        ...
+
 
 class Navigator(QObject):
     """Moves the camera of `canvas`."""
@@ -78,6 +103,7 @@ class Navigator(QObject):
         self._from, self._pivot = (0, 0), np.zeros(3)
         self._held: dict[int, tuple[int, int, int]] = {}
         self._flight, self._flown_s = QTimer(self), 0.0
+        self._speed, self._clearance = 1.0, 0.0
         self._flight.setInterval(FLIGHT_MS)
         self._flight.timeout.connect(self._fly_on)
         self._style = vtkInteractorStyleUser()
@@ -110,6 +136,7 @@ class Navigator(QObject):
         elif self._button == "Right" and event.type() in (QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress):
             if not self._held:
                 self._flown_s = time.monotonic()
+                self._clearance = CLEARANCE * max(self._over_ground(self._canvas.pose), 0.0)
                 self._flight.start()
             self._held[event.key()] = FLIGHT_KEYS[Qt.Key(event.key())]
             event.accept()
@@ -154,6 +181,11 @@ class Navigator(QObject):
             self._go(view_motion.look(pose, turn * right, turn * up))
 
     def _zoom(self, factor: float) -> None:
+        if self._button == "Right":
+            change = SPEED_FACTOR if factor < 1 else 1 / SPEED_FACTOR
+            self._speed = float(np.clip(self._speed * change, *SPEEDS))
+            self._canvas.say(f"Flying {self._speed:.2g} times as fast as usual; W A S D, Q and E fly")
+            return
         self._go(view_motion.zoom_to(self._canvas.pose, self._place(self._at()), factor))
 
     def _focus(self, pixel: tuple[int, int]) -> None:
@@ -166,10 +198,24 @@ class Navigator(QObject):
             self._flight.stop()
             return
         pose = self._canvas.pose
-        reach = FLIGHT_SHARE * pose.distance * (now - self._flown_s)
+        ahead = self._canvas.depth_ahead(NEAR_SHARE) or pose.distance
+        reach = FLIGHT_SHARE * self._speed * ahead * min(now - self._flown_s, LONGEST_STEP_S)
         self._flown_s = now
         right, forward, up = (reach * float(step) for step in np.sum([*self._held.values()], axis=0))
-        self._go(view_motion.fly(pose, right, forward, up))
+        self._go(self._kept_over_ground(pose, view_motion.fly(pose, right, forward, up)))
+
+    def _over_ground(self, pose: ViewPose) -> float:
+        """Height of the eye over the ground; infinite where that is not known."""
+        ground = self._canvas.ground_below(pose.position)
+        return np.inf if ground is None else float(pose.position[2]) - ground
+
+    def _kept_over_ground(self, before: ViewPose, after: ViewPose) -> ViewPose:
+        """A step of a flight, lifted where it would go below the ground; not from below it, and not
+        where Q is held."""
+        low = self._clearance - self._over_ground(after)
+        if low <= 0 or self._over_ground(before) < 0 or Qt.Key.Key_Q in self._held or not np.isfinite(low):
+            return after
+        return view_motion.shift(after, np.array([0.0, 0.0, low]))
 
     def _go(self, pose: ViewPose) -> None:
         self._canvas.set_pose(pose)

@@ -57,8 +57,8 @@ class _Window:
         self._panel: Any = gui.ScrollableVert(4, gui.Margins(8, 8, 8, 8))
         self._labels: dict[str, list[Any]] = {}
         if (model := shown.model()) is not None:
-            assert shown.subject.model is not None
-            self._add(MODEL, [model], f"{len(shown.subject.model.splats):,} Gaussians", ())
+            assert shown.splats is not None
+            self._add(MODEL, [model], f"{len(shown.splats):,} Gaussians", ())
         for layer in reversed(shown.layers):
             self._add(layer.name, shown.parts(layer), layer.name, tuple((entry.text, entry.color) for entry in layer.legend))
             self._show(layer.name, shown.parts(layer), layer, layer.name not in shown.hidden)

@@ -10,10 +10,12 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_core.splats import Splats
 from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.open3d_window.parts import Part, layer_parts, lift_of, model_part
 from radiant_viewer.pictures.splat_picture import fit_camera
 from radiant_viewer.runs.run_layers import hidden_at_first
+from radiant_viewer.runs.shown_model import SURROUNDINGS, shown_model
 from radiant_viewer.window.subject import Subject, load_subject
 
 POINTS = "Gaussians"
@@ -33,8 +35,13 @@ class Shown:
 
     def model(self) -> Part | None:
         """The Gaussians; None without any."""
-        splats = self.subject.model and self.subject.model.splats
+        splats = self.splats
         return None if splats is None else model_part(splats, self.origin)
+
+    @property
+    def splats(self) -> Splats | None:
+        """The model without what lies around the scene; None without one."""
+        return _seen_of(self.subject)
 
     def parts(self, layer: Layer) -> list[Part]:
         """The geometries of a layer."""
@@ -58,8 +65,8 @@ class Shown:
 def load_shown(source: Path) -> Shown:
     """Read a run, a training, a scene, a plan or a model alone; raises as `load_subject`."""
     subject = load_subject(source)
-    splats = None if subject.model is None else subject.model.splats
-    layers = tuple(layer for layer in subject.layers if splats is None or layer.name != POINTS)
+    splats = _seen_of(subject)
+    layers = tuple(layer for layer in subject.layers if splats is None or layer.name not in (POINTS, SURROUNDINGS))
     drawn = framing_positions(layers or subject.layers)
     return Shown(
         subject=subject,
@@ -68,3 +75,9 @@ def load_shown(source: Path) -> Shown:
         origin=(drawn.min(axis=0) + drawn.max(axis=0)) / 2,
         lift=lift_of(splats, layers),
     )
+
+
+def _seen_of(subject: Subject) -> Splats | None:
+    if subject.model is None or subject.box is None:
+        return subject.model and subject.model.splats
+    return shown_model(subject.model.splats, subject.box).splats

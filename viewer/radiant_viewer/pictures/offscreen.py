@@ -21,6 +21,7 @@ from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.point_detail import PointDetail
 from radiant_viewer.pictures.images import Drawing, Image
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
+from radiant_viewer.pictures.view_pose import ViewPose
 
 OVERSAMPLING = 2
 MARGIN = 0.06
@@ -79,16 +80,26 @@ def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: 
 
 def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[float, float] = (205, 42)) -> None:
     """Look from (azimuth from north, elevation) so that positions (K,3) just fit the picture."""
+    camera = plotter.camera
+    width, height = plotter.window_size
+    pose = fitting_pose(positions, (width, height), float(camera.view_angle), direction_deg)
+    camera.focal_point, camera.position, camera.up = tuple(pose.focal_point), tuple(pose.position), tuple(pose.up)
+    plotter.renderer.reset_camera_clipping_range()
+
+
+def fitting_pose(
+    positions: FloatArray, size_wh: tuple[int, int], angle_deg: float, direction_deg: tuple[float, float] = (205, 42)
+) -> ViewPose:
+    """The view of this angle from (azimuth from north, elevation) into whose picture positions
+    (K,3) just fit."""
     azimuth, elevation = np.radians(direction_deg)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     across = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
-    up = np.cross(toward, across)
-    camera = plotter.camera
-    width, height = plotter.window_size
-    tangent = np.tan(np.radians(camera.view_angle / 2)) * (1 - MARGIN)
-    distance, target = fit_distance(positions, toward, ((across, tangent * width / height), (up, tangent)))
-    camera.focal_point, camera.position, camera.up = tuple(target), tuple(target + distance * toward), (0.0, 0.0, 1.0)
-    plotter.renderer.reset_camera_clipping_range()
+    width, height = size_wh
+    tangent = np.tan(np.radians(angle_deg / 2)) * (1 - MARGIN)
+    middle = (positions.min(axis=0) + positions.max(axis=0)) / 2
+    distance, away = fit_distance(positions - middle, toward, ((across, tangent * width / height), (np.cross(toward, across), tangent)))
+    return ViewPose(position=middle + away + distance * toward, focal_point=middle + away, up=np.array([0.0, 0, 1]), angle_deg=angle_deg)
 
 
 def fit_distance(positions: FloatArray, toward: FloatArray, slopes: Sequence[tuple[FloatArray, float]]) -> tuple[float, FloatArray]:

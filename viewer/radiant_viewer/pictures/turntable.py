@@ -30,6 +30,8 @@ LARGEST, LARGEST_MEDIANS = 0.02, 4.0
 """A Gaussian is haze too if its standard deviation is a larger share of that side and, in models of
 few large ones, more times the median."""
 
+RIM_SIGMAS = 2.0
+"""So many standard deviations away from the rim a wide Gaussian ends."""
 HAZE_TIMES = 3.0
 """Flights and pictures show Gaussians so many times as wide: without them walls that were seen
 from afar have holes."""
@@ -37,7 +39,7 @@ from afar have holes."""
 
 def crop_to(splats: Splats, box: FloatArray) -> Splats:
     """Return the Gaussians whose middles lie in a box (2,3) widened by `MARGIN`, without haze."""
-    return splats.select(in_scene(splats, box))
+    return splats.select(in_scene(splats, box, HAZE_TIMES))
 
 
 def haze_size(splats: Splats) -> float:
@@ -50,10 +52,19 @@ def haze_size(splats: Splats) -> float:
 
 def in_scene(splats: Splats, box: FloatArray, times: float = 1.0) -> NDArray[np.bool_]:
     """Which Gaussians (N,) have their middle in a box (2,3) widened by `MARGIN`, and are at most so
-    many times as wide as what counts as haze there."""
+    many times as wide as what counts as haze there; wider ones lie wholly inside."""
     side = float((box[1] - box[0]).max())
-    inside = ((splats.means >= box[0] - MARGIN * side) & (splats.means <= box[1] + MARGIN * side)).all(axis=1)
-    return inside & keeps(SizeStep(at_most=times * _largest(splats, side, inside)), splats) if inside.any() else inside
+    low, high = box[0] - MARGIN * side, box[1] + MARGIN * side
+    inside = ((splats.means >= low) & (splats.means <= high)).all(axis=1)
+    if not inside.any():
+        return inside
+    largest = _largest(splats, side, inside)
+    wide = inside & ~keeps(SizeStep(at_most=largest), splats)
+    # A wide one at the rim is a smear into nothing: it must lie as far inside as it is wide.
+    sizes = np.exp(splats.log_scales[wide].max(axis=1, keepdims=True).astype(np.float64))
+    flat = splats.means[wide, :2].astype(np.float64)
+    inside[wide] = ((flat - RIM_SIGMAS * sizes >= low[:2]) & (flat + RIM_SIGMAS * sizes <= high[:2])).all(axis=1)
+    return inside & keeps(SizeStep(at_most=times * largest), splats)
 
 
 def _largest(splats: Splats, side: float, inside: NDArray[np.bool_]) -> float:

@@ -21,7 +21,16 @@ STEEPEST_DEG = 89.5
 NEAREST = 1e-3
 """Least distance that zooming leaves to the focal point."""
 LEVEL = np.array([0.0, 0.0, 1.0])
-Side = Literal["top", "front"]
+Side = Literal["top", "south", "east", "north", "west", "below"]
+SIDE_KEYS: tuple[tuple[int, Side, str], ...] = (
+    (1, "top", "above, north up"), (2, "south", "the south"), (3, "east", "the east"), (4, "north", "the north"),
+    (5, "west", "the west"), (6, "below", "below"),
+)  # fmt: skip
+SIDES_DEG: dict[Side, tuple[float, float]] = {
+    "top": (180.0, STEEPEST_DEG), "south": (180.0, 20.0), "east": (90.0, 20.0), "north": (0.0, 20.0), "west": (270.0, 20.0),
+    "below": (180.0, -STEEPEST_DEG),
+}  # fmt: skip
+"""Azimuth from north and elevation of the eye: level, one would see the scene's edge alone."""
 
 
 def forward_angles_deg(pose: ViewPose) -> tuple[float, float]:
@@ -88,12 +97,6 @@ def focus(pose: ViewPose, place: FloatArray, share: float = 0.5) -> ViewPose:
     distance = max(float(np.linalg.norm(place - pose.position)) * share, NEAREST)
     azimuth, elevation = forward_angles_deg(pose)
     return replace(pose, position=place - distance * forward_of(azimuth, elevation), focal_point=np.array(place, np.float64), up=LEVEL)
-
-
-def side_view(pose: ViewPose, side: Side) -> ViewPose:
-    """The same focal point at the same distance, from above with north up, or from the south."""
-    forward = forward_of(0.0, -STEEPEST_DEG if side == "top" else 0.0)
-    return replace(pose, position=pose.focal_point - pose.distance * forward, up=LEVEL)
 
 
 def place_at(pose: ViewPose, pixel: tuple[float, float], size_wh: tuple[int, int], depth: float) -> FloatArray:

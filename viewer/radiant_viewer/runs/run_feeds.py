@@ -75,3 +75,5 @@ class RunFeeds:
     gantt_detail: Callable[[], str] = str
     progress: Callable[[], RunProgress] = RunProgress
     survey: SurveyCommands | None = None
+    pages: tuple[str, ...] = ()
+    """Command line that makes the pages anew that are sent; empty where there is none."""

@@ -14,14 +14,25 @@ from radiant_viewer.layers.camera_roles import CameraRoles
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.region_layer import border_layer, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.layers.seam_layer import SeamPieces, seam_layer
-from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
+from radiant_viewer.layers.splat_layer import sparse_point_layer
 from radiant_viewer.layers.support_layer import NAME as SUPPORT
 from radiant_viewer.layers.support_layer import support_layer
 from radiant_viewer.runs.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures, seam_band_width
 from radiant_viewer.runs.run_view import RunView, run_support
+from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_box, model_layers
 
 COVERING = frozenset(
-    {"Device strips", "Gaussians", SUPPORT, "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"}
+    {
+        "Device strips",
+        "Gaussians",
+        SURROUNDINGS,
+        SUPPORT,
+        "Overlap",
+        "Footprints",
+        "Cameras by device",
+        "Cameras by split",
+        "Cameras by PSNR",
+    }
 )
 """Layers that cover others."""
 
@@ -32,8 +43,9 @@ def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
     # Before capture there are no points, and "0 points" in a legend looks like a run that failed.
     points = [sparse_point_layer(run.scene)] if len(run.scene.points) else []
     # The points of a run in the field are its Gaussians already.
-    if run.splats is not None and not any(layer.name == "Gaussians" for layer in points):
-        points.append(splat_layer(run.splats))
+    if run.splats is not None:
+        known = {layer.name for layer in points}
+        points += [layer for layer in model_layers(run.splats, framed_box(run.scene, run.cloud_plan)) if layer.name not in known]
     if run.splats is not None and (support := run_support(run)) is not None:
         points.append(support_layer(run.splats, support, run.scene.points))
     cameras = [camera_layer(run.scene.cameras, run.roles, "split")]

@@ -42,12 +42,12 @@ from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.pictures.offscreen import render_map, render_view
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
 from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fit_camera
-from radiant_viewer.pictures.turntable import HAZE_TIMES, in_scene
 from radiant_viewer.runs.border_figures import border_figures
 from radiant_viewer.runs.run_layers import figures_layer, ground_height, plan_layers
 from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, require_splats
 from radiant_viewer.runs.seam_findings import SeamFinding, proven_excess_db, seam_findings, verdict_text
-from radiant_viewer.runs.unplanned import FolderKind, finish_command, scene_box
+from radiant_viewer.runs.shown_model import framed_box, framed_positions, model_box, shown_model, shown_of_run
+from radiant_viewer.runs.unplanned import FolderKind, finish_command
 
 SIZE_WH = (1280, 900)
 USUAL_VIEW: dict[FolderKind, View] = {"run": "regions", "training": "splats", "scene": "cameras"}
@@ -75,7 +75,8 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
     if view == "regions":
         return plan_picture(run.scene, run.cloud_plan, run.edge_plans, run.held_out, size_wh)
     if view == "cameras":
-        return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh, run.splats)
+        seen = None if run.splats is None else shown_of_run(run).splats
+        return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh, seen)
     if view == "seams":
         return seams_picture(run.scene, run.cloud_plan, require_splats(run), size_wh, proven_excess_db(run.folder))
     if view == "splats":
@@ -225,13 +226,10 @@ def splats_picture(
     room_wh = drawing_size_wh(size_wh, is_map=False)
     subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
     if camera is None:
-        framed = _framed_positions(scene, cloud_plan, ground)
-        view = fit_camera(framed, room_wh)
-        shown = in_scene(splats, _box_around(framed), HAZE_TIMES)
-        # From outside one looks through the haze around the scene.
-        if shown.any() and not shown.all():
-            subtitle += f"; the {int((~shown).sum()):,} around the scene are not drawn"
-            splats = splats.select(shown)
+        view = fit_camera(framed_positions(scene, cloud_plan), room_wh)
+        shown = shown_model(splats, framed_box(scene, cloud_plan))
+        subtitle += f"; {shown.sentence}" if shown.sentence else ""
+        splats = shown.splats
     else:
         view = _fit_to_page(scene.cameras.named([camera]), room_wh)
         subtitle += f"   ·   from {camera}"
@@ -239,21 +237,15 @@ def splats_picture(
     return compose_page(draw_splat_view(layers, splats, view), layers, size_wh, text)
 
 
-def _framed_positions(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
-    """Return places (K,3) that frame the whole model: the regions up to a tenth of their width, or
-    the box of cameras and points; haze and sky do not count."""
-    corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
-    if not len(corners):
-        return box_corners(scene_box(scene))
-    rise = [0.0, 0.0, 0.1 * float(np.ptp(corners[:, 0]))]
-    return np.concatenate([corners, corners + rise])
-
-
-def _box_around(framed: FloatArray) -> FloatArray:
-    """Lower and upper corner (2,3) of framed places and as much below them as they are high."""
-    box = np.stack([framed.min(axis=0), framed.max(axis=0)])
-    box[0, 2] -= box[1, 2] - box[0, 2]
-    return box
+def model_picture(splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
+    """Return a model alone by our renderer, from obliquely above."""
+    box = model_box(splats)
+    shown = shown_model(splats, box)
+    subtitle = f"{len(shown.splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
+    subtitle += f"; {shown.sentence}" if shown.sentence else ""
+    drawing = draw_splat_view([], shown.splats, fit_camera(box_corners(box), drawing_size_wh(size_wh, is_map=False)))
+    # A model alone has no unit.
+    return compose_page(drawing, [], size_wh, PageText(title="Model", subtitle=subtitle, unit="units"))
 
 
 def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:

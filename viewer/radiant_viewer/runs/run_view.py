@@ -125,7 +125,7 @@ def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = 
             "'radiant view' and 'radiant render'."
         )
     if not folder.is_dir():
-        raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
+        raise BadInput(f"there is neither a folder nor a file {folder}: name the folder that 'radiant run --out' made, or a model's file.")
     if (kind := folder_kind(folder)) != "run":
         return _unplanned_view(folder, kind, as_trained)
     if (folder / DELIVERED).is_dir():

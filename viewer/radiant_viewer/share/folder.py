@@ -28,6 +28,7 @@ from radiant_core.lod.cells import LodRegion
 from radiant_core.lod.levels import LodLimits
 from radiant_core.splats import Splats, morton_order
 from radiant_viewer.runs.run_view import RunView, comparison_paths
+from radiant_viewer.runs.shown_model import shown_of_run
 from radiant_viewer.share.scene_page import (
     PagePlace,
     overview,
@@ -65,16 +66,21 @@ class ScenePage:
     """Title, text, and JPEGs of photograph and render."""
 
 
-def page_of_run(run: RunView, *, with_photographs: bool) -> ScenePage:
-    """The page of a run's model; BadInput where there is none yet."""
+def page_of_run(run: RunView, *, with_photographs: bool, with_surroundings: bool = False) -> ScenePage:
+    """The page of a run's model, without what lies around the scene unless wanted; BadInput where
+    there is no model yet."""
     from radiant_viewer.runs.run_view import require_splats
 
     splats, borders = require_splats(run), run_borders(run)
+    hidden = ""
+    if not with_surroundings:
+        shown = shown_of_run(run)
+        splats, hidden = shown.splats, f"; {shown.sentence}" if shown.sentence else ""
     return ScenePage(
         splats=splats,
         title="Scene" if run.in_field else run.folder.resolve().name,
         start=run_overview(run),
-        about=f"{len(splats):,} Gaussians",
+        about=f"{len(splats):,} Gaussians{hidden}",
         places=run_places(run, borders),
         layers=run_layers_of_page(run, borders),
         pairs=_pairs(run) if with_photographs else (),

@@ -20,6 +20,7 @@ from radiant_viewer.runs.border_figures import VISIBLE_LEVELS, BorderFigures, bo
 from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_tour import SeamStop
+from radiant_viewer.runs.shown_model import framed_box
 
 MAX_STOPS, MAX_WORST = 8, 6
 """Borders and photographs that the page leads to."""
@@ -90,12 +91,9 @@ def page_points(points: FloatArray) -> list[Any]:
 
 
 def run_overview(run: RunView) -> PagePlace:
-    """The whole scene, by its cameras and ground."""
-    centers, ground = run.scene.cameras.centers, ground_height(run.scene)
-    if not len(centers):
-        corners = np.concatenate([border for border in run.cloud_plan.borders if len(border)])
-        return overview(np.array([*corners.min(axis=0), 0.0]), np.array([*corners.max(axis=0), 0.0]))
-    return overview(np.array([*centers[:, :2].min(axis=0), ground]), np.array([*centers[:, :2].max(axis=0), ground]))
+    """The whole scene, on its ground."""
+    low, high = framed_box(run.scene, run.cloud_plan)
+    return overview(low, np.array([*high[:2], low[2]]))
 
 
 def run_borders(run: RunView) -> tuple[BorderFigures, ...]:

@@ -92,10 +92,12 @@ class ModelView(QObject):
         """Gaussians that are drawn."""
         return self._num_kept
 
-    def set_kept(self, kept: NDArray[np.bool_]) -> None:
-        """Draw those of a mask (N,) from now on."""
-        self._keep(kept)
-        self.look()
+    def set_seen(self, seen: NDArray[np.bool_]) -> None:
+        """Draw those of a mask (N,) from now on; nothing where it is empty."""
+        if seen.any() and not np.array_equal(seen, self._kept):
+            self._keep(seen)
+            self.look()
+        self.set_shown(bool(seen.any()))
 
     def set_shown(self, shown: bool) -> None:
         """Show or hide the model in both views."""
@@ -163,7 +165,7 @@ class ModelView(QObject):
             QTimer.singleShot(0, self.look)
 
     def _keep(self, kept: NDArray[np.bool_]) -> None:
-        self._num_kept = int(kept.sum())
+        self._kept, self._num_kept = kept, int(kept.sum())
         self._ground = Ground.of(self._splats if kept.all() else self._splats.select(kept))
         # A new file each time: the renderer knows parts by the file's name.
         self._num_masks += 1
@@ -200,7 +202,7 @@ class ModelView(QObject):
         thinned = self._is_thinned and not rests
         camera = view.pose.camera((max(32, round(width / coarse)), max(32, round(height / coarse))))
         self._asked = (self._wanted, coarse == 1 and not thinned)
-        view.keep_camera()
+        view.plotter.keep_camera()
         if thinned:
             part = replace(part, max_gaussians=MOVING_GAUSSIANS)
         self._process.ask(VIEW, camera, self._host.theme.view, part)

@@ -35,6 +35,7 @@ class BrowserSplats:
         self.route = f"splats-{secrets.token_urlsafe(16)}"
         self.told: dict[str, Any] = {"look": None, "layers": [], "mark": None}
         self._layers: list[str] = []
+        self._part = "scene"
         self._num_looks = 0
 
     @property
@@ -45,15 +46,21 @@ class BrowserSplats:
     @property
     def address(self) -> str:
         """Of the frame, beside the page's own."""
-        return f"{self.route}/index.html?webgl"
+        return f"{self.route}/{self._part}/index.html?webgl"
 
-    def write(self) -> str:
-        """Write the folder; returns why it cannot be, or nothing. Takes seconds: for a thread."""
+    def write(self, *, with_surroundings: bool = False) -> str:
+        """Write the folder of the scene, or of all of the model, where that was not done; returns
+        why it cannot be, or nothing. Takes seconds: for a thread."""
+        part = "whole" if with_surroundings else "scene"
+        folder = Path(self._folder.name) / part
         try:
-            page = page_of_run(self._run, with_photographs=False)
-            save_page(Path(self._folder.name), page, [whole_region(page.splats.means)], LodLimits(), lambda done, total: None)
+            page = page_of_run(self._run, with_photographs=False, with_surroundings=with_surroundings)
+            if not folder.is_dir():
+                folder.mkdir()
+                save_page(folder, page, [whole_region(page.splats.means)], LodLimits(), lambda done, total: None)
         except RadiantError as error:
             return str(error)
+        self._part = part
         self._layers = [layer["name"] for layer in page.layers]
         return ""
 

@@ -23,6 +23,7 @@ from radiant_viewer.runs.run_figures import FIGURES
 from radiant_viewer.runs.run_layers import color_step_layer, ground_height, hidden_at_first, run_layers
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
+from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_positions
 from radiant_viewer.share.scene_page import PagePlace
 from radiant_viewer.web.browser_splats import BrowserSplats
 from radiant_viewer.web.layout import HEADERS, build_layout
@@ -46,7 +47,8 @@ class WebPage:
         self.run = run
         self.figures = run_camera_figures(run)
         layers = run_layers(run, with_seams=False)
-        self.scene = WebScene(layers, hidden_at_first(layers), self._later)
+        framed = None if run.splats is None else framed_positions(run.scene, run.cloud_plan)
+        self.scene = WebScene(layers, hidden_at_first(layers), self._later, framed=framed)
         self.stops: tuple[SeamStop, ...] = ()
         self.before_solo: list[str] | None = None
         self.splats = BrowserSplats(run)
@@ -173,6 +175,8 @@ class WebPage:
 
     def _on_visible(self, visible: list[str], **_: object) -> None:
         if set(visible) != self.scene.visible:
+            if (SURROUNDINGS in visible) != (SURROUNDINGS in self.scene.visible) and self.server.state.splats_page:
+                self._spawn(self._show_model(with_surroundings=SURROUNDINGS in visible))
             self.scene.set_visible(visible)
             self.splats.show(visible)
             if self.server.state.solo and set(visible) != {self.server.state.solo}:
@@ -200,7 +204,11 @@ class WebPage:
         await self._find_seams()
         if self.run.splats is None:
             return
-        reason = await asyncio.to_thread(self.splats.write)
+        await self._show_model(with_surroundings=SURROUNDINGS in self.server.state.visible)
+
+    async def _show_model(self, *, with_surroundings: bool) -> None:
+        """Let the browser draw the model, without what lies around the scene unless wanted."""
+        reason = await asyncio.to_thread(self.splats.write, with_surroundings=with_surroundings)
         with self.server.state as state:
             self.splats.show(state.visible)
             state.splats_told = self.splats.told

@@ -104,12 +104,15 @@ class WebView:
 
 
 class WebScene:
-    """Map and 3D view of the same layers; `later` as in `PointDetail`."""
+    """Map and 3D view of the same layers; `later` as in `PointDetail`; framed (K,3): where the
+    scene is."""
 
-    def __init__(self, layers: Sequence[Layer], hidden: Collection[str], later: Later, theme: Theme = LIGHT) -> None:
+    def __init__(
+        self, layers: Sequence[Layer], hidden: Collection[str], later: Later, theme: Theme = LIGHT, framed: FloatArray | None = None
+    ) -> None:
         self.layers = list(layers)
         self.visible = {layer.name for layer in layers} - set(hidden)
-        self.theme = theme
+        self.theme, self._framed = theme, framed
         self.mark: Layer | None = None
         drawn = framing_positions(self.layers)
         self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
@@ -156,8 +159,8 @@ class WebScene:
         self.mark = mark
 
     def fit(self) -> None:
-        """Fit all layers into both views."""
-        drawn = framing_positions(self.layers)
+        """Fit the scene into both views, or all layers where nothing says where it is."""
+        drawn = framing_positions(self.layers) if self._framed is None else self._framed
         for view in self.views:
             view.fit(drawn)
 

@@ -13,6 +13,7 @@ from radiant_viewer.docks.cleaning_dock import CleaningDock
 from radiant_viewer.docks.control_dock import ControlDock
 from radiant_viewer.docks.fly_dock import FlyDock
 from radiant_viewer.docks.gantt_dock import GanttDock
+from radiant_viewer.docks.pages_job import PagesJob
 from radiant_viewer.docks.photo_dock import PhotoDock
 from radiant_viewer.docks.progress_dock import ProgressDock
 from radiant_viewer.docks.seam_dock import SeamDock, make_seam_dock
@@ -62,6 +63,7 @@ class Docks:
     def end(self) -> None:
         """Stop polling, films and what runs in processes of its own."""
         self.fly.stop()
+        self.cleaning.pages.end()
         for dock in (self.progress, self.survey):
             if dock is not None:
                 dock.end()
@@ -76,7 +78,7 @@ def make_docks(host: Host, subject: Subject, feeds: RunFeeds, ply_path: Path | N
     """Make the docks for what a window shows, its model as a file; `place_docks` places them."""
     run = subject.run
     fly = FlyDock(host, ply_path, FlightFile(subject.path))
-    cleaning = CleaningDock(host, subject.cleaning_session(), subject.unit, subject.ground)
+    cleaning = CleaningDock(host, subject.cleaning_session(), subject.unit, subject.ground, PagesJob(host, subject.path, feeds.pages))
     if run is None:
         return Docks(fly=fly, cleaning=cleaning)
     figures = image_figures(run.folder)

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Surroundings
 from radiant_core.io.model_reader import model_kind
+from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_viewer.editing.plan_layers import add_planning_layers
-from radiant_viewer.layers.layer import Layer
+from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.ortho_layer import ortho_layer
 from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.runs.cleaned_model import CleanedModel, surroundings
 from radiant_viewer.runs.cleaning_session import CleaningSession
+from radiant_viewer.runs.ground_map import GroundMap
 from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.plan_view import load_plan_view
 from radiant_viewer.runs.run_layers import ground_height, run_layers
 from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_run_view
+from radiant_viewer.runs.shown_model import framed_box, framed_positions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,8 +39,30 @@ class Subject:
     unit: str
     ground: float
     summary: str
+    box: FloatArray | None = None
+    """Where the scene is (2,3): what of the model lies around it is hidden at first; None where
+    nothing says so, as of a model alone."""
+    framed: FloatArray | None = None
+    """Places (K,3) that frame the scene; None where all layers do."""
     stamps: FileStamps = ()
     """Stamps of the files before they were read."""
+
+    @property
+    def framing(self) -> FloatArray:
+        """Places (K,3) that a view of all frames: the scene, or all layers where nothing says where
+        it is."""
+        return framing_positions(self.layers) if self.framed is None else self.framed
+
+    @cached_property
+    def _ground_map(self) -> GroundMap | None:
+        points = self.run.scene.points if self.run is not None and len(self.run.scene.points) else None
+        if points is None and self.model is not None:
+            points = self.model.splats.means.astype(np.float64)
+        return None if points is None else GroundMap.of(points)
+
+    def ground_under(self, place: FloatArray) -> float | None:
+        """Height of the ground under a place (3,), where points say it."""
+        return None if self._ground_map is None else self._ground_map.under(place)
 
     def cleaning_session(self) -> CleaningSession | None:
         """The cleaning of the model; None without one."""
@@ -87,6 +115,9 @@ def run_subject(run: RunView) -> Subject:
         run=run,
         unit=run.unit,
         ground=ground_height(run.scene),
+        # Without a model there is nothing around it, and the layers are all there is to frame.
+        box=None if run.splats is None else framed_box(run.scene, run.cloud_plan),
+        framed=None if run.splats is None else framed_positions(run.scene, run.cloud_plan),
         summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}{below}",
     )
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QAction, QCloseEvent, QKeySequence, QShortcut, QShowEvent
 from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
@@ -24,21 +25,22 @@ from radiant_core.numerics import FloatArray
 from radiant_viewer.docks.layer_dock import LayerDock
 from radiant_viewer.editing.plan_files import PlanSetting
 from radiant_viewer.editing.planning import make_planning
-from radiant_viewer.host.canvas import Canvas
+from radiant_viewer.host.canvas import FIT_ANGLE_DEG, Canvas
 from radiant_viewer.host.marks import Marks
 from radiant_viewer.host.measure_tool import MeasureTool
 from radiant_viewer.host.one_tool import keep_one_on
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.layer import Layer, framing_positions
-from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, apply_theme, style_sheet
 from radiant_viewer.pictures.images import Image, save_png
-from radiant_viewer.pictures.view_motion import Side, side_view
+from radiant_viewer.pictures.offscreen import fitting_pose
+from radiant_viewer.pictures.view_motion import SIDE_KEYS, SIDES_DEG, Side
 from radiant_viewer.pictures.view_pose import camera_pose
 from radiant_viewer.runs.growing_model import GROWING_S
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_layers import hidden_at_first
 from radiant_viewer.runs.run_view import RunView, file_stamps
+from radiant_viewer.runs.shown_model import MODEL, SURROUNDINGS, model_layers, seen_of
 from radiant_viewer.splats.model_view import ModelView
 from radiant_viewer.window.bookmark_keys import BOOKMARK_KEYS, BookmarkKeys
 from radiant_viewer.window.bookmarks import Bookmarks
@@ -50,9 +52,10 @@ from radiant_viewer.window.shortcuts import show_shortcuts
 from radiant_viewer.window.subject import Subject
 from radiant_viewer.window.window_size import fit_to_screen, remember_size
 
-SELECTED, MODEL_LAYER = "Selected camera", "Gaussians"
+SELECTED = "Selected camera"
 MAP_SHARE, EDITED_SHARE = 0.35, 0.6
 """Share of the map of both views' width; larger while a plan is edited on it."""
+STEPS = (("Left", -1, "worse"), ("Right", 1, "better"))
 PICK_PX = 14
 """Largest distance of a click from the camera that it selects."""
 _Result = TypeVar("_Result")
@@ -85,19 +88,20 @@ class InspectorWindow(QMainWindow):
         self.edit_button: QAction | None = None
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
-        splitter = QSplitter(Qt.Orientation.Horizontal)
+        self.splitter = splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin, unit=subject.unit)
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
+        self.view.said, self.view.ground_under = self.show_status, subject.ground_under
         self._marks = Marks((self.map, self.view))
         splitter.setStretchFactor(1, 1)
-        self.splitter = splitter
         self.setCentralWidget(splitter)
         self.layer_dock = LayerDock(self.layers, hidden_at_first(self.layers), self._on_visibility)
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
-        self.model = None if subject.model is None else ModelView(self, subject.model.whole, subject.model.cleaned.kept)
+        seen = self._seen()
+        self.model = None if subject.model is None or seen is None else ModelView(self, subject.model.whole, seen)
         self.docks = make_docks(self, subject, feeds or RunFeeds(), None if self.model is None else self.model.ply_path)
         place_docks(self, self.docks)
         if self.model is not None:
@@ -116,9 +120,7 @@ class InspectorWindow(QMainWindow):
         self._add_actions()
         self.place = PlaceLabel(self.statusBar(), self.map, None if subject.run is None else subject.run.scene.frame)
         self.set_theme(theme)
-        self.show_status(subject.summary)
-        if setting is not None and setting.reason:
-            self.show_status(f"{subject.summary}.   {setting.reason}")
+        self.show_status(".   ".join(filter(None, (subject.summary, "" if setting is None else setting.reason))))
 
     def show_status(self, message: str) -> None:
         self.statusBar().showMessage(message)
@@ -130,7 +132,7 @@ class InspectorWindow(QMainWindow):
         except RadiantError as error:
             self.show_status(str(error))
             box = QMessageBox(QMessageBox.Icon.Warning, "Radiant", str(error), QMessageBox.StandardButton.Ok, self)
-            # Not modal: it must not block a film that is being written, or a test.
+            # Not modal: it must not block a film, or a test.
             box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
             box.open()
             return None
@@ -247,10 +249,9 @@ class InspectorWindow(QMainWindow):
         self._draw_all()
 
     def reset_views(self) -> None:
-        """Fit all layers into both views."""
-        drawn = framing_positions(self.layers)
+        """Fit the scene into both views; of a model alone all there is."""
         for canvas in (self.map, self.view):
-            canvas.fit(drawn)
+            canvas.fit(self.subject.framing)
         self.render_views()
 
     def render_views(self, *, map_only: bool = False) -> None:
@@ -273,7 +274,7 @@ class InspectorWindow(QMainWindow):
 
     def save_window_picture(self, path: Path) -> None:
         """Write the window with its docks as PNG; BadInput where it cannot be written."""
-        # Grabbed from the screen: Qt's own picture of a widget leaves out what OpenGL drew.
+        # Of the screen: Qt's own picture of a widget leaves out what OpenGL drew.
         if not self.screen().grabWindow(int(self.winId())).save(str(path), "PNG"):
             raise BadInput(f"cannot write {path}: choose a folder that exists and a name that ends in .png.")
         self.show_status(f"Saved {path}")
@@ -347,13 +348,12 @@ class InspectorWindow(QMainWindow):
         actions = None if planning is None else planning.actions
         # Text, tip, key and action; an entry without a text has its button in a dock.
         entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
-            ("Fit", "Fit all layers into both views", "F", self.reset_views),
-            ("", "See the scene from above, north up", "Ctrl+1", partial(self._see_from, "top")),
-            ("", "See the scene from the south", "Ctrl+2", partial(self._see_from, "front")),
+            ("Fit", "Fit the scene into both views", "F", self.reset_views),
+            *(("", f"See the scene from {word}", f"Ctrl+{key}", partial(self._see_from, side)) for key, side, word in SIDE_KEYS),
+            ("", "See again what the 3D view showed before the last move", "V", self.view.go_back),
             ("Fly to", "See the scene from the selected camera", "Return", self.fly_to_selected if self.run else None),
             ("Worst photograph", "The held-out photograph with the lowest PSNR", "W", photo.show_worst if photo else None),
-            ("", "The next worse held-out photograph", "Alt+Left", (lambda: photo.step(-1)) if photo else None),
-            ("", "The next better held-out photograph", "Alt+Right", (lambda: photo.step(1)) if photo else None),
+            *(("", f"The next {word} held-out photograph", f"Alt+{key}", partial(photo.step, by)) for key, by, word in STEPS if photo),
             ("Seam tour", "The worst seam first", "T", self._begin_tour if seams else None),
             ("", "The next seam", "N", (lambda: seams.step(1)) if seams else None),
             ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
@@ -409,8 +409,14 @@ class InspectorWindow(QMainWindow):
             self.docks.seams.go(0)
 
     def _see_from(self, side: Side) -> None:
-        self.view.set_pose(side_view(self.view.pose, side))
+        self.view.set_pose(fitting_pose(self.subject.framing, self.view.size_wh, FIT_ANGLE_DEG, SIDES_DEG[side]))
         self.render_views()
+
+    def _seen(self) -> NDArray[np.bool_] | None:
+        """Which Gaussians (N,) the views show; None without a model."""
+        session = self.docks.cleaning.session if hasattr(self, "docks") else None
+        model = self.subject.model if session is None else session.model
+        return None if model is None else seen_of(model, self.subject.box, self.layer_dock.is_visible)
 
     def _set_editing(self, active: bool) -> None:
         assert self.planning is not None
@@ -431,9 +437,10 @@ class InspectorWindow(QMainWindow):
         assert session is not None
         self.run = None if self.run is None else replace(self.run, model=session.model)
         self._tried = file_stamps(self.subject.path)
-        if self.model is not None:
-            self.model.set_kept(session.model.cleaned.kept)
-        self.replace_layer(splat_layer(session.model.splats))
+        if self.model is not None and (seen := self._seen()) is not None:
+            self.model.set_seen(seen)
+        for layer in model_layers(session.model.splats, self.subject.box):
+            self.replace_layer(layer)
         self.docks.cleaning.show_session()
         self.render_views()
 
@@ -455,8 +462,8 @@ class InspectorWindow(QMainWindow):
 
     def _draws(self, layer: Layer) -> bool:
         """Whether a layer is drawn as it is: Gaussians are drawn as the model while that can be."""
-        is_model = layer.name == MODEL_LAYER and self.model is not None and not self.model.has_failed
-        return self.layer_dock.is_visible(layer.name) and not is_model
+        is_drawn = layer.name in (MODEL, SURROUNDINGS) and self.model is not None and not self.model.has_failed
+        return self.layer_dock.is_visible(layer.name) and not is_drawn
 
     def _on_model_failed(self, reason: str) -> None:
         self._on_visibility()
@@ -467,8 +474,8 @@ class InspectorWindow(QMainWindow):
             for canvas in (self.map, self.view):
                 canvas.show(layer.name, self._draws(layer))
         self._marks.follow_solo(self.layer_dock.solo is not None, (self.measure, self.docks.cleaning.polygon))
-        if self.model is not None:
-            self.model.set_shown(self.layer_dock.is_visible(MODEL_LAYER))
+        if self.model is not None and (seen := self._seen()) is not None:
+            self.model.set_seen(seen)
         self.render_views()
 
     def _pick(self, canvas: Canvas, pixel: tuple[int, int]) -> bool:
