@@ -39,7 +39,8 @@ _HALVINGS = 45
 
 WORTH = 2.0
 """How many times as long as joined models one that machines train together may take: with as many
-views it was 1.2 to 1.4 dB better in the town and 0.4 on caliterra (docs/experiments/together.md).
+views it was 1.2 to 1.4 dB better in the town, 0.6 to 0.7 on caliterra and 0.3 to 0.4 on lewis
+(docs/experiments/together.md).
 In the town joined ones stay 1.0 dB behind one model of all also after three times the steps, that
 is below it (docs/experiments/aggregation.md)."""
 
