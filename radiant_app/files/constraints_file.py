@@ -62,7 +62,7 @@ def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
         if file.plan is not None and not (path.parent / file.plan).is_file():
             raise BadInput(f"there is no plan {file.plan} beside it: correct `plan`, the file to start from.")
     except ValidationError as error:
-        raise BadInput(f"{path}: {problem_sentence(error, 'constraints file')}") from error
+        raise BadInput(f"{path}: {problem_sentence(error, 'constraints file', model=_File)}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
     start = None if file.plan is None else load_plan(path.parent / file.plan)[0]

@@ -87,7 +87,7 @@ def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
     try:
         content = _file_model().model_validate(tables)
     except ValidationError as error:
-        raise BadInput(f"{path}: {problem_sentence(error, 'job file')}") from error
+        raise BadInput(f"{path}: {problem_sentence(error, 'job file', model=_file_model())}") from error
     base, folder = path.resolve().parent, folder.resolve()
     defaults = _dump_given(content.defaults)
     try:

@@ -139,7 +139,7 @@ def load_profile(path: Path, name: str | None = None) -> Profile:
     try:
         return _File.model_validate(tables).build(name or path.name)
     except ValidationError as error:
-        raise BadInput(f"{path}: {problem_sentence(error, KIND)}") from error
+        raise BadInput(f"{path}: {problem_sentence(error, KIND, model=_File)}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
 

@@ -335,7 +335,7 @@ def load_system(path: Path, *, curves: bool = False) -> System:
             raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
         return system
     except ValidationError as error:
-        raise BadInput(f"{path}: {problem_sentence(error, 'system file')}") from error
+        raise BadInput(f"{path}: {problem_sentence(error, 'system file', model=_File)}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
 

@@ -65,7 +65,7 @@ def test_every_option_of_the_command_is_a_key_but_those_that_the_batch_sets(tmp_
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("steps = 20", "step = 20", "job[1].step is not a key of a job file"),
+        ("steps = 20", "step = 20", "job[1].step is not a key of a job file: did you mean steps?"),
         ("steps = 20", 'steps = "20"', "job[1].steps is '20'; expected a valid integer"),
         ("steps = 20", "steps = 0", "job[1].steps is 0; expected greater than or equal to 1"),
         ("steps = 20", "steps = true", "job[1].steps is True; expected a valid integer"),

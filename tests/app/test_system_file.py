@@ -150,9 +150,13 @@ def test_an_even_system_without_edges_or_devices_is_refused(counts: tuple[int, i
         ("max_cameras = 400", "max_cameras = 400.5", "edge[0].device[0].max_cameras is 400.5; expected"),
         ("memory_gb = 8", "memory_gb = 0", "edge[0].device[0].memory_gb is 0; expected greater than 0"),
         ("max_cameras = 400", "max_cameras = -1", "edge[0].device[0].max_cameras is -1; expected greater than or equal to 0"),
-        ("max_cameras = 400", "max_camera = 400", "edge[0].device[0].max_camera is not a key of a system file"),
+        ("max_cameras = 400", "max_camera = 400", "edge[0].device[0].max_camera is not a key of a system file: did you mean max_cameras?"),
         ("init_s = { linear = 0.1 }", "init_s = { linear = -0.1 }", "edge[0].device[0].init_s.linear is -0.1; expected"),
-        ("init_s = { linear = 0.1 }", "init_s = { linaer = 0.1 }", "edge[0].device[0].init_s.linaer is not a key"),
+        (
+            "init_s = { linear = 0.1 }",
+            "init_s = { linaer = 0.1 }",
+            "edge[0].device[0].init_s.linaer is not a key of a system file: did you mean linear?",
+        ),
         ("init_s = { linear = 0.1 }", "init_s = 0.1", "edge[0].device[0].init_s is 0.1; expected"),
         ("exponent = 1.5", "exponent = 5", "edge[0].device[0].train_s.exponent is 5; expected less than or equal to 4"),
         ("relative_speed = 2.0", "relative_speed = 0", "edge[1].device[0].relative_speed is 0; expected greater than or equal to 0.001"),
@@ -264,7 +268,7 @@ def test_latency_and_adding_arrive_in_base_units_and_are_written_again(tmp_path:
     [
         ('id = "north"', 'id = "north"\nlatency_ms = -1', "edge[0].latency_ms is -1; expected greater than or equal to 0"),
         ('id = "north"', 'id = "north"\nadd_ms_per_mb = inf', "edge[0].add_ms_per_mb is inf; expected a finite"),
-        ('id = "north-1"', 'id = "north-1"\nlatency_ms = 1', "edge[0].device[0].latency_ms is not a key of a system file"),
+        ('id = "north-1"', 'id = "north-1"\nlatency_ms = 1', "edge[0].device[0].latency_ms is not a key of a system file: remove it"),
     ],
 )
 def test_a_wrong_latency_gets_one_sentence(tmp_path: Path, old: str, new: str, message: str) -> None:

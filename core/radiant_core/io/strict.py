@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from difflib import get_close_matches
+from typing import Any, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -16,9 +17,9 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-def problem_sentence(error: ValidationError, kind: str, path: str = "", given: Any = None) -> str:
+def problem_sentence(error: ValidationError, kind: str, path: str = "", given: Any = None, model: type[BaseModel] | None = None) -> str:
     """The first problem at a key's `path` in a `kind` of file: its path, what came and what is
-    expected.
+    expected; by its `model`, the key that was probably meant.
 
     With what was `given`, the path has only keys that stand there, without pydantic's union tags.
     """
@@ -28,13 +29,35 @@ def problem_sentence(error: ValidationError, kind: str, path: str = "", given: A
     if problem["type"] == "missing":
         return f"{key} is missing: add it."
     if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"{key} is not a key of a {kind}: remove it or correct its spelling."
+        near = [] if model is None else get_close_matches(str(problem["loc"][-1]), _keys_at(model, problem["loc"][:-1]), 1)
+        meant = f"did you mean {near[0]}?" if near else "remove it or correct its spelling."
+        return f"{key} is not a key of a {kind}: {meant}"
     cause = problem.get("ctx", {}).get("error")
     if isinstance(cause, BadInput):
         return f"{key}: {cause}"
     text = repr(problem["input"])
     expected = problem["msg"].replace("Input should be", "expected")
     return f"{key} is {text if len(text) <= 60 else text[:57] + '…'}; {expected[0].lower()}{expected[1:]}: correct it."
+
+
+def _keys_at(model: type[BaseModel], place: Sequence[int | str]) -> list[str]:
+    """The keys that a model has at a place in it; none where it is no model."""
+    for part in place:
+        if isinstance(part, str):
+            fields = {field.alias or name: field for name, field in model.model_fields.items()}
+            inner = [] if part not in fields else [each for each in _types_in(fields[part].annotation) if issubclass(each, BaseModel)]
+            if len(inner) != 1:
+                return []
+            model = inner[0]
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _types_in(annotation: Any) -> Iterator[type]:
+    """The classes in a type, such as `Edge` in `list[Edge] | None`."""
+    if isinstance(annotation, type) and not get_args(annotation):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _types_in(part)
 
 
 def _keys_in(given: Any, parts: Sequence[int | str], is_missing: bool) -> Iterator[int | str]:
