@@ -14,6 +14,8 @@ can. stop: nothing is made; warn: what the user says is taken."""
 Matching = Literal["auto", "spatial", "exhaustive"]
 """auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each
 with its GPS neighbours; exhaustive: every pair."""
+MaskIgnores = Literal["black", "white", "nothing"]
+"""Which colour of a mask leaves pixels out; nothing: no mask is used."""
 PlanMethod = Literal["exact", "paper", "paper-literal", "even", "voronoi", "kd"]
 """exact: least makespan; paper: the paper's Alg. 1 on power cells; paper-literal: Alg. 1 as
 written, with half-planes; even: equal counts per device; voronoi: nearest edge; kd: halves of equal

@@ -9,7 +9,7 @@ import typer
 
 from radiant_app.cli.config_options import option
 from radiant_core.aggregate.config import AggregatePreset
-from radiant_core.choices import Contradictions, CutBy, Effort, Heights, LpipsNetwork, Matching, PlanMethod
+from radiant_core.choices import Contradictions, CutBy, Effort, Heights, LpipsNetwork, MaskIgnores, Matching, PlanMethod
 from radiant_core.train.config import Preset
 
 PlanSource = Annotated[
@@ -83,6 +83,7 @@ RequireCrsGridsOption = Annotated[
 MatchingOption = Annotated[Matching, option("sfm.matching")]
 EffortOption = Annotated[Effort, option("sfm.effort")]
 MaskFolder = Annotated[Path | None, option("sfm.masks")]
+MaskIgnoresOption = Annotated[MaskIgnores | None, option("sfm.mask_ignores")]
 SystemFile = Annotated[Path | None, option("system")]
 PlanMethodOption = Annotated[PlanMethod, option("plan.method")]
 TrainPresetOption = Annotated[Preset, option("train.preset")]

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from radiant_app.cli import option_types as options
-from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, MatchingOption, Out, UpOption
+from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, MaskIgnoresOption, MatchingOption, Out, UpOption
 from radiant_app.report.tables import finish, print_scene
 
 
@@ -18,6 +18,7 @@ def sfm(
     matching: MatchingOption = "auto",
     effort: options.EffortOption = "auto",
     masks: MaskFolder = None,
+    mask_ignores: MaskIgnoresOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -50,7 +51,7 @@ def sfm(
         contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
-    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, resume=resume)
+    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, mask_ignores=mask_ignores, resume=resume)
     if as_json:
         finish(result, as_json)
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,6 +16,7 @@ from radiant_app.cli.option_types import (
     HeightOption,
     LongSide,
     MaskFolder,
+    MaskIgnoresOption,
     Seed,
     TrainPresetOption,
     UpOption,
@@ -49,6 +50,7 @@ def train(
     ] = None,
     long_side_px: LongSide = None,
     masks: MaskFolder = None,
+    mask_ignores: MaskIgnoresOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -78,6 +80,7 @@ def train(
         overrides=options.overrides,
         time_s=None if time is None else seconds_of(time),
         masks=masks,
+        mask_ignores=mask_ignores,
         up=up,
         distance=distance,
         height_m=height,
@@ -91,8 +94,12 @@ def train(
         result = commands.train(request, listen, resume=resume)
     if as_json or "psnr_db" not in result:
         finish(result, as_json)
-        return
+    else:
+        _print_trained(out, result, 0 if verbose else listen.num_decisions)
+
+
+def _print_trained(out: Path, result: dict[str, Any], num_hidden: int) -> None:
     print_model(out / "scene.ply", result)
-    if listen.num_decisions and not verbose:
-        typer.echo(f"decisions: {listen.num_decisions}, in {out / 'manifest.json'}; -v prints them here")
+    if num_hidden:
+        typer.echo(f"decisions: {num_hidden}, in {out / 'manifest.json'}; -v prints them here")
     typer.echo(f"next: radiant inspect {quote(str(out))}")

@@ -36,7 +36,7 @@ from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import captures_of, detect_source, has_scene, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras
-from radiant_core.choices import Contradictions
+from radiant_core.choices import Contradictions, MaskIgnores
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
@@ -86,6 +86,7 @@ class TrainRequest:
     """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
     masks: Path | None = None
     """Folder of masks, see `radiant_core.io.photos.masks`; not with a scene, which has its own."""
+    mask_ignores: MaskIgnores | None = None
     up: str | None = None
     """Which way is up; like the next two a field of `Placement`, and not with a scene."""
     distance: str | None = None
@@ -198,7 +199,12 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         out=request.out,
         seed=request.seed,
         sfm=SfmOptions(
-            masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m, contradictions=request.contradictions
+            masks=request.masks,
+            mask_ignores=request.mask_ignores,
+            up=request.up,
+            distance=request.distance,
+            height_m=request.height_m,
+            contradictions=request.contradictions,
         ),
     )
     scene, images = sfm_stage(config, progress, request.memory_bytes)
@@ -211,7 +217,7 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
             f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
             "it is made, or train from the photographs."
         )
-    if request.masks is not None:
+    if request.masks is not None or request.mask_ignores is not None:
         raise BadInput(
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
             "`radiant run` when it is made, or train from the photographs."

@@ -24,6 +24,7 @@ from radiant_core.choices import (
     DevicesUsed,
     Effort,
     LpipsNetwork,
+    MaskIgnores,
     Matching,
     PlanMethod,
     StepPolicy,
@@ -116,7 +117,10 @@ class SfmOptions:
     poses: Path | None = None
     """COLMAP model with the poses, for --frames known."""
     masks: Path | None = None
-    """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored."""
+    """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, black is ignored. Without
+    it masks/ beside the photographs, if its names are theirs."""
+    mask_ignores: Annotated[MaskIgnores | None, Option(shown="black, asked where that is most")] = None
+    """Colour of a mask that is left out of a photograph; nothing: masks/ is not used."""
     up: Annotated[str | None, Option(shown="auto")] = None
     """auto: by GPS, else by what ground and cameras show. Or: ground (the plane through most points
     is level), level (photographs were held level), down (they look straight down), a photograph's
@@ -412,7 +416,7 @@ class RunConfig:
             raise BadInput(f"{reason}, and {where} their models are joined: leave --within-edge, --between-edges and --mask-gradients out.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
-        if self.frames != "shared" and self.sfm.masks is not None:
+        if self.frames != "shared" and (self.sfm.masks is not None or self.sfm.mask_ignores not in (None, "nothing")):
             raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
             reason = "--up, --north, --distance, --height and --gcp place one scene"

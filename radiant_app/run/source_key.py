@@ -44,9 +44,9 @@ Files = dict[str, list[Any]]
 def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
     """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
     known = _read_record(folder)
-    files = _describe_files(used_files(config.source, config.sfm.masks), known or {})
-    settings = [message_record(task.sfm), message_record(task.placement)]
-    key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, config.sfm.masks is None)
+    files = _describe_files(used_files(config.source, None if task.masks is None else Path(task.masks)), known or {})
+    settings = [message_record(task.sfm), message_record(task.placement), task.mask_ignores]
+    key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, task.masks is None)
     if (folder / SEAL_NAME).is_file():
         reason = OLDER if known is None else _change(known, files)
         if reason is not None:

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from radiant_app.workers.folder_kinds import require_photographs
 from radiant_app.workers.tasks import SfmTask
+from radiant_core.choices import MaskIgnores
 from radiant_core.errors import BadInput
 from radiant_core.georef.given_frame import NAME as GIVEN_FRAME
 from radiant_core.georef.given_frame import save_given_frame
 from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
+from radiant_core.io.photos.folders import photograph_names
+from radiant_core.io.photos.mask_folders import find_mask_folder
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
@@ -62,24 +65,45 @@ def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
-def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placement) -> SfmTask:
-    """Structure from motion of a source within a folder of masks, if there is one."""
-    return SfmTask(source=str(source.resolve()), sfm=sfm, masks=None if masks is None else str(masks.resolve()), placement=placement)
+def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placement, mask_ignores: MaskIgnores | None = None) -> SfmTask:
+    """Structure from motion of a source within a folder of masks, given or beside the photographs.
+    BadInput where several would do."""
+    if mask_ignores == "nothing" and masks is not None:
+        raise BadInput(f"--masks {masks} is given and --mask-ignores is nothing: leave one of them out.")
+    if masks is None and mask_ignores != "nothing" and source.is_dir():
+        images = locate_source(source)[1]
+        masks = find_mask_folder(images, photograph_names(images))[0]
+    return SfmTask(
+        source=str(source.resolve()),
+        sfm=sfm,
+        masks=None if masks is None else str(masks.resolve()),
+        placement=placement,
+        mask_ignores=mask_ignores,
+    )
 
 
 def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     """Run structure from motion in `folder` on the source that the task names."""
-    result = _reconstruct(task, folder, report)
+    from radiant_core.sfm.masks_in_use import masks_in_use
+
+    images = detect_source(Path(task.source))[1]
+    given = None if task.masks is None else Path(task.masks)
+    with masks_in_use(given, task.mask_ignores, images, photograph_names(images), folder) as masks:
+        result = _reconstruct(task, masks.folder, folder, report)
     notes = notes_on_source(Path(task.source))
-    return replace(result, warnings=(*notes, *result.warnings), unnamed_warnings=(*notes, *result.unnamed_warnings))
+    return replace(
+        result,
+        decisions=(*masks.decisions, *result.decisions),
+        warnings=(*notes, *masks.warnings, *result.warnings),
+        unnamed_warnings=(*notes, *masks.unnamed_warnings, *result.unnamed_warnings),
+    )
 
 
-def _reconstruct(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
+def _reconstruct(task: SfmTask, masks: Path | None, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     from radiant_core.sfm.known_poses import scene_from_mill19
     from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
     kind, images, model = detect_source(Path(task.source))
-    masks = None if task.masks is None else Path(task.masks)
     if kind == "colmap":
         assert model is not None
         return scene_from_colmap(model, images, folder, report, masks, task.placement)

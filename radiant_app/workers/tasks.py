@@ -25,7 +25,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from radiant_app.workers.delivering import accept_task, belongs_to_run, conducts_itself
-from radiant_core.choices import Effort, LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat, Version
+from radiant_core.choices import Effort, LightMode, LpipsNetwork, MaskIgnores, Matching, PlanMethod, UploadFormat, Version
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
@@ -71,6 +71,7 @@ class SfmTask:
     sfm: SfmConfig
     masks: str | None
     placement: Placement
+    mask_ignores: MaskIgnores | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

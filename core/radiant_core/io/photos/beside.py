@@ -97,7 +97,8 @@ def _projects_in(folder: Path, masks: Path | None, control: str | None, *, above
     for path in entries:
         name, suffix = path.name.lower(), path.suffix.lower()
         if path.is_dir():
-            told += [] if path.resolve() == used else _folder_kind(path, above=above)
+            is_used = path.resolve() == used or (used is not None and name in MASK_FOLDERS)
+            told += [] if is_used else _folder_kind(path, above=above)
         elif control is not None and name == CONTROL_LIST and _has_text(path, control):
             continue
         elif kind := _kind_of_file(name):
