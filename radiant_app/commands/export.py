@@ -27,7 +27,6 @@ from radiant_core.io.ply import save_ply
 
 if TYPE_CHECKING:
     from radiant_core.geometry.surface import Surface
-    from radiant_core.scene import SfmScene
     from radiant_viewer.runs.run_view import RunView
 
 ENDINGS: dict[str, ExportFormat] = {
@@ -149,45 +148,15 @@ def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]
     return {"regions": sum(len(border) >= 3 for border in run.cloud_plan.borders), "cameras": len(run.scene.cameras)}
 
 
-def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_app.files.run_folder import create_folder
-    from radiant_core.io.export.scene import save_colmap
+def _project(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
+    """The function `name` of `export_project`, which imports what it needs when it is called."""
 
-    scene = _scene_without_repeats(run_of(request), display)
-    place = place_of(request.model, request.crs)
-    if place.move is not None:
-        scene = place.move.move_scene(scene)
-    with create_folder(request.out):
-        save_colmap(request.out, scene)
-    figures = {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
-    return {**figures, **_photographs_of(request.model), **place.write(request.out)}
+    def write(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+        from radiant_app.commands import export_project
 
+        return getattr(export_project, name)(request, display)
 
-def _photographs_of(model: Path) -> dict[str, str]:
-    """Where the photographs are that an exported model is of: undistorted, not as taken."""
-    from radiant_app.workers.sources import has_scene, images_folder_of
-
-    if not has_scene(model):
-        return {}
-    try:
-        photographs = images_folder_of(model)
-    except BadInput:
-        return {}  # nothing there names them, and the export needs none
-    return {"photographs": f"{photographs} (those that the model is of; not others of the same names)"}
-
-
-def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:
-    """The scene; without copies of photographs unless it is a run's, as training takes it."""
-    from radiant_core.sfm.copies import without_repeats
-    from radiant_viewer.runs.unplanned import unplanned_photographs
-
-    photographs = None if run.kind == "run" else unplanned_photographs(run.folder)
-    if photographs is None or not photographs.is_dir():
-        return run.scene
-    scene, warnings = without_repeats(run.scene, photographs)
-    for message in warnings:
-        display(Warned(stage="export", message=message))
-    return scene
+    return write
 
 
 def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -297,7 +266,8 @@ _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] 
     "spz": _spz,
     "sog": _sog,
     "geojson": _geojson,
-    "colmap": _colmap,
+    "colmap": _project("export_colmap"),
+    "nerfstudio": _project("export_nerfstudio"),
     "mesh": _mesh,
     "ortho": _ortho,
     **{kind: _levels(f"export_{kind}") for kind in LEVELLED},

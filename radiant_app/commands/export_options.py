@@ -14,7 +14,7 @@ OF_HEIGHTS: tuple[ExportFormat, ...] = ("dsm", "dtm", "contours", "laz", "glb")
 OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "ortho", *OF_HEIGHTS)
 RASTERS: tuple[ExportFormat, ...] = ("dsm", "dtm", "ortho")
 CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod", "tiles")
-PLACED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "mesh", "colmap")
+PLACED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "mesh", "colmap", "nerfstudio")
 """What a file beside it says the place of."""
 LEVELLED: tuple[ExportFormat, ...] = ("lod", "tiles", "viewer")
 
