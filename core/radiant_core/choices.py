@@ -39,10 +39,10 @@ UploadFormat = Literal["float32", "float16", "spz"]
 LpipsNetwork = Literal["vgg", "alex"]
 """Backbone of LPIPS: VGG16 or AlexNet."""
 ExportFormat = Literal[
-    "ply", "spz", "sog", "lod", "tiles", "viewer", "geojson", "colmap", "nerfstudio",
+    "ply", "spz", "sog", "usd", "lod", "tiles", "viewer", "geojson", "colmap", "nerfstudio",
     "mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb",
 ]  # fmt: skip
-"""ply, spz, sog: a model; lod, tiles: with levels of detail (streamed SOG, 3D Tiles); viewer: with
+"""ply, spz, sog, usd: a model; lod, tiles: with levels of detail (streamed SOG, 3D Tiles); viewer: with
 a page to fly through it; geojson: regions and cameras; colmap, nerfstudio: a project for other
 trainers; mesh: the surface; dsm: heights of the surface, dtm: without buildings and trees; ortho:
 the scene from straight above; contours: lines of equal height; laz: points of the surface; glb: a

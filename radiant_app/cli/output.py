@@ -58,7 +58,9 @@ def export(
     out: Annotated[Path, typer.Argument(help="File to write; a folder for projects. Its ending says what.", show_default=False)],
     format: Annotated[  # noqa: A002
         ExportFormat | None,
-        typer.Option(help="Model: ply, spz, sog, lod, tiles, viewer. Project: colmap, nerfstudio. TIFF: ortho, dsm, dtm. Else as named."),
+        typer.Option(
+            help="Model: ply, spz, sog, usd, lod, tiles, viewer. Project: colmap, nerfstudio. TIFF: ortho, dsm, dtm. Else as named."
+        ),
     ] = None,
     resolution: Annotated[
         float | None, typer.Option(min=1e-6, help="Metres of a cell; else one pixel of the photographs (ortho), or two, or what fits.")

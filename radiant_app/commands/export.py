@@ -31,12 +31,13 @@ if TYPE_CHECKING:
 
 ENDINGS: dict[str, ExportFormat] = {
     ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".laz": "laz", ".glb": "glb", ".html": "viewer",
-    "": "colmap",
+    ".usd": "usd", ".usdc": "usd", ".usda": "usd", ".usdz": "usd", "": "colmap",
 }  # fmt: skip
 _WANTED = {
     "ply": (".ply",),
     "spz": (".spz",),
     "sog": (".sog",),
+    "usd": (".usdc", ".usd", ".usda", ".usdz"),
     "geojson": (".geojson", ".json"),
     "mesh": (".ply",),
     "dsm": (".tif", ".tiff"),
@@ -46,6 +47,7 @@ _WANTED = {
     "glb": (".glb",),
     "ortho": (".tif", ".tiff"),
 }
+_SHARING_A_SIDECAR = (*_WANTED["ply"], *_WANTED["spz"], *_WANTED["sog"], *_WANTED["usd"])
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -74,7 +76,7 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 def _require_alone(out: Path) -> None:
     """Raise BadInput where the file that says the place of `out` would speak of another one too."""
-    others = sorted(path.name for path in out.parent.glob(f"{glob_escape(out.stem)}.*") if path.suffix.lower() in (".ply", ".spz", ".sog"))
+    others = sorted(path.name for path in out.parent.glob(f"{glob_escape(out.stem)}.*") if path.suffix.lower() in _SHARING_A_SIDECAR)
     if others:
         raise BadInput(f"{others[0]} stands beside it, whose place {out.stem}.georef.json would seem to be: choose another name.")
 
@@ -126,6 +128,17 @@ def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     errors = replace(errors, position_max_m=errors.position_max_m * place.unit_m)
     figures = {name: float(f"{value:.3g}") for name, value in asdict(errors).items()}
     return {"gaussians": len(splats), **figures, **cleaned, **place.write(request.out)}
+
+
+def _usd(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.extras import require_extra
+    from radiant_core.io.export.usd import save_usd
+
+    require_extra("usd", "no USD can be written", "write PLY, SPZ or SOG, which need nothing more")
+    splats, cleaned = exported_model(request, display)
+    splats, place = placed(request, splats)
+    save_usd(request.out, splats, place.unit_m, place.comments)
+    return {"gaussians": len(splats), **cleaned, **place.write(request.out)}
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -265,6 +278,7 @@ _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] 
     "ply": _ply,
     "spz": _spz,
     "sog": _sog,
+    "usd": _usd,
     "geojson": _geojson,
     "colmap": _project("export_colmap"),
     "nerfstudio": _project("export_nerfstudio"),

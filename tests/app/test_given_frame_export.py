@@ -79,8 +79,8 @@ def test_a_training_from_a_finished_scene_keeps_the_way_back(trained: Path, tmp_
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"out": "ortho.tif", "format": "ortho"}, "--crs given is of ply, spz, sog, mesh, colmap, nerfstudio files"),
-        ({"out": "cameras.geojson"}, "--crs given is of ply, spz, sog, mesh, colmap, nerfstudio files"),
+        ({"out": "ortho.tif", "format": "ortho"}, "--crs given is of ply, spz, sog, usd, mesh, colmap, nerfstudio files"),
+        ({"out": "cameras.geojson"}, "--crs given is of ply, spz, sog, usd, mesh, colmap, nerfstudio files"),
         ({"out": "tiles", "format": "tiles"}, "--crs given is of"),
         ({"model": "scene.ply", "out": "b.ply"}, "was made from no given model: --crs given needs the folder of a run or scene"),
     ],
