@@ -42,8 +42,8 @@ ExportFormat = Literal[
     "ply", "spz", "sog", "usd", "lod", "tiles", "viewer", "geojson", "colmap", "nerfstudio",
     "mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb",
 ]  # fmt: skip
-"""ply, spz, sog, usd: a model; lod, tiles: with levels of detail (streamed SOG, 3D Tiles); viewer: with
-a page to fly through it; geojson: regions and cameras; colmap, nerfstudio: a project for other
+"""ply, spz, sog, usd: a model; lod, tiles: with levels of detail (streamed SOG, 3D Tiles); viewer:
+with a page to fly through it; geojson: regions and cameras; colmap, nerfstudio: a project for other
 trainers; mesh: the surface; dsm: heights of the surface, dtm: without buildings and trees; ortho:
 the scene from straight above; contours: lines of equal height; laz: points of the surface; glb: a
 textured mesh."""
