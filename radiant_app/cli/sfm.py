@@ -8,17 +8,18 @@ from typing import Annotated
 import typer
 
 from radiant_app.cli import option_types as options
-from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, MaskIgnoresOption, MatchingOption, Out, UpOption
+from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, MatchingOption, Out, UpOption
 from radiant_app.report.tables import finish, print_scene
 
 
 def sfm(
-    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
+    source: Annotated[Path, typer.Argument(help="Photographs, a film, a COLMAP project, or a Mill 19 folder.", show_default=False)],
     out: Out,
     matching: MatchingOption = "auto",
     effort: options.EffortOption = "auto",
     masks: MaskFolder = None,
-    mask_ignores: MaskIgnoresOption = None,
+    mask_ignores: options.MaskIgnoresOption = None,
+    film_frames: options.FilmFramesOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -40,6 +41,8 @@ def sfm(
         from radiant_core.sfm.config import SfmConfig
 
     placed = SfmOptions(
+        mask_ignores=mask_ignores,
+        film_frames=film_frames,
         up=up,
         distance=distance,
         height_m=height,
@@ -51,7 +54,7 @@ def sfm(
         contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
-    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, mask_ignores=mask_ignores, resume=resume)
+    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, intake=placed.intake, resume=resume)
     if as_json:
         finish(result, as_json)
     else:

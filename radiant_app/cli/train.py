@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +14,7 @@ from radiant_app.cli.option_types import (
     AsJson,
     ContradictionsOption,
     DistanceOption,
+    FilmFramesOption,
     HeightOption,
     LongSide,
     MaskFolder,
@@ -26,9 +28,13 @@ from radiant_app.config.fields import train_options, with_settings
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.report.tables import finish, print_model
 
+if TYPE_CHECKING:
+    from radiant_app.config.run_config import TrainOptions
+    from radiant_core.train.config import Preset
+
 
 def train(
-    scene: Annotated[Path, typer.Argument(help="A run, a folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)],
+    scene: Annotated[Path, typer.Argument(help="A run, a folder of `radiant sfm`, a COLMAP project, photographs, a film.")],
     out: Annotated[
         Path, typer.Option("--out", help="Folder of model, figures, pictures; or MODEL.ply, of a run or scene.", show_default=False)
     ],
@@ -39,11 +45,7 @@ def train(
         int | None, option("train.max_num_splats", "--gaussians", "--max-splats", help="Upper limit of Gaussians.")
     ] = None,
     memory: Annotated[
-        str | None,
-        typer.Option(
-            help="What the process may hold: 600MB, 2GB; sets the upper limit of Gaussians, and bounds finding features.",
-            show_default=False,
-        ),
+        str | None, typer.Option(help="What it may hold: 600MB, 2GB; limits Gaussians, and bounds finding features.", show_default=False)
     ] = None,
     validate: Annotated[
         bool | None, typer.Option(help="An eighth of the training photographs only picks the best model.", show_default="from 100 on")
@@ -51,6 +53,7 @@ def train(
     long_side_px: LongSide = None,
     masks: MaskFolder = None,
     mask_ignores: MaskIgnoresOption = None,
+    film_frames: FilmFramesOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -69,10 +72,10 @@ def train(
 
     with show_starting():
         from radiant_app.commands import train as commands
+        from radiant_core.sfm.intake import Intake
 
     numbers = {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}
-    typed = {f"train.{name}": value for name, value in numbers.items() if value is not None}
-    options = train_options({"train.preset": train_preset, **with_settings(typed, settings or (), "train")})
+    options = _training_options(train_preset, numbers, settings or ())
     request = commands.TrainRequest(
         source=scene,
         out=out,
@@ -80,7 +83,7 @@ def train(
         overrides=options.overrides,
         time_s=None if time is None else seconds_of(time),
         masks=masks,
-        mask_ignores=mask_ignores,
+        intake=Intake(mask_ignores=mask_ignores, film_frames=film_frames),
         up=up,
         distance=distance,
         height_m=height,
@@ -96,6 +99,11 @@ def train(
         finish(result, as_json)
     else:
         _print_trained(out, result, 0 if verbose else listen.num_decisions)
+
+
+def _training_options(preset: Preset, numbers: dict[str, int | None], settings: Sequence[str]) -> TrainOptions:
+    typed = {f"train.{name}": value for name, value in numbers.items() if value is not None}
+    return train_options({"train.preset": preset, **with_settings(typed, settings, "train")})
 
 
 def _print_trained(out: Path, result: dict[str, Any], num_hidden: int) -> None:

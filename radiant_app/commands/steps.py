@@ -18,7 +18,6 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.folder_kinds import named_folder
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import POSITIONS, SURVEY, reconstruct_source, save_given_frames, sfm_record, sfm_task
-from radiant_core.choices import MaskIgnores
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.messages import message_record
@@ -26,6 +25,7 @@ from radiant_core.io.records import save_scene
 from radiant_core.io.run_store import write_json
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
 
@@ -37,12 +37,12 @@ def sfm(  # noqa: PLR0913
     masks: Path | None = None,
     placement: dict[str, Any] | None = None,
     *,
-    mask_ignores: MaskIgnores | None = None,
+    intake: Intake = AS_FOUND,
     resume: bool = False,
 ) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`, where `resume` goes on;
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`."""
-    task = sfm_task(source, config, masks, Placement(**(placement or {})), mask_ignores)
+    task = sfm_task(source, config, masks, Placement(**(placement or {})), intake)
     with sfm_folder(out, message_record(task), resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
         result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=display).sfm_progress)
     save_scene(out / "scene.safetensors", result.scene)

@@ -36,7 +36,7 @@ from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import captures_of, detect_source, has_scene, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras
-from radiant_core.choices import Contradictions, MaskIgnores
+from radiant_core.choices import Contradictions
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
@@ -52,6 +52,7 @@ from radiant_core.light.captures import Captures
 from radiant_core.light.solve import COMPARED_PX
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import AUTO, Placement
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import CheckpointFolder
@@ -86,7 +87,7 @@ class TrainRequest:
     """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
     masks: Path | None = None
     """Folder of masks, see `radiant_core.io.photos.masks`; not with a scene, which has its own."""
-    mask_ignores: MaskIgnores | None = None
+    intake: Intake = AS_FOUND
     up: str | None = None
     """Which way is up; like the next two a field of `Placement`, and not with a scene."""
     distance: str | None = None
@@ -200,7 +201,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         seed=request.seed,
         sfm=SfmOptions(
             masks=request.masks,
-            mask_ignores=request.mask_ignores,
+            **asdict(request.intake),
             up=request.up,
             distance=request.distance,
             height_m=request.height_m,
@@ -217,7 +218,7 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
             f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
             "it is made, or train from the photographs."
         )
-    if request.masks is not None or request.mask_ignores is not None:
+    if request.masks is not None or request.intake != AS_FOUND:
         raise BadInput(
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
             "`radiant run` when it is made, or train from the photographs."

@@ -25,6 +25,7 @@ from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap.image_files import match_images
 from radiant_core.io.colmap.model import image_names, model_files
 from radiant_core.io.colmap.records import is_image_name
+from radiant_core.io.film.formats import films_in, srt_beside
 from radiant_core.io.messages import message_record
 from radiant_core.io.photos.folders import SUFFIXES, photograph_names
 from radiant_core.io.photos.masks import find_masks
@@ -45,7 +46,7 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
     """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
     known = _read_record(folder)
     files = _describe_files(used_files(config.source, None if task.masks is None else Path(task.masks)), known or {})
-    settings = [message_record(task.sfm), message_record(task.placement), task.mask_ignores]
+    settings = [message_record(task.sfm), message_record(task.placement), message_record(task.intake)]
     key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, task.masks is None)
     if (folder / SEAL_NAME).is_file():
         reason = OLDER if known is None else _change(known, files)
@@ -59,6 +60,10 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
 def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
     """Name → file that structure from motion uses; of a COLMAP project its model and images."""
     kind, images, model = detect_source(source)
+    if kind == "film":
+        films = films_in(images)
+        beside = [srt for film in films if (srt := srt_beside(film)) is not None]
+        return {path.name: path for path in (*films, *beside)}
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
         posed = {(path.parts[-3], path.stem) for path in poses}

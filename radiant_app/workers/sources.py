@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from radiant_app.workers.folder_kinds import require_photographs
 from radiant_app.workers.tasks import SfmTask
-from radiant_core.choices import MaskIgnores
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.georef.given_frame import NAME as GIVEN_FRAME
 from radiant_core.georef.given_frame import save_given_frame
@@ -20,6 +20,7 @@ from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
 if TYPE_CHECKING:
@@ -29,30 +30,49 @@ SURVEY = "ground_control"
 """What result.json and metrics.json name the fit to surveyed points and positions by."""
 POSITIONS, DOUBTS = "gps_positions", "doubts"
 """What they name the count of GPS positions that place the scene by, and doubts about that."""
-SourceKind = Literal["photographs", "colmap", "mill19"]
+SourceKind = Literal["photographs", "colmap", "mill19", "film"]
+FRAMES = "frames"
+"""Folder of structure from motion with the frames of films."""
 
 
 def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
     """Kind, folder of photographs, and the COLMAP model's folder if there is one: `images/` beside
     `sparse/` is a COLMAP project, of whose models `find_models` chooses; `train/metadata` is
-    Mill 19. BadInput when it is no folder, or one of another kind."""
-    require_photographs(source)
+    Mill 19; a film, or a folder with films and no photographs, is one. BadInput when it is of
+    another kind."""
+    if not is_film(source):
+        require_photographs(source)
     return locate_source(source)
 
 
 def locate_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
     """`detect_source` of a folder that may be of another kind."""
+    if source.is_file():
+        return "film", source, None
     if (source / "train" / "metadata").is_dir():
         return "mill19", source, None
     models, pictures = find_models(source), picture_folder(source)
     if models and pictures is not None:
         return "colmap", pictures, models[0].folder
-    return "photographs", source / "images" if (source / "images").is_dir() else source, None
+    images = source / "images" if (source / "images").is_dir() else source
+    return "film" if is_film(images) else "photographs", images, None
+
+
+def is_film(source: Path) -> bool:
+    """Whether this is a film, or a folder with films and without photographs to read."""
+    from radiant_core.io.film.formats import films_in
+
+    if not source.exists() or not films_in(source):
+        return False
+    return source.is_file() or not photograph_names(source)
 
 
 def notes_on_source(source: Path) -> tuple[str, ...]:
     """What a source holds that is not used although it could be; names no photograph."""
-    if detect_source(source)[0] != "mill19":
+    kind = detect_source(source)[0]
+    if kind == "film":
+        return ()
+    if kind != "mill19":
         return notes_on_project(source)
     unused = [path.name for path in (source / "images", source / "sparse") if path.is_dir()]
     return (f"train/metadata makes {source.name} a Mill 19 folder; not used: {', '.join(unused)}.",) if unused else ()
@@ -65,20 +85,20 @@ def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
-def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placement, mask_ignores: MaskIgnores | None = None) -> SfmTask:
+def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placement, intake: Intake = AS_FOUND) -> SfmTask:
     """Structure from motion of a source within a folder of masks, given or beside the photographs.
     BadInput where several would do."""
-    if mask_ignores == "nothing" and masks is not None:
+    if intake.mask_ignores == "nothing" and masks is not None:
         raise BadInput(f"--masks {masks} is given and --mask-ignores is nothing: leave one of them out.")
-    if masks is None and mask_ignores != "nothing" and source.is_dir():
-        images = locate_source(source)[1]
-        masks = find_mask_folder(images, photograph_names(images))[0]
+    if masks is None and intake.mask_ignores != "nothing" and source.is_dir():
+        kind, images, _ = locate_source(source)
+        masks = None if kind == "film" else find_mask_folder(images, photograph_names(images))[0]
     return SfmTask(
         source=str(source.resolve()),
         sfm=sfm,
         masks=None if masks is None else str(masks.resolve()),
         placement=placement,
-        mask_ignores=mask_ignores,
+        intake=intake,
     )
 
 
@@ -86,28 +106,65 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
     """Run structure from motion in `folder` on the source that the task names."""
     from radiant_core.sfm.masks_in_use import masks_in_use
 
-    images = detect_source(Path(task.source))[1]
+    prepared = prepare_photographs(task, folder, report)
     given = None if task.masks is None else Path(task.masks)
-    with masks_in_use(given, task.mask_ignores, images, photograph_names(images), folder) as masks:
-        result = _reconstruct(task, masks.folder, folder, report)
-    notes = notes_on_source(Path(task.source))
+    names = photograph_names(prepared.images)
+    with masks_in_use(given, task.intake.mask_ignores, prepared.images, names, folder) as masks:
+        result = _reconstruct(task, prepared, masks.folder, folder, report)
+    notes = (*notes_on_source(Path(task.source)), *prepared.warnings)
     return replace(
         result,
-        decisions=(*masks.decisions, *result.decisions),
+        decisions=(*prepared.decisions, *masks.decisions, *result.decisions),
         warnings=(*notes, *masks.warnings, *result.warnings),
         unnamed_warnings=(*notes, *masks.unnamed_warnings, *result.unnamed_warnings),
     )
 
 
-def _reconstruct(task: SfmTask, masks: Path | None, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
+@dataclass(frozen=True, kw_only=True)
+class PreparedPhotographs:
+    """Photographs as structure from motion reads them: as they lie there, or made of films."""
+
+    kind: SourceKind
+    images: Path
+    model: Path | None
+    decisions: tuple[Decision, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def prepare_photographs(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> PreparedPhotographs:
+    """What is made of the source in `folder` before structure from motion, and where it lies."""
+    kind, images, model = detect_source(Path(task.source))
+    if kind != "film":
+        return PreparedPhotographs(kind=kind, images=images, model=model)
+    from radiant_core.io.film.formats import films_in
+    from radiant_core.io.film.frames import take_frames
+
+    taken = take_frames(
+        films_in(images),
+        folder / FRAMES,
+        task.intake.film_frames,
+        lambda phase, done, total: report(SfmProgress(phase=phase, done=done, total=total)),
+    )
+    return PreparedPhotographs(kind="photographs", images=taken.folder, model=None, decisions=(taken.decision,), warnings=taken.warnings)
+
+
+def photographs_of_task(task: SfmTask, folder: Path) -> Path:
+    """Where the photographs lie, as taken, that structure from motion in `folder` has used."""
+    kind, images, _ = detect_source(Path(task.source))
+    return folder / FRAMES if kind == "film" else images
+
+
+def _reconstruct(
+    task: SfmTask, prepared: PreparedPhotographs, masks: Path | None, folder: Path, report: Callable[[SfmProgress], None]
+) -> SfmResult:
     from radiant_core.sfm.known_poses import scene_from_mill19
     from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
-    kind, images, model = detect_source(Path(task.source))
-    if kind == "colmap":
-        assert model is not None
-        return scene_from_colmap(model, images, folder, report, masks, task.placement)
-    if kind == "mill19":
+    images = prepared.images
+    if prepared.kind == "colmap":
+        assert prepared.model is not None
+        return scene_from_colmap(prepared.model, images, folder, report, masks, task.placement)
+    if prepared.kind == "mill19":
         if replace(task.placement, contradictions="stop") != Placement():
             raise BadInput(
                 f"{images} brings its own frame, which is used as it is: leave out --up, --north, --distance, --height and --gcp."

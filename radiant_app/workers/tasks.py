@@ -25,7 +25,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from radiant_app.workers.delivering import accept_task, belongs_to_run, conducts_itself
-from radiant_core.choices import Effort, LightMode, LpipsNetwork, MaskIgnores, Matching, PlanMethod, UploadFormat, Version
+from radiant_core.choices import Effort, LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat, Version
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
@@ -45,6 +45,7 @@ from radiant_core.io.transport.delivery import Kind
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
 Triple = tuple[float, float, float]
@@ -71,7 +72,7 @@ class SfmTask:
     sfm: SfmConfig
     masks: str | None
     placement: Placement
-    mask_ignores: MaskIgnores | None = None
+    intake: Intake = AS_FOUND
 
 
 @dataclass(frozen=True, kw_only=True)
