@@ -44,6 +44,20 @@ def test_open3d_reads_ply_exactly_and_spz_within_its_steps(tmp_path: Path) -> No
     assert not (tmp_path / "b.spz").exists()
 
 
+@pytest.mark.parametrize("version", [2, 3, 4])
+def test_a_small_scene_of_fine_gaussians_keeps_them_apart_in_spz(version: SpzVersion, tmp_path: Path) -> None:
+    """A thing of 0.2 units with Gaussians of 0.2 mm and less, where 12 bits would move centres by half of their size."""
+    splats = model(400)
+    small = replace(splats, means=splats.means * np.float32(0.1 / np.abs(splats.means).max()), log_scales=splats.log_scales * 0 - 8.5)
+    cuts = save_spz(tmp_path / "a.spz", small, version)
+    # A sixteenth of e^-8.5 and no more than half of that too fine.
+    assert np.exp(-8.5) / 32 < cuts.step <= np.exp(-8.5) / 16 and not cuts.sentence()
+    back = o3d.t.io.read_point_cloud(tmp_path / "a.spz").point["positions"].numpy()
+    nearest = np.linalg.norm(back[:, None] - small.means[None], axis=2).min(axis=0)
+    # Half a step along each axis, and a whole one where Open3D cuts.
+    assert nearest.max() <= np.sqrt(3) * cuts.step
+
+
 def seen_scene() -> SfmScene:
     """The made-up town with 300 points, each seen by the cameras whose picture it falls into."""
     scene = made_up_town().scene
