@@ -56,8 +56,8 @@ class SpzCuts:
 
 def fraction_bits_of(splats: Splats) -> int:
     """Bits of a fraction for a file: 12; more where Gaussians are finer than 16 of its steps and
-    lie near enough; fewer where some lie beyond 2,047 units, and no fewer than leave steps of a quarter
-    of the median Gaussian."""
+    lie near enough; fewer where some lie beyond 2,047 units, and no fewer than leave steps of a
+    quarter of the median Gaussian."""
     if not len(splats):
         return SPZ_FRACTION_BITS
     farthest = float(np.abs(splats.means).max())

@@ -58,10 +58,11 @@ def masks_in_use(
         reason=ignored_reason(ignores),
         forced=ignores is not None,
     )
+    used = f"masks of {len(masks)} of {len(names)} photographs are used, {ignores or 'black'} is left out."
     yield MasksInUse(
         folder=turned if ignores == "white" else folder,
         decisions=(decision,),
-        warnings=unmatched_warning(matched, folder, names),
-        unnamed_warnings=unmatched_warning(matched, folder, names, named=False),
+        warnings=(f"{folder.name}/: {used}", *unmatched_warning(matched, folder, names)),
+        unnamed_warnings=(used, *unmatched_warning(matched, folder, names, named=False)),
     )
     shutil.rmtree(turned, ignore_errors=True)

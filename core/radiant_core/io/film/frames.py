@@ -74,7 +74,9 @@ def take_frames(films: Sequence[Path], folder: Path, asked: int | None, report: 
     for number, film in enumerate(films):
         _write_frames(film, folder, record["frames"][names[film]], tracks[film], _of_film(report, "taking frames", number, len(films)))
     decision = Decision(stage="sfm", topic="frames of films", **record["decision"], forced=asked is not None)
-    return FilmFrames(folder=folder, decision=decision, warnings=_warnings(films, tracks))
+    placed = sum(track is not None and len(track.times_s) > 0 for track in tracks.values())
+    said = f"{in_short([film.name for film in films])}: {decision.choice}; {placed} of {len(films)} films have positions."
+    return FilmFrames(folder=folder, decision=decision, warnings=(said, *_warnings(films, tracks)))
 
 
 def frame_name(film: str, index: int) -> str:

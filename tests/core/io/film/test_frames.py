@@ -94,7 +94,9 @@ def test_frames_carry_the_positions_of_the_subtitles_and_are_made_once(tmp_path:
         assert head.lat_lon_alt == pytest.approx((47 + 1e-4 * index, 8.5, 430.5), abs=1e-7)
     assert taken.decision.choice == f"{len(heads)} of 36 frames that were looked at, the sharpest of each stretch" and taken.decision.forced
     assert re.search(r"\d+ of them blurred, of which 0 are taken for want of sharp ones$", taken.decision.reason)
-    assert taken.warnings == ("heights of a film's subtitles may be off by tens of metres: name no vertical datum in --crs.",)
+    said, heights = taken.warnings
+    assert said == f"DJI_0001.MP4: {taken.decision.choice}; 1 of 1 films have positions."
+    assert heights == "heights of a film's subtitles may be off by tens of metres: name no vertical datum in --crs."
     before = {path: path.stat().st_mtime_ns for path in taken.folder.rglob("*.jpg")}
     first = sorted(before)[0]
     first.unlink()
