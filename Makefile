@@ -1,5 +1,5 @@
 # For developers. `./setup.sh` installs; every target here does so first where it needs it.
-.PHONY: check test stress bench docs
+.PHONY: check test stress bench docs site words
 PYTHON := .venv/bin/python
 
 check:  ## import rules, linter, types
@@ -16,7 +16,15 @@ bench:  ## the benchmarks in their quick form, as JSON in build/bench; fails whe
 	mkdir -p build/bench
 	for name in sfm plan raster; do .venv/bin/radiant bench $$name --quick --json build/bench/$$name.json --baseline tests/baseline.json || exit 1; done
 
-docs:  ## docs/cli.md from the command line itself
+site:  ## the pages and the documentation of `import radiant` in build/site/html, to be read offline
+	./setup.sh check
+	$(PYTHON) tools/site.py
+
+docs:  ## docs/cli.md from the command line, docs/types.md from the source
 	./setup.sh
 	mkdir -p docs
 	$(PYTHON) -m typer radiant_app.cli.app utils docs --name radiant --output docs/cli.md
+	$(PYTHON) tools/types_page.py
+
+words:  ## words of every page; tests/architecture holds the sum to a limit
+	@python3 tools/words.py

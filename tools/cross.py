@@ -60,8 +60,8 @@ SYSTEMS = {
 }
 
 # zig names processors with underscores. CMake asks the Python of this system what it links: libdl, which Windows has not. On macOS
-# nanobind lists Python's names for Apple's linker, where zig's takes the one option that means all of them; and zig 0.17 crashes on
-# bundles, while Python loads a library as well.
+# nanobind lists Python's names for Apple's linker, where zig's takes the one option that means all of them. Python loads a library as well
+# as a bundle, which zig 0.17 did not make.
 COMPILER = """arguments=()
 for one in "$@"; do
   case "$one" in

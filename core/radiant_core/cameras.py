@@ -48,6 +48,11 @@ class Cameras:
     def __len__(self) -> int:
         return len(self.names)
 
+    def __repr__(self) -> str:
+        sizes = sorted({f"{width}×{height}" for width, height in self.sizes_wh.tolist()})
+        shown = ", ".join(sizes) if len(sizes) <= 3 else f"{len(sizes)} sizes"
+        return f"Cameras({len(self)}, {shown} px)"
+
     @property
     def centers(self) -> FloatArray:
         """Camera centres (C,3) in the world, metres: -R^T t."""

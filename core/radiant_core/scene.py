@@ -35,6 +35,9 @@ class SfmScene:
         if len(self.observations) and ((self.observations < 0) | (self.observations >= limits)).any():
             raise BadInput("an observation names a point or camera that is not there: check the indices of `observations`.")
 
+    def __repr__(self) -> str:
+        return f"SfmScene({len(self.cameras)} cameras, {len(self.points):,} points, {self.frame.kind})"
+
     def seen_by(self, camera_indices: NDArray[np.int64]) -> NDArray[np.int64]:
         """Sorted indices (K,) of the points that at least one of these cameras observes."""
         seen = np.isin(self.observations[:, 1], camera_indices)

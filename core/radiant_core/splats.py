@@ -54,6 +54,9 @@ class Splats:
     def __len__(self) -> int:
         return len(self.means)
 
+    def __repr__(self) -> str:
+        return f"Splats({len(self):,} Gaussians, harmonics of degree {self.sh_degree}{', antialiased' * self.antialiased})"
+
     @property
     def sh_degree(self) -> int:
         """Degree 0 to 3 of the spherical harmonics."""

@@ -73,6 +73,8 @@ from radiant_viewer.charts.curve_chart import CurvePoint
 NUM_EPOCHS_OF_PHOTOGRAPHS = 10
 """As many as the paper retrains on synthetic views."""
 TWO_BY_TWO = Layout(num_edges=2, num_devices=2)
+COMPARED_TO = ("paper", "ours", "centralised")
+"""Arms to which all others have paired differences, where they are there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +116,7 @@ class MethodBench:
 
 
 def bench_methods(bench: MethodBench) -> tuple[list[ArmRow], list[Metric]]:
-    """All rows; per scene and method, means with the paired difference to the paper's preset."""
+    """All rows; per scene and method, means with the paired differences to `COMPARED_TO`."""
     settings = bench_settings(bench.long_side_px, bench.num_steps, bench.upload)
     of_parts = [load_arms(bench.scene, bench.out, bench.layout, settings, bench.cut_by, part) for part in parts_of(bench.hold_out)]
     if bench.off_path is not None:
@@ -429,8 +431,20 @@ def _metrics(scene: str, rows: Sequence[ArmRow]) -> list[Metric]:
                 metrics.append(Metric(key=f"{key}.scene_s.{name}", value=value, unit="s, all nodes at once", direction="info"))
         if off_path := [row.off_path for row in group if row.off_path is not None]:
             metrics += off_path_metrics(key, off_path)
-        if "paper" in groups and method != "paper":
-            difference = paired_bootstrap(np.array([row.psnr_db for row in group]), np.array([row.psnr_db for row in groups["paper"]]))
-            figures = {"mean_db": difference.mean, "low_db": difference.low, "high_db": difference.high}
-            metrics += [Metric(key=f"{key}.over_paper.{n}", value=v, unit="dB", direction="info") for n, v in figures.items()]
+        for reference in (name for name in COMPARED_TO if name in groups and name != method):
+            metrics += _differences(f"{key}.over_{reference}", group, groups[reference])
+    return metrics
+
+
+def _differences(key: str, rows: Sequence[ArmRow], others: Sequence[ArmRow]) -> list[Metric]:
+    """Means over photographs and cells with their bounds of 95 %, `at_least` the one-sided one;
+    with colours corrected under `cc`, where all rows have them."""
+    metrics: list[Metric] = []
+    for prefix, figure in (("", "psnr_db"), ("cc_", "psnr_cc_db")):
+        figures_of_rows, reference = ([getattr(row, figure) for row in each] for each in (rows, others))
+        if not all(map(len, (*figures_of_rows, *reference))):
+            continue
+        difference = paired_bootstrap(np.array(figures_of_rows), np.array(reference))
+        figures = {"mean": difference.mean, "low": difference.low, "high": difference.high, "at_least": difference.at_least}
+        metrics += [Metric(key=f"{key}.{prefix}{n}_db", value=v, unit="dB", direction="info") for n, v in figures.items()]
     return metrics

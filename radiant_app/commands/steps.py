@@ -11,20 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.events import StageProgress, StageStarted
+from radiant_app.events import Listener, StageProgress, StageStarted
 from radiant_app.files.out_folder import require_folder_for
 from radiant_app.files.run_folder import sfm_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.folder_kinds import named_folder
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import POSITIONS, SURVEY, reconstruct_source, save_given_frames, sfm_record, sfm_task
+from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.messages import message_record
 from radiant_core.io.records import save_scene
 from radiant_core.io.run_store import write_json
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.config import SfmConfig, SfmResult
 from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
@@ -42,12 +43,8 @@ def sfm(  # noqa: PLR0913
 ) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`, where `resume` goes on;
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`."""
-    task = sfm_task(source, config, masks, Placement(**(placement or {})), intake)
-    with sfm_folder(out, message_record(task), resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
-        result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=display).sfm_progress)
-    save_scene(out / "scene.safetensors", result.scene)
-    write_json(out / "result.json", sfm_record(result, out))
-    save_given_frames(out, result)
+    with display:
+        result = reconstruct_into(out, sfm_task(source, config, masks, Placement(**(placement or {})), intake), display, resume=resume)
     return {
         "cameras": len(result.scene.cameras),
         "points": len(result.scene.points),
@@ -59,6 +56,17 @@ def sfm(  # noqa: PLR0913
         "warnings": "; ".join(result.warnings) or "none",
         "folder": str(out),
     }
+
+
+def reconstruct_into(out: Path, task: SfmTask, listen: Listener, *, resume: bool = False) -> SfmResult:
+    """Structure from motion of a task into the new folder `out`, where `resume` goes on."""
+    with sfm_folder(out, message_record(task), resume=resume), libraries_log_to(out / "log.txt"):
+        listen(StageStarted(stage="sfm"))
+        result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=listen).sfm_progress)
+    save_scene(out / "scene.safetensors", result.scene)
+    write_json(out / "result.json", sfm_record(result, out))
+    save_given_frames(out, result)
+    return result
 
 
 def screenshot(run: Path, view: Any, path: Path, size_wh: tuple[int, int] = (1280, 900), camera: str | None = None) -> str:

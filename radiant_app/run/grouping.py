@@ -1,9 +1,8 @@
 """Which machines of a run train together: what `plan.together` asks for, of a run's settings.
 
-    plan (regions, strips) ─→ `choose_run_groups` ─→ groups ─→ `dealt_by_groups(system, groups)`
-                                                               ─→ plan anew: photographs by views
+    plan (regions, strips) ─→ `choose_run_groups` ─→ groups
 
-Once per plan. Where no group comes of it, the plan stays as it is.
+Once per plan, which stays as it is.
 """
 
 from __future__ import annotations
@@ -63,6 +62,7 @@ def group_rules(
         num_floats=num_floats,
         splat_bytes=4 * num_floats * BYTES_FACTORS[config.upload],
         max_num_splats=train.max_num_splats,
+        masked=config.plan.mask_gradients,
         view_s=VIEW_S * (train.long_side_px / VIEW_PX) ** 2 if _costs_are_nobodys(system) else None,
     )
     return GroupRules(

@@ -35,8 +35,8 @@ FIRST_BYTES = 32 << 20 if sys.platform == "linux" else 4 << 10
 
 PADDED = sys.platform != "linux"
 """Whether first parts are filled up to `FIRST_BYTES`: gloo's transport over libuv (macOS,
-Windows) takes only messages of the posted length, that of Linux shorter ones too. It ends the
-process at longer ones."""
+Windows) takes only messages of the posted length, that of Linux shorter ones too. Longer ones never
+reach it."""
 
 _HEADER = struct.Struct("<QqQ")
 _FIRST, _REST, _END, _READ = 0, 1, 2, 3  # tags

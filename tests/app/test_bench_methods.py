@@ -41,6 +41,10 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     key = "methods.scene.ours.over_paper"
     assert found[f"{key}.low_db"] <= found[f"{key}.mean_db"] <= found[f"{key}.high_db"]
     assert found[f"{key}.mean_db"] == pytest.approx(np.mean(made["ours"].psnr_db) - np.mean(made["paper"].psnr_db))
+    for name in ("", "cc_"):
+        low, mean, high = (found[f"methods.scene.crop.over_centralised.{name}{figure}_db"] for figure in ("at_least", "mean", "high"))
+        assert low <= mean <= high
+    assert "methods.scene.ours.over_ours.mean_db" not in found and "methods.scene.crop.over_ours.mean_db" in found
     table = methods_table(rows)
     assert table.count("\n") == len(rows) + 1 and "| scene | ours |" in table
     flips = [value for value in made["ours"].flip if value is not None]

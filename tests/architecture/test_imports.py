@@ -18,6 +18,7 @@ PACKAGES = {
     "radiant_core": ROOT / "core/radiant_core",
     "radiant_viewer": ROOT / "viewer/radiant_viewer",
     "radiant_app": ROOT / "radiant_app",
+    "radiant": ROOT / "radiant",
 }
 
 
@@ -99,8 +100,7 @@ def test_the_command_line_imports_nothing_heavy() -> None:
 
 
 def test_the_systems_zlib_comes_before_pycolmaps() -> None:
-    # pycolmap exports a zlib of its own: where it is loaded first, zlib.compress aborts the
-    # process.
+    # pycolmap exports a zlib of its own, which Python's module must not be bound to.
     code = (
         "import radiant_core.sfm.reconstruct, sys, zlib; names = list(sys.modules); import pycolmap;"
         "names = list(sys.modules); assert names.index('zlib') < names.index('pycolmap');"

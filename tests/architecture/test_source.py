@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("core/radiant_core", "viewer/radiant_viewer", "radiant_app", "sample_scenes")
+PACKAGES = ("core/radiant_core", "viewer/radiant_viewer", "radiant_app", "radiant", "examples", "sample_scenes")
 SOURCES = sorted(path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 MAX_FUNCTION_LINES = 70
 MAX_FILE_LINES = 500
@@ -34,7 +34,7 @@ def num_lines(node: Function) -> int:
 
 
 def test_the_three_packages_are_found() -> None:
-    assert {source.parts[0] for source in SOURCES} == {"core", "viewer", "radiant_app", "sample_scenes"}
+    assert {source.parts[0] for source in SOURCES} == {"core", "viewer", "radiant_app", "radiant", "examples", "sample_scenes"}
 
 
 def test_a_module_opens_with_what_it_is() -> None:
@@ -104,3 +104,9 @@ def test_no_message_shows_a_tuple_of_an_array() -> None:
         if call.func.id == "tuple" and not ast.unparse(call.args[0]).endswith(".shape")
     ]
     assert shown == []
+
+
+def test_the_packages_say_that_they_are_typed_and_the_citation_has_their_version() -> None:
+    assert [package for package in PACKAGES[:4] if not (ROOT / package / "py.typed").is_file()] == []
+    (version,) = re.findall(r'^__version__ = "(.+)"$', (ROOT / "core/radiant_core/__init__.py").read_text(), re.MULTILINE)
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()

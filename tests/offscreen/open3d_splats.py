@@ -1,5 +1,5 @@
-"""Gaussians as Open3D draws them, in a process of their own: two of its renderers in one process
-end it with an abort.
+"""Gaussians as Open3D draws them, in a process of their own: each process
+has one of its renderers.
 
 `python open3d_splats.py IN.npz OUT.npy` is that process. The oracle for our renderer and for the
 PLY files that we write: Open3D keeps positions in 16 bits, clamps colours per Gaussian, draws

@@ -1,5 +1,5 @@
-"""A surface of more blocks than Open3D can make a mesh of at once: its extraction ends a process by
-SIGSEGV from 32,768 on.
+"""A surface of more blocks than are given to Open3D's extraction at once, which did not survive as
+many: it is made in pieces.
 
 Two directions into slopes of all depths: some 50,000 blocks, 9 GB.
 """

@@ -2,7 +2,7 @@
 
     python -m radiant_core.geometry.fusion FOLDER
     bytes = `BASE_BYTES` + blocks · `BYTES_PER_BLOCK`,  blocks of 16³ voxels ∝ 1 / voxel²
-Open3D ends the process by a signal where its tables are too small; here that is a sentence. The
+Where Open3D ends that process by a signal, that is a sentence here, and its tables are ample. The
 views lie in a temporary folder, some 2 MB each at 640 px, beside the result where the caller says
 so, since /tmp may be memory: they are counted first, then fused, 0.2 s each.
 """

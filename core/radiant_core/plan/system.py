@@ -201,6 +201,9 @@ class System:
             if twice:
                 raise BadInput(f"{kind} id {twice[0]!r} comes twice: ids name folders and must differ.")
 
+    def __repr__(self) -> str:
+        return f"System({len(self.edges)} edges: {', '.join(f'{edge.id} with {len(edge.devices)} devices' for edge in self.edges)})"
+
     @property
     def devices(self) -> tuple[Device, ...]:
         """Devices of all edges in order."""

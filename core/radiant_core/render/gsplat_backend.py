@@ -49,7 +49,7 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
     BadInput where gsplat or CUDA is missing, for another type or device, and where the cameras ask
     for gradients."""
     _check_gsplat(splats, viewmats, Ks)
-    if not len(splats):  # gsplat 1.5.3 ends the process
+    if not len(splats):  # gsplat is not asked for nothing
         return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 

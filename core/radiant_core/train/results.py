@@ -52,3 +52,6 @@ class TrainResult:
     """Step and mean PSNR in dB of the validation views, for each time that they were rendered."""
     best_step: int | None = None
     """Step of the model that is returned, the best by validation; None: the last one."""
+
+    def __repr__(self) -> str:
+        return f"TrainResult({self.splats!r}, {self.num_steps:,} steps in {self.seconds:.1f} s, loss {self.last_loss:.4f})"

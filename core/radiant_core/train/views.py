@@ -38,6 +38,9 @@ class TrainingViews:
     def __len__(self) -> int:
         return len(self.cameras)
 
+    def __repr__(self) -> str:
+        return f"TrainingViews({self.cameras!r}{', weighted' if self.weights is not None else ''})"
+
     def observed_pixels(self, scene: SfmScene) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """`SfmScene.observed_pixels` of these views' scene, without pixels of weight below half."""
         rows, pixels = scene.observed_pixels(self.cameras)

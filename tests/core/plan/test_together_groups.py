@@ -11,12 +11,8 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_plan_groups, save_plan
-from radiant_core.plan.devices.device_split import split_edges
-from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.regions.region_plan import plan_regions
-from radiant_core.plan.together.groups import GroupPlan, choose_views, dealt_by_groups, group_of, group_steps, slowest_s, views_of_step
-from tests.core.plan.instances import random_system
-from tests.core.plan.test_prediction import SYSTEM, planned
+from radiant_core.plan.together.groups import GroupPlan, choose_views, group_of, group_steps, slowest_s, views_of_step
+from tests.core.plan.test_prediction import planned
 from tests.seeds import for_seeds
 
 GROUP = GroupPlan(level="edge", edges=("a",), views={"a1": 2, "a2": 1}, num_photographs=30, num_steps=100, step_s=0.5)
@@ -120,52 +116,6 @@ def test_a_groups_time_and_shares() -> None:
     assert (group.views_a_step, group.seconds, group.share("a1"), group.share("b1")) == (3, 57.0, 2 / 3, 0.0)
     assert group_of([group], "a2") is group
     assert group_of([group], "b1") is None
-
-
-@for_seeds(20)
-def test_photographs_follow_the_views_of_a_group_and_no_link(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    system = random_system(rng, 3)
-    views = {device.id: int(rng.integers(1, 4)) for device in system.devices}
-    names = tuple(edge.id for edge in system.edges)
-    total = sum(views.values())
-    group = GroupPlan(level="cloud", edges=names, views=views, num_photographs=10 * total, num_steps=7, step_s=0.3)
-    dealt = dealt_by_groups(system, [group])
-    positions = rng.random((10 * total, 2)) * 100
-    plan = plan_regions(positions, dealt)
-    assert isinstance(plan, CloudPlan)
-    edges = split_edges(positions, plan, dealt)
-    assert {name: len(edge.cameras_of(name)) for edge in edges for name in edge.device_ids} == {
-        name: 10 * count for name, count in views.items()
-    }
-    assert plan.makespan_s == pytest.approx(group.num_steps * group.step_s, rel=1e-9)  # each device's share of the same steps
-
-
-def test_an_edge_that_trains_together_is_planned_with_its_time_and_the_others_with_theirs() -> None:
-    edge = SYSTEM.edges[0]
-    views = {device.id: index + 1 for index, device in enumerate(edge.devices)}
-    group = GroupPlan(level="edge", edges=(edge.id,), views=views, num_photographs=60, num_steps=100, step_s=0.5, start_s=2.0, end_s=3.0)
-    dealt = dealt_by_groups(SYSTEM, [group])
-    assert dealt.edges[1:] == SYSTEM.edges[1:]
-    assert [device.uplink_bytes_per_s for device in dealt.devices] == [device.uplink_bytes_per_s for device in SYSTEM.devices]
-    for device in dealt.edges[0].devices:
-        count = round(60 * group.share(device.id))
-        assert float(device.init_s(count) + device.train_s(count)) == pytest.approx(50.0, rel=1e-12)
-    assert dealt.edges[0].aggregation_s(60, 2) == 5.0
-
-
-def test_a_device_that_is_in_no_group_of_its_edge_gets_no_photographs() -> None:
-    edge = SYSTEM.edges[0]
-    wider = replace(edge, devices=(*edge.devices, replace(edge.devices[0], id="slow")))
-    system = replace(SYSTEM, edges=(wider, *SYSTEM.edges[1:]))
-    views = {device.id: 1 for device in edge.devices}
-    group = GroupPlan(level="edge", edges=(edge.id,), views=views, num_photographs=60, num_steps=100, step_s=0.5)
-    assert dealt_by_groups(system, [group]).edges[0].devices[-1].max_cameras == 0
-
-
-def test_a_group_of_an_edge_that_is_not_there_is_refused() -> None:
-    with pytest.raises(BadInput, match="the system has none of this name"):
-        dealt_by_groups(SYSTEM, [replace(GROUP, edges=("nowhere",))])
 
 
 def test_groups_stand_in_a_plans_file_to_the_bit(tmp_path: Path) -> None:

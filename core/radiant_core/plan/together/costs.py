@@ -1,7 +1,8 @@
 """What training together costs: the bytes and seconds of a step, and of all of them.
 
     rows(k)  = N · (1 − (1 − v)^k),   v = min(1, 16 / C)     Gaussians that k of C photographs show
-    up_d     = row_bytes · rows(views_d)         device d → edge, in every step
+    up_d     = row_bytes · rows(views_d)         device d → edge, in every step; under masks
+               4 (floats + 2) · N
     down     = row_bytes · rows(V)               edge → device: what all have sent, added up
     at edge  = max_d (views_d · view_s_d + up_d / B_d) + latency + add · Σ_d up_d
     whole    = at edge + latency + max_d down / B_d                          a group of one edge
@@ -64,6 +65,8 @@ class TogetherLaw:
     """Bytes of a Gaussian in the devices' curves H."""
     max_num_splats: int | None = None
     """Limit of a model's Gaussians; None: there is none."""
+    masked: bool = False
+    """Whether devices add masks to what they send: all Gaussians then, 32 bits a number."""
     view_s: float | None = None
     """Estimated seconds of a view, where the devices' curves are nobody's; None: by their curves.
     Links alone decide then."""
@@ -78,6 +81,12 @@ class TogetherLaw:
     def row_bytes(self) -> float:
         """Bytes of a Gaussian in what is sent in a step: 8 bits a float."""
         return float(self.num_floats + BESIDE_BYTES)
+
+    def sent_bytes(self, num_splats: float, num_views: int, num_photographs: int) -> float:
+        """Of a device for so many views of a step."""
+        if self.masked:
+            return 4.0 * (self.num_floats + 2) * num_splats
+        return self.row_bytes * num_splats * shown_share(num_views, num_photographs)
 
     def num_splats(self, devices: Sequence[Device], num_photographs: int) -> float:
         """N: Gaussians of a model of so many photographs, the most that a curve has."""
@@ -148,9 +157,8 @@ def step_cost(edges: Sequence[Edge], cloud: Cloud | None, views: Mapping[str, in
         raise BadInput(f"a step of {len(working)} edges has nobody to add up what they send: give the cloud.")
     devices = [device for edge in working for device in edge.devices if device.id in views]
     num_splats = law.num_splats(devices, num_photographs)
-    model_rows_bytes = law.row_bytes * num_splats
-    down_bytes = model_rows_bytes * shown_share(sum(views.values()), num_photographs)
-    parts = [_at_edge(edge, views, num_photographs, law, (model_rows_bytes, down_bytes)) for edge in working]
+    down_bytes = law.row_bytes * num_splats * shown_share(sum(views.values()), num_photographs)
+    parts = [_at_edge(edge, views, num_photographs, law, (num_splats, down_bytes)) for edge in working]
     if cloud is None:
         seconds = parts[0].up_s + parts[0].device_down_s
     else:
@@ -161,22 +169,22 @@ def step_cost(edges: Sequence[Edge], cloud: Cloud | None, views: Mapping[str, in
     return StepCost(
         seconds=seconds,
         views_s=max(views[device.id] * law.device_view_s(device, num_photographs) for device in devices),
-        up_bytes=model_rows_bytes * shown_share(max(views.values()), num_photographs),
+        up_bytes=law.sent_bytes(num_splats, max(views.values()), num_photographs),
         down_bytes=down_bytes,
     )
 
 
-def _at_edge(edge: Edge, views: Mapping[str, int], num_photographs: int, law: TogetherLaw, model_and_down: tuple[float, float]) -> _AtEdge:
-    model_rows_bytes, down_bytes = model_and_down
+def _at_edge(edge: Edge, views: Mapping[str, int], num_photographs: int, law: TogetherLaw, splats_and_down: tuple[float, float]) -> _AtEdge:
+    num_splats, down_bytes = splats_and_down
     latency_s, sent, ready_s, down_s = latency_of(edge), 0.0, 0.0, 0.0
     own = [device for device in edge.devices if device.id in views]
     for device in own:
-        up_bytes = model_rows_bytes * shown_share(views[device.id], num_photographs)
+        up_bytes = law.sent_bytes(num_splats, views[device.id], num_photographs)
         sent += up_bytes
         rendered_s = views[device.id] * law.device_view_s(device, num_photographs)
         ready_s = max(ready_s, rendered_s + up_bytes / device.uplink_bytes_per_s)
         down_s = max(down_s, down_bytes / device.uplink_bytes_per_s)
-    of_edge = model_rows_bytes * shown_share(sum(views[device.id] for device in own), num_photographs)
+    of_edge = law.row_bytes * num_splats * shown_share(sum(views[device.id] for device in own), num_photographs)
     return _AtEdge(up_s=ready_s + latency_s + adding_of(edge) * sent, device_down_s=latency_s + down_s, rows=of_edge)
 
 

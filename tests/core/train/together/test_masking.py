@@ -11,6 +11,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from radiant_core.errors import BadInput
+from radiant_core.plan.together.costs import TogetherLaw
 from radiant_core.render.rendered_view import render_views
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import NoDensification
@@ -94,6 +95,13 @@ def test_one_message_alone_is_uniform(seed: int) -> None:
     # Of a column that is mostly 0 and of one message in two steps nothing is in common.
     again = np.frombuffer(encode_masked(sent["d1"], seed + 1, NUM_SPLATS, unit, keys["d1"])[HEAD_BYTES:], np.uint8)
     assert abs(np.corrcoef(numbers, again)[0, 1]) < 5 / np.sqrt(len(numbers))
+
+
+def test_the_plans_law_knows_how_long_a_masked_message_is() -> None:
+    sent = step_of(2, 4)
+    message = encode_masked(sent["d0"], 4, NUM_SPLATS, units(sent), keys_of(list(sent))["d0"])
+    law = TogetherLaw(views_per_photograph=1.0, steps_of=float, num_floats=COLUMNS - 1, splat_bytes=1.0, masked=True)
+    assert len(message) - HEAD_BYTES - 8 == law.sent_bytes(NUM_SPLATS, 1, 50) > replace(law, masked=False).sent_bytes(NUM_SPLATS, 1, 50)
 
 
 def test_a_missing_sender_takes_the_step_with_it() -> None:

@@ -1,0 +1,228 @@
+"""Models: train, join, score, load, save and export them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from rich.console import Console
+
+from radiant.scenes import Scene
+from radiant_app.commands.export import export as export_by_request
+from radiant_app.commands.export_request import ExportRequest
+from radiant_app.events import Listener, StageDone, StageProgress, StageStarted, Warned
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored
+from radiant_app.workers.reporting import EventReporter
+from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.join import join_models
+from radiant_core.aggregate.synthetic_views import Teacher
+from radiant_core.cameras import Cameras
+from radiant_core.choices import ExportFormat, LightMode
+from radiant_core.errors import BadInput
+from radiant_core.hierarchy.device import fit_prepared, prepare_training
+from radiant_core.hierarchy.messages import DeviceTask
+from radiant_core.io.export.scene import save_spz
+from radiant_core.io.export.sog import save_sog
+from radiant_core.io.model_reader import read_model
+from radiant_core.io.ply import save_ply
+from radiant_core.light.canonical import light_of_score
+from radiant_core.light.solve import COMPARED_PX
+from radiant_core.render.rasterize import resolve_backend
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.needs import Overrides, fit_to_backend
+from radiant_core.train.results import TrainProgress, TrainResult
+from radiant_core.train.trainer import FitOptions
+
+_WRITERS = {".ply": save_ply, ".spz": save_spz, ".sog": save_sog}
+
+
+def _silent(event: object) -> None:
+    del event
+
+
+def load_splats(path: str | Path) -> Splats:
+    """Load a model from a file of any kind that is read, told by its content.
+
+    Args:
+        path: a .ply (3DGS's or compressed), .spz, .splat, .sog, lod-meta.json or model.safetensors.
+
+    Returns:
+        The Gaussians as they are stored, before activation.
+
+    Raises:
+        BadInput: the file is missing, broken or of another kind.
+
+    Gaussians that cannot be drawn are left out with a `UserWarning` that counts them.
+    """
+    model = read_model(Path(path))
+    for note in model.notes:
+        warnings.warn(note, stacklevel=2)
+    return model.splats
+
+
+def save_splats(splats: Splats, path: str | Path) -> None:
+    """Write a model: .ply keeps every bit; .spz and .sog round, some 16 and 20 bytes a Gaussian.
+
+    Raises:
+        BadInput: another ending; `export` has all formats.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in _WRITERS:
+        raise BadInput(f"{path.name} ends in none of {', '.join(_WRITERS)}: choose one, or use export for other formats.")
+    _WRITERS[path.suffix.lower()](path, splats)
+
+
+def train(  # noqa: PLR0913
+    scene: Scene,
+    config: TrainConfig | str = "default",
+    listen: Listener = _silent,
+    *,
+    num_steps: int | None = None,
+    long_side_px: int | None = None,
+    seed: int = 0,
+    rows: ArrayLike | None = None,
+    **settings: Any,
+) -> TrainResult:
+    """Fit one model to the training photographs of a scene, as `radiant train`.
+
+    Args:
+        scene: its held-out photographs, every eighth by name, are not looked at.
+        config: a preset ("draft", "default", "standard", "paper"), reduced to what this machine
+            finishes in minutes where it has no GPU; or a `TrainConfig`, which is taken as it is.
+        listen: hears progress, decisions and warnings.
+        num_steps: of one photograph each; None: the preset's.
+        long_side_px: photographs are reduced to it; None: the preset's.
+        seed: of the order of photographs and every random choice.
+        rows: (K,) of `scene.cameras`, the photographs to train on; None: all but the held-out ones.
+        settings: other fields of `TrainConfig`, such as `sh_degree=2`.
+
+    Returns:
+        The model in `.splats`, in one light where photographs differ, and what it took.
+
+    Raises:
+        BadInput: a setting or photograph that cannot be used.
+        StageFailed: the training diverges.
+    """
+    backend = resolve_backend("auto")
+    given = config if isinstance(config, TrainConfig) else train_preset(config)
+    overrides = Overrides(num_steps=num_steps, long_side_px=long_side_px, settings=settings)
+    if isinstance(config, TrainConfig):
+        given = replace(given, reduce_on_cpu=False)
+    fitted, _ = fit_to_backend(replace(given, seed=seed), backend, overrides)
+    reporter = EventReporter(stage="train", emit=listen)
+    chosen = scene.indices("training") if rows is None else np.asarray(rows, np.int64)
+    task = DeviceTask(scene=scene.sfm.restricted_to(chosen), train=fitted, backend=backend)
+    listen(StageStarted(stage="train"))
+    result = fit_prepared(prepare_training(task, scene.views(chosen, fitted.long_side_px), reporter), reporter)
+    listen(StageDone(stage="train", seconds=result.seconds))
+    return result
+
+
+def join(
+    models: Sequence[tuple[Splats, Cameras]], listen: Listener = _silent, *, long_side_px: int = 576, num_epochs: int | None = None
+) -> Splats:
+    """Join models of neighbouring places, in one frame, into one without their photographs.
+
+    Args:
+        models: each with the cameras that it was trained on, which say what it is trusted to show.
+        listen: hears progress.
+        long_side_px: of the pictures that models show each other.
+        num_epochs: how often each is shown; None: as the cloud of a run after long trainings (5).
+
+    Returns:
+        One model; where it is no better than the models cut at their borders, these.
+
+    Raises:
+        BadInput: no model, or cameras of one name in two of them.
+    """
+    config, _ = fit_to_backend(train_preset("default"), resolve_backend("auto"), Overrides(long_side_px=long_side_px))
+    aggregate = aggregate_preset("default")
+    aggregate = replace(aggregate, num_epochs=aggregate.epochs_at_cloud if num_epochs is None else num_epochs)
+
+    def report(progress: TrainProgress) -> None:
+        listen(StageProgress(stage="join", done=progress.step, total=progress.num_steps))
+
+    listen(StageStarted(stage="join"))
+    teachers = [Teacher(splats=splats, cameras=cameras.scaled(long_side_px)) for splats, cameras in models]
+    joined = join_models(teachers, config, aggregate, FitOptions(report=report))
+    listen(StageDone(stage="join", seconds=joined.trained.seconds))
+    return joined.splats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores:
+    """How near renders are to K photographs; lists (K,) in the order of `names`."""
+
+    names: tuple[str, ...]
+    psnr_db: tuple[float, ...]
+    ssim: tuple[float, ...]
+    psnr_cc_db: tuple[float, ...]
+    """PSNR after one affine map of the colours of each render."""
+
+    def __repr__(self) -> str:
+        return f"Scores({self.mean_psnr_db:.2f} dB PSNR, {np.mean(self.ssim):.3f} SSIM, mean of {len(self.names)} photographs)"
+
+    @property
+    def mean_psnr_db(self) -> float:
+        """Mean over photographs."""
+        return float(np.mean(self.psnr_db))
+
+
+def evaluate(splats: Splats, scene: Scene, listen: Listener = _silent, *, long_side_px: int = 576, light: LightMode = "auto") -> Scores:
+    """Score a model on the held-out photographs of its scene, as `radiant train` and `run` do.
+
+    Args:
+        splats: the model, in the frame of the scene.
+        scene: the photographs.
+        listen: hears progress and warnings.
+        long_side_px: size at which they are compared.
+        light: as the training's: auto predicts the light of a held-out photograph from the others,
+            where light differs.
+
+    Returns:
+        Figures of each held-out photograph.
+
+    Raises:
+        BadInput: masks leave nothing to compare.
+    """
+    cameras = scene.cameras.select(scene.indices("held_out")).scaled(long_side_px)
+    cameras, used = select_scored(cameras, scene.masks, lambda message: listen(Warned(stage="evaluation", message=message)))
+    trained = None if light == "none" else scene.views("training", COMPARED_PX)
+    predicted = None if trained is None else light_of_score(splats, trained, cameras, scene.captures, light)
+    views = HeldOutViews(cameras=cameras, photographs=[scene.images / name for name in cameras.names], used=used, light=predicted)
+    listen(StageStarted(stage="evaluation"))
+    rows = []
+    for image in score_images(splats, cameras, views):
+        rows.append(image.row)
+        listen(StageProgress(stage="evaluation", done=len(rows), total=len(cameras), note=image.view.name))
+    figures = {figure: tuple(float(row[figure]) for row in rows) for figure in ("psnr_db", "ssim", "psnr_cc_db")}
+    return Scores(names=tuple(str(row["name"]) for row in rows), **figures)
+
+
+def export(
+    model: str | Path, out: str | Path, *, kind: ExportFormat | None = None, crs: str | None = None, **options: Any
+) -> dict[str, Any]:
+    """Write a run or a model in the files of other programs, as `radiant export`.
+
+    Args:
+        model: the folder of a run, or a model file.
+        out: the file or folder; its ending says the format.
+        kind: the format where the ending does not say it, such as "ortho" of a .tif.
+        crs: coordinate system of the file, such as "EPSG:25832".
+        options: as those of `radiant export`, such as `resolution=0.05`.
+
+    Returns:
+        What was written, with its figures and losses.
+
+    Raises:
+        BadInput: the file exists, or the model cannot be written so.
+    """
+    with ProgressDisplay(Console(quiet=True)) as display:
+        return export_by_request(ExportRequest(model=Path(model), out=Path(out), format=kind, crs=crs, **options), display)

@@ -1,0 +1,116 @@
+"""Scenes: photographs with their cameras and sparse points, of structure from motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_app.commands.steps import reconstruct_into
+from radiant_app.events import Listener
+from radiant_app.workers.sources import captures_of, load_scored_scene, masks_folder_of, sfm_task
+from radiant_core.cameras import Cameras
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.light.captures import Captures
+from radiant_core.numerics import FloatArray
+from radiant_core.scene import SfmScene
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.train.photographs import load_training_views
+from radiant_core.train.views import TrainingViews
+
+Part = Literal["training", "held_out", "all"]
+"""held_out: every eighth photograph by name, which no model is trained on; training: the others."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """Photographs with poses and sparse points. `load_scene` and `reconstruct` make it."""
+
+    sfm: SfmScene
+    """Cameras, points and which camera sees which point."""
+    images: Path
+    """Folder of the undistorted photographs."""
+    masks: Path | None = None
+    """Folder of their masks."""
+    captures: Captures = field(default_factory=dict)
+    """When they were taken and how exposed, by EXIF."""
+    notes: tuple[str, ...] = ()
+    """Sentences about photographs that were left out."""
+
+    def __repr__(self) -> str:
+        held_out = int(held_out_mask(self.cameras.names).sum())
+        unit = "m" if self.sfm.frame.kind == "metric" else "units without a scale"
+        return f"Scene({len(self.cameras)} photographs, {held_out} held out, {len(self.points):,} points, {unit})"
+
+    @property
+    def cameras(self) -> Cameras:
+        """All cameras (C), undistorted."""
+        return self.sfm.cameras
+
+    @property
+    def points(self) -> FloatArray:
+        """Sparse points (P,3)."""
+        return self.sfm.points
+
+    @property
+    def colors(self) -> NDArray[np.uint8]:
+        """Of the points (P,3)."""
+        return self.sfm.colors
+
+    def indices(self, part: Part = "all") -> NDArray[np.int64]:
+        """Rows (K,) of `cameras` that belong to a part."""
+        held_out = held_out_mask(self.cameras.names)
+        return np.flatnonzero({"training": ~held_out, "held_out": held_out, "all": np.ones(len(held_out), bool)}[part])
+
+    def views(self, part: Part | NDArray[np.int64] = "training", long_side_px: int = 576) -> TrainingViews:
+        """The photographs of a part, or of rows (K,) of `cameras`, 8 bits, reduced to
+        `long_side_px`, with their cameras at that size: `.images[i]` is (H,W,3). BadInput for one
+        that is missing or of another size."""
+        rows = self.indices(part) if isinstance(part, str) else part
+        cameras = self.cameras.select(rows).scaled(long_side_px)
+        return load_training_views(self.images, cameras, self.masks)
+
+
+def load_scene(folder: str | Path) -> Scene:
+    """Load the scene in a folder of `radiant sfm`, `radiant train` or `radiant run`.
+
+    Args:
+        folder: the folder of such a command; `reconstruct` makes one of photographs.
+
+    Returns:
+        The scene without photographs that repeat others, which `notes` name.
+
+    Raises:
+        BadInput: the folder holds no scene.
+    """
+    folder = Path(folder)
+    scene, notes, images = load_scored_scene(folder)
+    return Scene(sfm=scene, images=images, masks=masks_folder_of(folder), captures=captures_of(folder), notes=notes)
+
+
+def reconstruct(
+    photographs: str | Path, out: str | Path, listen: Listener = lambda event: None, *, masks: str | Path | None = None
+) -> Scene:
+    """Find poses and sparse points of photographs by structure from motion, as `radiant sfm`.
+
+    Args:
+        photographs: a folder of photographs, a COLMAP project or a Mill 19 folder.
+        out: a new or empty folder, which gets the scene.
+        listen: hears progress and warnings, such as `progress()`.
+        masks: a folder of masks, photograph.jpg.png or photograph.png, 0 is ignored; without it
+            masks/ beside the photographs, if its names are theirs.
+
+    Returns:
+        The scene, which `load_scene(out)` loads again.
+
+    Raises:
+        BadInput: photographs that cannot be used, in one sentence.
+        StageFailed: too few photographs overlap.
+    """
+    out = Path(out)
+    reconstruct_into(out, sfm_task(Path(photographs), SfmConfig(), None if masks is None else Path(masks), Placement()), listen)
+    return load_scene(out)

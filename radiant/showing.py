@@ -1,0 +1,50 @@
+"""What long work says while it runs, and what a run looks like."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from radiant_app.report.progress import ProgressDisplay
+from radiant_core.choices import View
+from radiant_viewer.runs.run_pictures import SIZE_WH, screenshot
+
+
+def progress(*, decisions: bool = False) -> AbstractContextManager[ProgressDisplay]:
+    """A bar per stage with the time left, on a terminal and in a notebook.
+
+        with radiant.progress() as listen:
+            result = radiant.train(scene, listen=listen)
+
+    Args:
+        decisions: whether what was decided and skipped is printed too, with its reason.
+
+    Returns:
+        A context manager; what it gives is a `listen`.
+    """
+    return ProgressDisplay(Console(stderr=True), with_decisions=decisions)
+
+
+def picture(
+    folder: str | Path, view: View | None = None, size_wh: tuple[int, int] = SIZE_WH, photograph: str | None = None
+) -> NDArray[np.uint8]:
+    """Draw a view of a run, a training or a scene, as `radiant inspect --screenshot`.
+
+    Args:
+        folder: of `radiant run`, `train` or `sfm`.
+        view: regions (the plan), cameras, seams, splats (the model in 3D) or compare (photographs
+            beside renders); None: the usual one.
+        size_wh: width and height in pixels.
+        photograph: whose viewpoint "splats" takes, or the only row of "compare".
+
+    Returns:
+        A picture (H,W,3).
+
+    Raises:
+        BadInput: an unknown view or photograph, or the folder holds nothing to draw.
+    """
+    return screenshot(Path(folder), view, size_wh, photograph)

@@ -1,0 +1,56 @@
+"""The examples run as they stand, small, and each makes the picture that it promises."""
+
+from __future__ import annotations
+
+import base64
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import nbformat
+import numpy as np
+import pytest
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))
+MAX_LINES = 40
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("examples")
+
+
+def test_there_are_eight_short_ones_and_the_page_names_them() -> None:
+    page = (ROOT / "examples/README.md").read_text()
+    assert [path.name[:2] for path in EXAMPLES] == [f"{number:02}" for number in range(1, 9)]
+    assert all(len(path.read_text().splitlines()) <= MAX_LINES and f"`{path.name}`" in page for path in EXAMPLES)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_makes_its_picture(path: Path, hamlet_scene: Path, hamlet: Path, out: Path) -> None:
+    # The hamlet stands for the town: ten photographs of its poses.
+    places = {"OUT": str(out), "SCENE": str(hamlet_scene), "PHOTOGRAPHS": str(hamlet), "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, **places, "SMALL": "1"}
+    result = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, env=environment, timeout=600, check=False)
+    assert result.returncode == 0, result.stderr[-3000:]
+    picture = cv2.imread(str(out / f"{path.stem}.png"))
+    # A picture of something: neither missing nor of one colour.
+    assert picture is not None and float(np.std(picture)) > 5
+
+
+def test_the_notebook_shows_plan_model_and_seams_inline(hamlet: Path, out: Path) -> None:
+    notebook = nbformat.read(ROOT / "examples/plan_model_seams.ipynb", as_version=4)
+    assert all(not cell.get("outputs") for cell in notebook.cells), "clear the outputs before it is committed"
+    environment = {**os.environ, "OUT": str(out), "PHOTOGRAPHS": str(hamlet), "SMALL": "1", "PYTHONPATH": str(ROOT)}
+    NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(ROOT / "examples")}}).execute(
+        env=environment
+    )
+    pictures = [output for cell in notebook.cells for output in cell.get("outputs", ()) if "image/png" in output.get("data", {})]
+    assert len(pictures) == 3
+    for output in pictures:
+        picture = cv2.imdecode(np.frombuffer(base64.b64decode(output["data"]["image/png"]), np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None and float(np.std(picture)) > 5
