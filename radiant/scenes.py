@@ -93,16 +93,23 @@ def load_scene(folder: str | Path) -> Scene:
 
 
 def reconstruct(
-    photographs: str | Path, out: str | Path, listen: Listener = lambda event: None, *, masks: str | Path | None = None
+    photographs: str | Path,
+    out: str | Path,
+    listen: Listener = lambda event: None,
+    *,
+    masks: str | Path | None = None,
+    poses: str | Path | None = None,
 ) -> Scene:
     """Find poses and sparse points of photographs by structure from motion, as `radiant sfm`.
 
     Args:
-        photographs: a folder of photographs, a COLMAP project or a Mill 19 folder.
+        photographs: a folder of photographs, with an alignment or without, a COLMAP project or a
+            Mill 19 folder.
         out: a new or empty folder, which gets the scene.
         listen: hears progress and warnings, such as `progress()`.
         masks: a folder of masks, photograph.jpg.png or photograph.png, 0 is ignored; without it
             masks/ beside the photographs, if its names are theirs.
+        poses: the alignment to use: a COLMAP model's folder or another program's file.
 
     Returns:
         The scene, which `load_scene(out)` loads again.
@@ -112,5 +119,6 @@ def reconstruct(
         StageFailed: too few photographs overlap.
     """
     out = Path(out)
-    reconstruct_into(out, sfm_task(Path(photographs), SfmConfig(), None if masks is None else Path(masks), Placement()), listen)
+    given = [None if path is None else Path(path) for path in (masks, poses)]
+    reconstruct_into(out, sfm_task(Path(photographs), SfmConfig(), given[0], Placement(), given[1]), listen)
     return load_scene(out)

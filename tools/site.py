@@ -35,7 +35,8 @@ autodoc_member_order = "bysource"
 suppress_warnings = ["myst.header"]
 """
 USERS = (
-    "getting_started", "from_the_field", "python", "planning", "inspector", "survey", "sharing", "coordinates", "network", "platforms",
+    "getting_started", "system_files", "from_the_field", "python", "planning", "inspector", "survey", "sharing", "coordinates", "network",
+    "platforms",
 )  # fmt: skip
 """Pages of `docs` that stand first, where they are there; the others follow by name."""
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")

@@ -21,6 +21,13 @@ class Decision:
     """Unit of the figure."""
     reason: str
     """Why this figure leads to this choice, one sentence."""
+    row: str = ""
+    """Row of measured cases that led to it (`regimes.py`, docs/experiments/regimes.md); empty where
+    none did."""
+    otherwise: str = ""
+    """The option that forces the other choice; empty where there is none."""
+    otherwise_db: float | None = None
+    """What the other choice gained over this one in trials; None where it was not tried."""
     forced: bool = False
     """Whether the user asked for this choice."""
     changes_nothing: bool = False

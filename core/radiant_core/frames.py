@@ -87,6 +87,15 @@ class Sim3:
         return Sim3(scale=1 / self.scale, rotation=self.rotation.T, translation=-(self.rotation.T @ self.translation) / self.scale)
 
 
+def compose(c_from_b: Sim3, b_from_a: Sim3) -> Sim3:
+    """The similarity c_from_a: first `b_from_a`, then `c_from_b`."""
+    return Sim3(
+        scale=c_from_b.scale * b_from_a.scale,
+        rotation=c_from_b.rotation @ b_from_a.rotation,
+        translation=c_from_b.apply(b_from_a.translation[None])[0],
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameUncertainty:
     """Standard deviations of a model's frame, all positive and finite: of the middle of its cameras
@@ -156,6 +165,16 @@ def ecef_from_local(origin_lat_lon_alt: ArrayLike) -> FloatArray:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = _ecef_from_enu(origin), _ecef_from_geodetic(origin[None])[0]
     return matrix
+
+
+def geodetic_from_ecef(ecef: ArrayLike) -> FloatArray:
+    """Latitude, longitude, altitude (P,3) of geocentric places (P,3) m; raises as
+    `geodetic_from_enu`."""
+    places = check_array("ecef", ecef, (None, 3))
+    radius_m = np.linalg.norm(places, axis=1)
+    if not ((radius_m > 1e6) & (radius_m < 1e8)).all():
+        raise BadInput("a geocentric place is farther than 1e8 m from the earth or deep inside it: give metres of WGS84's own axes.")
+    return _geodetic_from_ecef(places)
 
 
 def _ecef_from_enu(origin: FloatArray) -> FloatArray:

@@ -91,7 +91,7 @@ def serve(home: HomeOption = Path("radiant_node"), offline: OfflineOption = Fals
 def work(
     photos: Annotated[Path, typer.Option("--photos", help="Folder of this device's photographs, which stay there.")],
     home: HomeOption = Path("radiant_node"),
-    poses: Annotated[Path | None, typer.Option(help="COLMAP model of their poses, for a run with --frames known.")] = None,
+    poses: Annotated[Path | None, typer.Option(help="COLMAP model or alignment of them, for a run with --frames known.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Agree to what leaves this machine without being asked.")] = False,
     offline: OfflineOption = False,
 ) -> None:

@@ -13,11 +13,16 @@ from radiant_app.report.tables import finish, print_scene
 
 
 def sfm(
-    source: Annotated[Path, typer.Argument(help="Photographs, a film, a COLMAP project, or a Mill 19 folder.", show_default=False)],
+    source: Annotated[
+        Path,
+        typer.Argument(help="Photographs, an alignment beside them, a film, a COLMAP project, a Mill 19 folder.", show_default=False),
+    ],
     out: Out,
     matching: MatchingOption = "auto",
     effort: options.EffortOption = "auto",
     masks: MaskFolder = None,
+    poses: options.PosesOption = None,
+    refine_poses: options.RefinePosesOption = False,
     mask_ignores: options.MaskIgnoresOption = None,
     film_frames: options.FilmFramesOption = None,
     up: UpOption = None,
@@ -54,7 +59,18 @@ def sfm(
         contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
-    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, intake=placed.intake, resume=resume)
+    result = commands.sfm(
+        source,
+        out,
+        config,
+        terminal_display(),
+        masks,
+        placed.placement,
+        poses,
+        refine_poses=refine_poses,
+        intake=placed.intake,
+        resume=resume,
+    )
     if as_json:
         finish(result, as_json)
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +19,8 @@ from radiant_app.cli.option_types import (
     LongSide,
     MaskFolder,
     MaskIgnoresOption,
+    PosesOption,
+    RefinePosesOption,
     Seed,
     TrainPresetOption,
     UpOption,
@@ -52,6 +54,8 @@ def train(
     ] = None,
     long_side_px: LongSide = None,
     masks: MaskFolder = None,
+    poses: PosesOption = None,
+    refine_poses: RefinePosesOption = False,
     mask_ignores: MaskIgnoresOption = None,
     film_frames: FilmFramesOption = None,
     up: UpOption = None,
@@ -74,8 +78,7 @@ def train(
         from radiant_app.commands import train as commands
         from radiant_core.sfm.intake import Intake
 
-    numbers = {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}
-    options = _training_options(train_preset, numbers, settings or ())
+    options = _options_of(train_preset, {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}, settings or [])
     request = commands.TrainRequest(
         source=scene,
         out=out,
@@ -83,6 +86,8 @@ def train(
         overrides=options.overrides,
         time_s=None if time is None else seconds_of(time),
         masks=masks,
+        poses=poses,
+        refine_poses=refine_poses,
         intake=Intake(mask_ignores=mask_ignores, film_frames=film_frames),
         up=up,
         distance=distance,
@@ -98,16 +103,17 @@ def train(
     if as_json or "psnr_db" not in result:
         finish(result, as_json)
     else:
-        _print_trained(out, result, 0 if verbose else listen.num_decisions)
+        _print_result(out, result, 0 if verbose else listen.num_decisions)
 
 
-def _training_options(preset: Preset, numbers: dict[str, int | None], settings: Sequence[str]) -> TrainOptions:
-    typed = {f"train.{name}": value for name, value in numbers.items() if value is not None}
-    return train_options({"train.preset": preset, **with_settings(typed, settings, "train")})
-
-
-def _print_trained(out: Path, result: dict[str, Any], num_hidden: int) -> None:
+def _print_result(out: Path, result: dict[str, Any], num_hidden: int) -> None:
     print_model(out / "scene.ply", result)
     if num_hidden:
         typer.echo(f"decisions: {num_hidden}, in {out / 'manifest.json'}; -v prints them here")
     typer.echo(f"next: radiant inspect {quote(str(out))}")
+
+
+def _options_of(preset: Preset, numbers: Mapping[str, int | None], settings: Sequence[str]) -> TrainOptions:
+    """The preset with the numbers that were typed and what `--set` says."""
+    typed = {f"train.{name}": value for name, value in numbers.items() if value is not None}
+    return train_options({"train.preset": preset, **with_settings(typed, settings, "train")})

@@ -8,11 +8,11 @@ from typing import Any
 
 from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
-from radiant_core.frames import Frame
+from radiant_core.frames import Frame, Sim3
 from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
 from radiant_core.georef.given_frame import GIVEN, GivenFrame, load_given_frame
 from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_heights, require_placed
-from radiant_core.georef.sidecar import save_local_sidecar, save_sidecar
+from radiant_core.georef.sidecar import save_local_sidecar, save_projection, save_sidecar
 
 MAX_STRETCH = 0.01
 """Of a raster's system; UTM stretches by 4e-4 within its zone."""
@@ -41,6 +41,12 @@ class ExportPlace:
         """Metres of the file's unit; 1 where it is the scene's."""
         return 1.0 if self.reference is None else self.reference.crs.unit_m or 1.0
 
+    def _local_record(self) -> dict[str, Any]:
+        """Where on the globe a scene in the given frame lies, if that is known."""
+        if self.frame is None or self.frame.kind != "metric":
+            return {}
+        return {"origin_lat_lon_alt": self.frame.origin_lat_lon_alt.tolist()}
+
     def write_local(self, out: Path) -> dict[str, Any]:
         """Write beside a file in the scene's own metres where on the globe those lie, if that is
         known; figures for the command line."""
@@ -51,10 +57,14 @@ class ExportPlace:
     def write(self, out: Path) -> dict[str, Any]:
         """Write what stands beside the file; figures for the command line."""
         if self.given is not None:
-            written = save_local_sidecar(out, self.given.record())
+            written = [save_local_sidecar(out, {**self.given.record(), **self._local_record()})]
+            system = None if self.given.crs is None else _projected(self.given.crs)
+            if system is not None:
+                written.append(save_projection(out, system))
             offset = ", ".join(f"{value:.10g}" for value in self.given.offset)
-            about = {"crs": f"that of {self.given.model}", "offset": f"{offset} (add it to the file's coordinates)"}
-            return {**about, "georeference": written.name}
+            named = "" if self.given.crs is None else f" ({self.given.crs if system is None else system.title})"
+            about = {"crs": f"that of {self.given.model}{named}", "offset": f"{offset} (add it to the file's coordinates)"}
+            return {**about, "georeference": ", ".join(path.name for path in written)}
         if self.reference is None:
             return {}
         written = save_sidecar(out, self.reference)
@@ -71,10 +81,16 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
     """What to write of a model's place; BadInput where the scene has none, or the model is a file
     without a scene."""
     frame = _frame_of(model)
+    given = load_given_frame(model) if model.is_dir() else None
+    if given is not None and (given.is_default if crs is None else crs != GIVEN and _is_system(crs, given.crs)):
+        # What is asked for is the given frame itself, which no map has to bend.
+        return ExportPlace(comments=given.comments(), given=given, frame=frame)
     if crs == GIVEN:
-        given = load_given_frame(model) if model.is_dir() else None
         if given is None:
-            raise BadInput(f"{model} was made from no given model: --crs {GIVEN} needs the folder of a run or scene of a COLMAP project.")
+            raise BadInput(
+                f"{model} was made from no given model: --crs {GIVEN} needs the folder of a run or scene of a COLMAP project or of "
+                "another alignment."
+            )
         return ExportPlace(comments=given.comments(), given=given)
     if crs is None:
         return ExportPlace(comments=() if frame is None else local_comments(frame), frame=frame)
@@ -84,6 +100,24 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
     return ExportPlace(comments=reference.comments(), reference=reference)
 
 
+def _projected(text: str) -> Crs | None:
+    """The system that a given frame names; None of one without east and north, as ECEF."""
+    try:
+        return parse_crs(text)
+    except BadInput:
+        return None
+
+
+def _is_system(asked: str, given: str | None) -> bool:
+    """Whether `--crs` names the system of the given frame."""
+    system = None if given is None else _projected(given)
+    if system is None:
+        return False
+    wanted = parse_crs(asked)
+    codes = (wanted.horizontal_epsg, wanted.vertical_epsg)
+    return wanted.definition == system.definition or (codes[0] is not None and codes == (system.horizontal_epsg, system.vertical_epsg))
+
+
 def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ...]:
     """Which grids PROJ lacks for `crs` at the model's scene and what that costs, nothing where it
     lacks none or the scene is nowhere; BadInput where `require_grids`."""
@@ -91,6 +125,22 @@ def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ..
     if frame is None or frame.kind != "metric":
         return ()
     return grid_warnings(parse_crs(crs), frame.origin_lat_lon_alt[None], require_grids=require_grids)
+
+
+def grid_system(folder: Path, crs: str | None, frame: Frame) -> tuple[Crs | None, Sim3 | None]:
+    """The system of a run's GeoTIFF, by default that of the alignment that it was made from, and
+    the exact way to it from the scene where it is that. None: its UTM zone; raises as
+    `grid_crs`."""
+    given = load_given_frame(folder)
+    named = None if given is None or given.crs is None else _projected(given.crs)
+    if given is None or given.crs is None or named is None or frame.kind != "metric":
+        return None if crs is None else grid_crs(crs, frame), None
+    if crs is not None and not _is_system(crs, given.crs):
+        return grid_crs(crs, frame), None
+    if crs is None and (named.horizontal_epsg is None or named.unit_m != 1.0 or named.axes != ("east", "north")):
+        # No GeoTIFF can be in such a system: nobody asked for one.
+        return None, None
+    return grid_crs(given.crs if crs is None else crs, frame), given.given_from_scene
 
 
 def grid_crs(text: str, frame: Frame) -> Crs:

@@ -34,12 +34,15 @@ from radiant_app.commands.plan_pictures import (
 )
 from radiant_app.commands.plan_tables import method_row
 from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
+from radiant_app.config.run_config import RunConfig, TrainOptions
+from radiant_app.events import Decided, Event
 from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster, raster_decision
 from radiant_app.run.cutting import Cut, choose_cut, follow_cut, plan_places
+from radiant_app.run.grouping import choose_run_groups
 from radiant_app.run.predictions import (
     depends_on_training,
     planned_training,
@@ -76,7 +79,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
-from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
+from radiant_core.plan.timeline.refining import LEAST_DEVICES, RefiningLaw, predict_refining
 from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
@@ -160,6 +163,8 @@ class _Plan:
     """How the scene is refined; None where costs are not those of a training."""
     costs: str | None = None
     """What was made of profiles of other trainings; None where there was none."""
+    training: tuple[Decision, ...] = ()
+    """Whether a run with this plan trains one model together or joins several."""
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -375,7 +380,32 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
         curve=curve,
         refining=law,
         costs=note,
+        training=_trained_as(request, system, edges),
     )
+
+
+def _trained_as(request: PlanRequest, system: System, edges: Sequence[EdgePlan]) -> tuple[Decision, ...]:
+    """What a run of these settings would decide about training together; nothing where one device
+    works, or edges deal by themselves."""
+    num_working = sum(bool(len(plan.cameras_of(device))) for plan in edges for device in plan.device_ids)
+    if num_working < LEAST_DEVICES or not all(plan.dealt for plan in edges):
+        return ()
+    given, heard = request.overrides, list[Decision]()
+    train = TrainOptions(
+        preset=request.train_preset,
+        long_side_px=given.long_side_px,
+        num_steps=given.num_steps,
+        max_num_splats=given.max_num_splats,
+        settings=given.settings,
+    )
+
+    def listen(event: Event) -> None:
+        if isinstance(event, Decided):
+            heard.append(event.decision)
+
+    config = RunConfig(source=request.source, out=request.out.parent / "run", system=request.system, train=train)
+    choose_run_groups(config, system, edges, listen)
+    return tuple(heard)
 
 
 def _cut(cameras: _PlanInput, request: PlanRequest, start: CloudPlan | None, place: Callable[[FloatArray], System]) -> Cut | None:
@@ -425,6 +455,11 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "method": cloud.method,
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
         **({} if made.cut is None else {"cut": f"{made.cut.choice}: {made.cut.reason}"}),
+        **(
+            {"training": " ".join(f"{one.choice} ({one.figure:.1f} {one.unit}): {one.reason}." for one in made.training)}
+            if made.training
+            else {}
+        ),
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
         "picture": str(beside(out, MAP)),

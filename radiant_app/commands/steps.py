@@ -37,14 +37,17 @@ def sfm(  # noqa: PLR0913
     display: ProgressDisplay,
     masks: Path | None = None,
     placement: dict[str, Any] | None = None,
+    poses: Path | None = None,
     *,
+    refine_poses: bool = False,
     intake: Intake = AS_FOUND,
     resume: bool = False,
 ) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`, where `resume` goes on;
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`."""
+    task = sfm_task(source, config, masks, Placement(**(placement or {})), poses, refine_poses=refine_poses, intake=intake)
     with display:
-        result = reconstruct_into(out, sfm_task(source, config, masks, Placement(**(placement or {})), intake), display, resume=resume)
+        result = reconstruct_into(out, task, display, resume=resume)
     return {
         "cameras": len(result.scene.cameras),
         "points": len(result.scene.points),

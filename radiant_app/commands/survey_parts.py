@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.commands.export_place import grid_crs
+from radiant_app.commands.export_place import grid_system
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
@@ -49,14 +49,15 @@ class Survey:
 
 
 def load_survey(folder: Path, crs: str | None = None, *, as_trained: bool = False) -> Survey:
-    """The survey of a run folder on the map that `crs` names, else that of its UTM zone, of the
-    model by its cleaning unless `as_trained`; BadInput for a model alone, or a run without
+    """The survey of a run folder on the map that `crs` names, else its alignment's or its UTM zone,
+    of the model by its cleaning unless `as_trained`; BadInput for a model alone, or a run without
     ground."""
     if not folder.is_dir():
         raise BadInput(f"{folder} is no folder of a run: a survey needs the cameras beside the model.")
     run = load_run_view(folder, as_trained=as_trained)
     frame = run.scene.frame
-    map_frame = map_frame_of(frame, None if crs is None else grid_crs(crs, frame))
+    system, map_from_world = grid_system(folder, crs, frame)
+    map_frame = map_frame_of(frame, system, map_from_world)
     return Survey(run=run, splats=require_splats(run), map_frame=map_frame, ground=seen_ground(run.scene, map_frame))
 
 

@@ -87,7 +87,12 @@ class TrainRequest:
     """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
     masks: Path | None = None
     """Folder of masks, see `radiant_core.io.photos.masks`; not with a scene, which has its own."""
+    poses: Path | None = None
+    """Alignment to use, as `SfmOptions.poses`; not with a scene, which has its poses."""
+    refine_poses: bool = False
+    """As `SfmOptions.refine_poses`; not with a scene either."""
     intake: Intake = AS_FOUND
+    """Not with a scene either."""
     up: str | None = None
     """Which way is up; like the next two a field of `Placement`, and not with a scene."""
     distance: str | None = None
@@ -115,7 +120,8 @@ class TrainRequest:
     def settings(self) -> dict[str, Any]:
         """All that decides the result, as the manifest keeps it."""
         masks = None if self.masks is None else str(self.masks.resolve())
-        fields = {**asdict(self), "source": str(self.source.resolve()), "masks": masks}
+        poses = None if self.poses is None else str(self.poses)
+        fields = {**asdict(self), "source": str(self.source.resolve()), "masks": masks, "poses": poses}
         return {name: value for name, value in fields.items() if name not in ("out", "checkpoint_every_s")}
 
 
@@ -194,12 +200,14 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
     """The scene of the source and its photographs; by structure from motion if it has none yet."""
     if has_scene(request.source):
         return _load_scene(request, progress.listen)
-    detect_source(request.source)
+    detect_source(request.source, request.poses)
     config = RunConfig(
         source=request.source,
         out=request.out,
         seed=request.seed,
         sfm=SfmOptions(
+            poses=request.poses,
+            refine_poses=request.refine_poses,
             masks=request.masks,
             **asdict(request.intake),
             up=request.up,
@@ -217,6 +225,10 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
         raise BadInput(
             f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
             "it is made, or train from the photographs."
+        )
+    if request.poses is not None or request.refine_poses:
+        raise BadInput(
+            f"{request.source} is a scene, which has its poses: leave out --poses and --refine-poses, or train from the photographs."
         )
     if request.masks is not None or request.intake != AS_FOUND:
         raise BadInput(
@@ -368,7 +380,7 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)
     if not has_scene(request.source):
-        detect_source(request.source)
+        detect_source(request.source, request.poses)
         raise BadInput(
             f"{request.source} holds no scene yet, which a training into the single file {request.out.name} needs: give a folder as --out, "
             "which gets scene and model, or the folder that 'radiant sfm' made of it."

@@ -115,8 +115,11 @@ class SfmOptions:
     effort: Effort = "auto"
     """auto: leave out what photographs that overlap well do not need; thorough: COLMAP's features,
     all pairs of neighbours and COLMAP's adjustments, in some three times as long."""
-    poses: Path | None = None
-    """COLMAP model with the poses, for --frames known."""
+    poses: Annotated[Path | None, Option(metavar="FILE", shown="what lies beside the photographs")] = None
+    """Alignment to use: a COLMAP model's folder, or a file of another program
+    (docs/begun_elsewhere.md); none: photographs are placed anew."""
+    refine_poses: Annotated[bool, Option(name="--refine-poses")] = False
+    """Adjust rough poses of an alignment to its photographs, in the frame that it has."""
     masks: Path | None = None
     """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, black is ignored. Without
     it masks/ beside the photographs, if its names are theirs."""
@@ -351,7 +354,8 @@ class RunConfig:
     """
 
     source: Path
-    """Photographs, a COLMAP project (images/ and sparse/), or a Mill 19 folder."""
+    """Photographs, with an alignment beside them or without, a COLMAP project (images/ and
+    sparse/), or a Mill 19 folder."""
     out: Path
     """Folder of the run, new or empty; a batch has one beside its file."""
     system: Path | None = None
@@ -412,8 +416,12 @@ class RunConfig:
             self._check_network()
         if not 0 <= self.seed <= MAX_SEED:
             raise BadInput(f"seed is {self.seed}, expected 0 to {MAX_SEED}.")
-        if self.frames != "known" and self.sfm.poses is not None:
-            raise BadInput(f"poses are given and frames is {self.frames!r}: give them with --frames known.")
+        if self.frames != "shared" and self.sfm.refine_poses:
+            raise BadInput(
+                f"--refine-poses adjusts all poses together, and with --frames {self.frames} devices have their own: leave it out."
+            )
+        if self.frames == "gps" and self.sfm.poses is not None:
+            raise BadInput("poses are given and frames is 'gps', whose devices place their photographs: use --frames known or shared.")
         if self.frames != "shared" and self.plan.cut_by == "looks":
             reason = "where cameras look is known once they are reconstructed together"
             raise BadInput(f"--cut-by is looks: {reason}, and with --frames {self.frames} each device places its own: use --frames shared.")

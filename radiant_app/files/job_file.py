@@ -121,7 +121,7 @@ def _check(jobs: Sequence[Job], folder: Path) -> None:
     for index, job in enumerate(jobs):
         out = job.config.out
         try:
-            detect_source(job.config.source)
+            detect_source(job.config.source, job.config.sfm.poses)
         except BadInput as error:
             raise BadInput(f"job {job.name!r}: {error}") from error
         for file in job.input_files:

@@ -10,6 +10,7 @@ import numpy as np
 
 from radiant_app.workers.sources import DOUBTS, POSITIONS, SURVEY
 from radiant_core.errors import StoreDamaged
+from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 
 MAX_NAMED = 5
@@ -36,8 +37,17 @@ def placing_of_run(run: Path) -> dict[str, Any]:
             except StoreDamaged:
                 return {}
             found = {key: record[key] for key in (POSITIONS, DOUBTS) if key in record}
+            found |= _overlap_of(folder / "scene.safetensors")
             return {**found, "num_unplaced": len(record["unregistered"])} if "unregistered" in record else found
     return {}
+
+
+def _overlap_of(path: Path) -> dict[str, float]:
+    """How many photographs see a point, in the mean."""
+    if not path.is_file():
+        return {}
+    scene = load_scene(path)
+    return {"views_per_point": len(scene.observations) / len(scene.points)} if len(scene.points) else {}
 
 
 def survey_lines(record: Mapping[str, Any]) -> list[str]:

@@ -16,6 +16,7 @@ import numpy as np
 from radiant_app.events import UPLINK, Listener, StageDone, StageProgress, StageStarted
 from radiant_app.files.run_folder import Manifest, software_versions
 from radiant_app.files.system_file import load_system
+from radiant_app.report.advice import what_to_try
 from radiant_app.report.gaps import gaps_of
 from radiant_app.report.ground_control import survey_lines, survey_of_run, survey_rows
 from radiant_app.report.hero import NUM_SIDES, SIZE_WH, framed_box
@@ -90,6 +91,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any], listen:
         title=title_of(manifest.config["source"]),
         survey=survey,
         verdict=verdict_of(metrics),
+        advice=what_to_try(metrics, manifest.decisions),
         gaps=gaps_of(metrics, manifest.warnings, survey.frame),
         sides=sides,
         flight=flight,

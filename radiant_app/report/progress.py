@@ -113,7 +113,8 @@ class ProgressDisplay:
             decision = event.decision
             self.num_decisions += 1
             if self._with_decisions:
-                said = f"decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})"
+                why = f"{decision.reason}; case {decision.row}" if decision.row else decision.reason
+                said = f"decided {decision.stage}, {decision.topic}: {decision.choice} ({why})"
                 self._print(shown_text(said), "dim")
 
     def _print(self, line: str | Text, style: str | None = None) -> None:

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from radiant_app.report.advice import what_to_try
 from radiant_app.report.verdict import verdict_of
+from radiant_core.io.run_store import read_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -53,9 +55,12 @@ def _print(table: Table) -> None:
 
 
 def print_model(path: Path, metrics: Mapping[str, Any]) -> None:
-    """Two lines: where a finished model is, and how good it is by `metrics` (metrics.json)."""
+    """Where a finished model is, how good it is by `metrics` (metrics.json), and where it is poor
+    what to try; decisions are read from the manifest beside it."""
     typer.echo(f"model: {path} ({metrics['num_gaussians']:,} Gaussians, {path.stat().st_size / 1e6:.1f} MB)")
     typer.echo(f"quality: {verdict_of(metrics).line}")
+    for line in what_to_try(metrics, read_json(path.parent / "manifest.json", ("decisions",))["decisions"]):
+        typer.echo(f"try: {line}")
 
 
 def print_scene(result: Mapping[str, Any]) -> None:

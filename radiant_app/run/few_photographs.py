@@ -19,17 +19,9 @@ from radiant_app.run.training_costs import scaled_to_training
 from radiant_core.decisions import Decision
 from radiant_core.io.transport.upload import BYTES_FACTORS
 from radiant_core.plan.system import Device, System
+from radiant_core.regimes import DEVICES, Regime, look_up
 from radiant_core.train.config import TrainConfig
 
-FEW_PER_DEVICE = 10
-"""Photographs per device below which fewer devices work: with 4 to 7 each on four devices a joined
-model was 0.2 to 1.9 dB behind that of one device in six of seven cells and 0.1 ahead in one; with
-12 to 16 each it was 0.3 to 0.9 dB ahead, in twice the time. Straight lines cross at 7 to 11."""
-FEW_AT_ALL = 28
-"""Photographs below which one device works, however few devices there are: with 15 to 17 one was
-0.2 to 0.8 dB ahead of two; with 26 to 28, given their time, between 0.5 dB ahead and 0.2 behind."""
-ENOUGH_PER_DEVICE = 26
-"""Photographs of each device that works then, at least."""
 COST = (
     "one device that had all of 15 to 28 photographs made a model 0.2 to 1.9 dB better than four whose models were joined in six "
     "of seven cells (0.1 worse in one), with as many steps as each of them"
@@ -47,9 +39,13 @@ class Workforce:
 
 def num_devices_worth(num_photographs: int, num_devices: int) -> int:
     """How many of so many equal devices so many training photographs are worth, at least one."""
-    if num_photographs >= max(FEW_PER_DEVICE * num_devices, FEW_AT_ALL):
-        return num_devices
-    return min(num_devices, max(1, num_photographs // ENOUGH_PER_DEVICE))
+    case = _case_of(num_photographs, num_devices)
+    return num_devices if case is None else min(num_devices, max(1, num_photographs // case.values["photographs_each"]))
+
+
+def _case_of(num_photographs: int, num_devices: int) -> Regime | None:
+    """Why these are few; None where they are not."""
+    return look_up(DEVICES, {"photographs": num_photographs, "photographs_each": num_photographs / num_devices})
 
 
 def choose_workforce(config: RunConfig, system: System, num_photographs: int, train: TrainConfig) -> Workforce:
@@ -62,6 +58,8 @@ def choose_workforce(config: RunConfig, system: System, num_photographs: int, tr
     few = f"{num_photographs} training photographs are few for {num_devices} devices: {COST}"
     if plan.devices != "auto":
         return Workforce(system=system, warning=f"{few}; without --devices {plan.devices} fewer would work.")
+    if plan.asks_together:
+        return Workforce(system=system, warning=f"{few}; they are to train together, else fewer would work.")
     if plan.file is not None or plan.method != "exact":
         made = f"--plan-method {plan.method}" if plan.file is None else "--plan"
         return Workforce(system=system, warning=f"{few}; without {made} fewer would work.")
@@ -92,7 +90,8 @@ def _fastest_that_hold(config: RunConfig, system: System, num_photographs: int, 
 
 
 def _told(working: System, num_photographs: int, num_devices: int) -> Workforce:
-    names = [device.id for device in working.devices]
+    names, case = [device.id for device in working.devices], _case_of(num_photographs, num_devices)
+    assert case is not None, "few photographs are a measured case"
     who = f"{names[0]} trains" if len(names) == 1 else f"{', '.join(names)} train"
     num_idle = num_devices - len(names)
     idle = "the other one stays" if num_idle == 1 else f"{num_idle} others stay"
@@ -103,7 +102,8 @@ def _told(working: System, num_photographs: int, num_devices: int) -> Workforce:
         choice=choice,
         figure=num_photographs / num_devices,
         unit="photographs for each device of the system",
-        reason=f"below {FEW_PER_DEVICE} each, or {FEW_AT_ALL} at all, fewer devices are better: {COST}",
+        reason=f"{case.reason}: {COST}",
+        row=case.row,
     )
     return Workforce(system=working, decision=decision, warning=f"{choice}: too few to divide; --devices all deals them to all.")
 

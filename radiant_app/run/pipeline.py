@@ -147,7 +147,7 @@ def run(
 def _check_system(config: RunConfig) -> System:
     """Load the system and check the settings against it, before any stage runs."""
     if config.frames == "shared":
-        detect_source(config.source)
+        detect_source(config.source, config.sfm.poses)
     system = system_of(config)
     if config.emulated:
         require_emulable(system)

@@ -29,6 +29,7 @@ from radiant_core.io.film.formats import films_in, srt_beside
 from radiant_core.io.messages import message_record
 from radiant_core.io.photos.folders import SUFFIXES, photograph_names
 from radiant_core.io.photos.masks import find_masks
+from radiant_core.io.poses.recognise import alignment_files
 from radiant_core.io.run_store import SEAL_NAME, content_key, file_sha256, read_json, write_json
 
 RECORD_NAME = "source.json"
@@ -45,9 +46,11 @@ Files = dict[str, list[Any]]
 def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
     """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
     known = _read_record(folder)
-    files = _describe_files(used_files(config.source, None if task.masks is None else Path(task.masks)), known or {})
-    settings = [message_record(task.sfm), message_record(task.placement), message_record(task.intake)]
-    key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, task.masks is None)
+    masks = None if task.masks is None else Path(task.masks)
+    files = _describe_files(used_files(config.source, masks, config.sfm.poses), known or {})
+    refined = ["refine_poses"] if task.refine_poses else []
+    settings = [message_record(task.sfm), message_record(task.placement), message_record(task.intake), *refined]
+    key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, masks is None)
     if (folder / SEAL_NAME).is_file():
         reason = OLDER if known is None else _change(known, files)
         if reason is not None:
@@ -57,9 +60,10 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
     return key
 
 
-def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
-    """Name → file that structure from motion uses; of a COLMAP project its model and images."""
-    kind, images, model = detect_source(source)
+def used_files(source: Path, masks: Path | None, asked: Path | None = None) -> dict[str, Path]:
+    """Name → file that structure from motion uses; of a COLMAP project its model and images;
+    `asked`: what --poses names."""
+    kind, images, model = detect_source(source, asked)
     if kind == "film":
         films = films_in(images)
         beside = [srt for film in films if (srt := srt_beside(film)) is not None]
@@ -70,17 +74,26 @@ def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
         pictures = [path for path in sorted(source.glob("*/rgbs/*")) if path.suffix.lower() in SUFFIXES]
         names = [path.relative_to(source).as_posix() for path in pictures if (path.parts[-3], path.stem) in posed]
         others = [source / "coordinates.pt", *poses]
+    elif kind == "alignment":
+        assert model is not None
+        names, others = list(photograph_names(images)), [*alignment_files(model)]
     elif model is not None:
         names, others = list(match_images(image_names(model), images).files.values()), model_files(model)
     else:
         names, others = list(photograph_names(images)), []
     names = [name for name in names if is_image_name(name)]
-    found = {name: images / name for name in names} | {str(path.relative_to(source)): path for path in others}
+    found = {name: images / name for name in names} | {_name_of(path, source): path for path in others}
     if masks is not None:
         # Structure from motion itself reports masks that fit no photograph.
         with suppress(BadInput):
             found |= {f"mask of {name}": path for name, path in find_masks(masks, names).items()}
     return {os.fsencode(name).decode(errors="backslashreplace"): path for name, path in found.items() if path.is_file()}
+
+
+def _name_of(path: Path, source: Path) -> str:
+    """How a file is named: below the source where it lies there."""
+    path = path if path.is_relative_to(source) else path.resolve()
+    return str(path.relative_to(source) if path.is_relative_to(source) else path)
 
 
 def _read_record(folder: Path) -> Files | None:

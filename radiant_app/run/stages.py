@@ -35,7 +35,7 @@ from radiant_core.choices import UploadFormat
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
-from radiant_core.hierarchy.decisions import step_decision
+from radiant_core.hierarchy.decisions import joining_decision, step_decision
 from radiant_core.hierarchy.messages import Renderer
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
@@ -215,8 +215,9 @@ def make_recipe(config: RunConfig, plan: Plan, num_devices: int, progress: Progr
         num_devices=num_devices,
         step_policy=config.train.step_policy,
     ).with_groups(plan.groups, masked=config.plan.mask_gradients)
-    if (decision := step_decision(recipe)) is not None:
-        progress.listen(Decided(decision=decision))
+    for decision in (step_decision(recipe), joining_decision(recipe)):
+        if decision is not None:
+            progress.listen(Decided(decision=decision))
     return recipe
 
 

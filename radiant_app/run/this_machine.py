@@ -25,6 +25,7 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.upload import BYTES_FACTORS
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import System
+from radiant_core.regimes import MACHINE, PHOTOGRAPHS_OF_A_DEVICE, require
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.memory import TrainingMemory, training_memory
 
@@ -32,18 +33,12 @@ MACHINE_NAME = "this_machine.json"
 """The choice, in the run's folder."""
 MEMORY_SHARE = 0.8
 """Of free memory, for trainings; the rest is left to the run itself and to what else runs here."""
-LEAST_PHOTOGRAPHS = 10
-"""Of a device: below, a joined model is worse whatever memory says (`few_photographs.py`)."""
 NUM_PLAYED = 4
 """Devices, two on each of two edges, where something is to be divided and no system says among
 whom."""
 PASSING_ON = CostCurve(constant=0.5)
 """Seconds of an edge with a lone device, mostly those of starting its process: 0.2 on the hamlet,
 1.7 in the town on cores that eight processes shared."""
-EVIDENCE = (
-    "one model of all photographs is 0.2 to 1.6 dB better than four joined ones with as many views, and 0.2 to 0.3 with a quarter of "
-    "them (docs/experiments/aggregation.md): only memory divides them, or --devices N"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +91,15 @@ class Division:
             each, at_once = math.ceil(self.num_photographs / self.num_devices), min(self.at_once, self.num_devices)
             turns = "one after another" if at_once == 1 else f"up to {at_once} at a time"
             choice = f"this machine trains {self.num_devices} models of about {each} photographs, {turns}, and joins them"
+        case = require(MACHINE)
         return Decision(
             stage="plan",
             topic="machines",
             choice=choice,
             figure=self.needed_bytes / 1e9,
             unit=f"GB needed by a training, {self.free_bytes / 1e9:.1f} GB are free",
-            reason="asked for by --devices" if self.forced else EVIDENCE,
+            reason="asked for by --devices" if self.forced else case.reason,
+            row="" if self.forced else case.row,
             forced=self.forced,
         )
 
@@ -201,8 +198,8 @@ def system_divided(config: RunConfig, division: Division, progress: Progress) ->
 
 def divided(memory_of: Callable[[int], TrainingMemory], num_photographs: int, free_bytes: int, asked: int | None = None) -> Division:
     """The division into the fewest trainings that fit, by what one of so many photographs takes;
-    into those of `LEAST_PHOTOGRAPHS` where none does; into as many as are `asked` for."""
-    most = max(1, num_photographs // LEAST_PHOTOGRAPHS)
+    into those of `PHOTOGRAPHS_OF_A_DEVICE` where none does; into as many as are `asked` for."""
+    most = max(1, num_photographs // PHOTOGRAPHS_OF_A_DEVICE)
     budget = MEMORY_SHARE * free_bytes
     fitting = (count for count in range(1, most + 1) if memory_of(math.ceil(num_photographs / count)).needed_bytes <= budget)
     num_devices = next(fitting, most) if asked is None else asked

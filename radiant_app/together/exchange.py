@@ -27,6 +27,8 @@ LATE_S = 60.0
 """A machine that is linked and says nothing for so long is left out until it comes back."""
 GONE_S = 300.0
 """One whose link is lost is waited for so long: its process may be started again."""
+MOST_LATE = 3
+"""One that was late so often in a row, each time over a new link, is too slow to take part."""
 _COUNT, _PART = struct.Struct("<I"), struct.Struct("<HQ")
 _MOST_PARTS = 10_000
 
@@ -78,7 +80,6 @@ class Children:
     meeting: Path
     warn: Callable[[str], None]
     clock: Callable[[], float] = time.monotonic
-    late_s: float = LATE_S
     gone_s: float = GONE_S
     needs_all: bool = False
     """Whether no step is taken without a child, as under masks."""
@@ -89,6 +90,8 @@ class Children:
     num_missed: dict[str, int] = field(default_factory=dict)
     """Child → steps without it."""
     _lost_s: dict[str, float] = field(default_factory=dict)
+    _num_late: dict[str, int] = field(default_factory=dict)
+    """Child → links that were lost since it said nothing, after its last gradients."""
 
     def starts(self) -> dict[str, dict[str, bytes]]:
         """What each child begins with; without those that are gone. StageFailed without any."""
@@ -96,10 +99,13 @@ class Children:
         while missing := [name for name in self.names if name not in sent and name not in self.left_out]:
             self.links.poll()
             for name, kind, payload in self._receive([name for name in missing if name in self.links.linked]):
-                if kind == START:
-                    sent[name] = unpack(payload)
-                else:
+                if kind != START:
                     self._lose(name, "it did not begin with a start")
+                    continue
+                try:
+                    sent[name] = unpack(payload)
+                except BadInput as error:
+                    self.refuse(name, str(error))
             self._leave_out([name for name in missing if name not in self.links.linked], begun_s, patient=not sent)
             self._require_all()
             time.sleep(0.01)
@@ -138,6 +144,7 @@ class Children:
                     self._answer(name, payload, answer)
                 elif kind == GRADIENTS and name in self.present:
                     got[name] = payload[1:]
+                    self._num_late.pop(name, None)
                 else:
                     self._lose(name, "it sent what was not asked for")
             missing = [name for name in self.names if name not in got and name not in self.left_out]
@@ -170,6 +177,9 @@ class Children:
                 if kind == START:
                     self._answer(name, payload, answer)
                     self.links.send_all({name: END})
+            # That a link is lost shows when it is waited for, which nobody does here.
+            for name in filter(self._is_gone, missing):
+                self.links.drop(name, "it has ended")
             self._leave_out([name for name in missing if name not in self.links.linked], begun_s)
             time.sleep(0.01)
 
@@ -178,12 +188,17 @@ class Children:
         arrived = []
         for name, message in (self.links.receive_all(names) if names else {}).items():
             if isinstance(message, LinkLost):
+                if message.is_late:
+                    self._num_late[name] = self._num_late.get(name, 0) + 1
                 self._lose(name, message.reason)
             else:
                 arrived.append((name, message.payload[:1], message.payload))
         return arrived
 
     def _answer(self, name: str, payload: bytes, answer: Answer) -> None:
+        if self._num_late.get(name, 0) >= MOST_LATE:
+            self.refuse(name, f"it was late {MOST_LATE} times in a row, which is longer for a step than others wait")
+            return
         try:
             reply = answer(name, unpack(payload))
         except BadInput as error:
@@ -213,8 +228,11 @@ class Children:
         """Leave out who is gone, or was waited for long enough; at the start the first to come is
         waited for without a limit."""
         for name in names:
-            gone = (self.meeting / f"{name}.gone").is_file()
+            gone = self._is_gone(name)
             waited_s = self.clock() - max(begun_s, self._lost_s.get(name, begun_s))
             if gone or (not patient and waited_s > self.gone_s):
                 self.left_out[name] = "it has ended" if gone else f"it did not come back within {self.gone_s:.0f} s"
                 self.warn(f"steps go on without {name}: {self.left_out[name]}. Its photographs are missing in what is trained from now on.")
+
+    def _is_gone(self, name: str) -> bool:
+        return (self.meeting / f"{name}.gone").is_file()

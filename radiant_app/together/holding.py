@@ -121,14 +121,19 @@ class _Member:
         if begin.public_keys.get(self._folder.name, b"") != public:
             raise LinkLost(self._seat.parent, "it answered a start that was sent over an earlier link")
         holder = join_share(self._prepared, self._folder.name, begin, self._seat, private)
-        num_steps = holder.num_steps
+        num_steps, last_total = holder.num_steps, parts.get("total")
+        if last_total is not None:
+            holder.skip_message()
         while holder.replica.step < num_steps:
             if holder.num_sent < num_steps and not holder.waits_for_total:
                 link.send(GRADIENTS + holder.message())
                 if begin.group.overlaps and not holder.waits_for_total:
                     continue
-            holder.take(_expect(link, TOTAL))
+            holder.take(_expect(link, TOTAL) if last_total is None else last_total)
+            last_total = None
         _expect(link, END)
+        if failed := holder.replica.failed_views:
+            self._reporter.warn(f"{len(failed)} views or steps of this device could not be counted, the first: {failed[0]}")
         save_begin(self._final, replace(begin, state=holder.replica.state()))
         write_json(self._record, {"key": self._key})
         self._say_done()

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, TOTAL, Answer, Children, begin_anew, pack
+from radiant_app.together.exchange import BEGIN, GONE_S, LATE_S, TOTAL, Answer, Children, begin_anew, pack
 from radiant_app.together.links import LinkLost, LinkRules, ParentLinks
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, meeting_of
 from radiant_app.workers.reporting import EventReporter
@@ -31,7 +31,7 @@ from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.results import TrainResult
 from radiant_core.train.together.replica import Replica
 from radiant_core.train.together.roles import Root
-from radiant_core.train.trainer import Checkpoints
+from radiant_core.train.trainer import Checkpoints, FitOptions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +64,9 @@ def lead(folder: Path, plan: GroupTraining, task: Training, num_dealt: Mapping[s
     """
     meeting = meeting_of(folder, plan.root)
     meeting.mkdir(parents=True, exist_ok=True)
-    links = ParentLinks(meeting, list(plan.of_senders), LinkRules())
+    # An edge waits for its devices before it sends.
+    rules = LinkRules(limit_s=GONE_S + LATE_S) if plan.has_relays else LinkRules(limit_s=LATE_S)
+    links = ParentLinks(meeting, list(plan.of_senders), rules)
     # Edges have taken off the masks of their devices.
     needs_all = plan.masked and not plan.has_relays
     children = Children(links=links, names=list(plan.of_senders), meeting=meeting, warn=reporter.warn, needs_all=needs_all)
@@ -94,30 +96,32 @@ class _Leader:
         self._public_keys: dict[str, bytes] = {}
 
     def run(self, machine: Machine) -> Led:
-        before = self._sent_before()
-        sent = self._children.starts() if before is None else before
+        ended = self._sent_before()
+        sent = self._children.starts() if ended is None else ended
         starts = self._admitted({device: data for parts in sent.values() for device, data in parts.items()})
         start = begin_group(starts, self._plan, self._task.train, self._reporter)
         options = fit_options(self._task.backend, self._reporter, machine, lambda: "")
         replica = Replica(start.initial, start.group, options)
         checkpoints: Checkpoints = machine.checkpoints(lambda: self._key(start))
+        before = Replica(start.initial, start.group, FitOptions(backend=self._task.backend)) if start.group.overlaps else None
+        senders, relays = self._plan.of_senders, self._plan.has_relays
+        root = Root(replica, senders, start.camera_centers, start.group, sums_edges=relays, before=before)
         if (state := checkpoints.load()) is not None:
-            replica.restore(state)
-        root = Root(replica, self._plan.of_senders, start.camera_centers, start.group, sums_edges=self._plan.has_relays)
+            root.restore(state)
 
         def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
             if not self._admitted(parts) and not self._plan.has_relays:
                 raise BadInput(self.refused.get(name, "it is another one's"))
-            return self._begin(start, replica, parts)
+            return self._begin(start, root, parts)
 
-        if before is None:
+        if ended is None:
             usable = {name: parts for name, parts in sent.items() if self._plan.has_relays or any(device in starts for device in parts)}
-            self._children.begin({name: self._begin(start, replica, parts) for name, parts in usable.items()})
+            self._children.begin({name: self._begin(start, root, parts) for name, parts in usable.items()})
             for name in sorted(set(sent) - set(usable)):
                 self._children.refuse(name, self.refused.get(name, "it is another one's"))
             self._take_steps(root, answer, checkpoints)
             # What is done is done, whatever becomes of this process before its folder is sealed.
-            checkpoints.save(replica.step, replica.state)
+            checkpoints.save(replica.step, root.state)
             write_json(self._record, {"key": self._task_key, "senders": {name: list(parts) for name, parts in sent.items()}})
         self._children.finish(answer)
         for name, reasons in root.inbox.refused.items():
@@ -153,7 +157,7 @@ class _Leader:
             message, total = root.total(messages)
             self._children.send(TOTAL, message)
             root.take(total)
-            checkpoints.offer(replica.step, replica.state)
+            checkpoints.offer(replica.step, root.state)
 
     def _admitted(self, parts: Mapping[str, bytes]) -> dict[str, ShareStart]:
         """The starts that can be used; others are refused by name."""
@@ -178,13 +182,16 @@ class _Leader:
                 self._public_keys[device] = start.public_key
         return usable
 
-    def _begin(self, start: GroupStart, replica: Replica, devices: Mapping[str, bytes]) -> bytes:
+    def _begin(self, start: GroupStart, root: Root, devices: Mapping[str, bytes]) -> bytes:
         offsets = {device: offset for device, offset in start.offsets.items() if device in devices}
         path, keys = self._place / "begin.safetensors", self._keys_beside(devices) if self._plan.masked else {}
-        begun = Begun(group=start.group, state=replica.state(), offsets=offsets, antialiased=start.initial.antialiased, public_keys=keys)
+        state, last_total = root.standing()
+        begun = Begun(group=start.group, state=state, offsets=offsets, antialiased=start.initial.antialiased, public_keys=keys)
         save_begin(path, begun)
         parts = {"begin": path.read_bytes()}
-        if replica.step:
+        if last_total:
+            parts["total"] = last_total
+        if root.replica.step:
             save_splats(self._place / INITIAL, start.initial)
             parts["initial"] = (self._place / INITIAL).read_bytes()
         refused = {device: self.refused[device] for device in devices if device in self.refused}

@@ -54,7 +54,7 @@ def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Relayed
     names = list(plan.of_devices)
     meeting = meeting_of(folder, f"edges/{folder.name}")
     meeting.mkdir(parents=True, exist_ok=True)
-    links = ParentLinks(meeting, names, LinkRules())
+    links = ParentLinks(meeting, names, LinkRules(limit_s=LATE_S))
     relaying = _Relaying(folder=folder, plan=plan, links=links, reporter=reporter, key=content_key(__version__, plan))
     try:
         return relaying.run()
@@ -105,7 +105,8 @@ class _Relaying:
         begin = self._ask(up, {device: data for parts in starts.values() for device, data in parts.items()})
         place = self._folder / GROUP_FOLDER
         place.mkdir(exist_ok=True)
-        (place / "begin.safetensors").write_bytes(unpack(begin)["begin"])
+        parts = unpack(begin)
+        (place / "begin.safetensors").write_bytes(parts["begin"])
         stands = load_begin(place / "begin.safetensors")
         relay = Relay(self._plan.of_devices, stands.layout, stands.group)
         self._note_refused(starts, begin)
@@ -118,7 +119,8 @@ class _Relaying:
             return self._answer(up, name, parts)
 
         num_steps = stands.group.stepping.num_steps
-        for step in range(stands.step, num_steps):
+        # Where steps overlap devices have sent already what is in the total that they take next.
+        for step in range(stands.step + ("total" in parts), num_steps):
             try:
                 sent = self._children.gradients(begin_anew if self._plan.masked else answer)
             except LinkLost:

@@ -40,6 +40,7 @@ reach it."""
 
 _HEADER = struct.Struct("<QqQ")
 _FIRST, _REST, _END, _READ = 0, 1, 2, 3  # tags
+_LATE = "no answer within"
 
 
 class LinkLost(StageFailed):
@@ -49,6 +50,11 @@ class LinkLost(StageFailed):
         super().__init__(f"The link to {peer} is lost: {reason}.")
         self.peer = peer
         self.reason = reason
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the peer said nothing for too long, and did not end."""
+        return self.reason.startswith(_LATE)
 
 
 class Message(NamedTuple):
@@ -88,8 +94,9 @@ class LinkRules:
 
     limit_s: float = 60.0
     """Seconds after which a peer that has not answered, or not taken a message, is lost."""
-    most_bytes: int = 256 << 20
-    """The longest payload that is sent or taken."""
+    most_bytes: int = 1 << 30
+    """The longest payload that is sent or taken: a training that a device joins is some 290 bytes a
+    Gaussian with harmonics of degree 1, so this is that of 3.7 million."""
     address: str = ""
     """IP address of this machine to listen at; empty: see `meeting.device_at`."""
     pace: Pace = field(default_factory=Pace)
@@ -261,7 +268,7 @@ class Wire:
         time.sleep(max(0.0, min(due, deadline) - now))
         self.traffic.waited_s += time.monotonic() - now
         if due > deadline:
-            raise self.lose(f"no answer within {self.rules.limit_s:g} s")
+            raise self.lose(f"{_LATE} {self.rules.limit_s:g} s")
 
     @contextmanager
     def _loss(self, deadline: float) -> Iterator[None]:
@@ -287,7 +294,7 @@ def _left(deadline: float) -> timedelta:
 
 def _reason(error: str, limit_s: float) -> str:
     if "Timed out" in error:
-        return f"no answer within {limit_s:g} s"
+        return f"{_LATE} {limit_s:g} s"
     if "closed by peer" in error or "reset by peer" in error or "Broken pipe" in error:
         return "the other process ended or closed it"
     return f"gloo says {error.splitlines()[0][:200]}"

@@ -72,6 +72,10 @@ class SfmTask:
     sfm: SfmConfig
     masks: str | None
     placement: Placement
+    poses: str | None = None
+    """A COLMAP model's folder or an alignment's file, or none; else what lies there."""
+    refine_poses: bool = False
+    """Whether given poses are adjusted to their photographs."""
     intake: Intake = AS_FOUND
 
 

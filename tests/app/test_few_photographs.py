@@ -14,7 +14,7 @@ from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.events import Decided, Event, Warned
 from radiant_app.files.system_file import dump_system, even_system
 from radiant_app.run import few_photographs, pooled
-from radiant_app.run.few_photographs import ENOUGH_PER_DEVICE, FEW_AT_ALL, FEW_PER_DEVICE, choose_workforce, num_devices_worth
+from radiant_app.run.few_photographs import choose_workforce, num_devices_worth
 from radiant_app.run.pipeline import run
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.this_machine import MACHINE_NAME, MEMORY_SHARE
@@ -22,6 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, System
+from radiant_core.regimes import FEW_PHOTOGRAPHS, PHOTOGRAPHS_OF_A_DEVICE
 from radiant_core.train.memory import training_memory
 from radiant_core.train.needs import Overrides
 from tests.app.pipeline_kit import TINY, Finished
@@ -43,7 +44,20 @@ def with_devices(system: System, **changes: dict[str, object]) -> System:
 
 @pytest.mark.parametrize(
     ("num_photographs", "num_devices", "expected"),
-    [(0, 4, 1), (1, 4, 1), (39, 4, 1), (40, 4, 4), (27, 2, 1), (28, 2, 2), (1, 1, 1), (100, 16, 3), (159, 16, 6), (160, 16, 16)],
+    [
+        (0, 4, 1),
+        (1, 4, 1),
+        (39, 4, 1),
+        (40, 4, 4),
+        (35, 2, 1),
+        (36, 2, 2),
+        (35, 3, 1),
+        (36, 3, 3),
+        (1, 1, 1),
+        (100, 16, 2),
+        (159, 16, 4),
+        (160, 16, 16),
+    ],
 )
 def test_fewer_than_ten_photographs_per_device_are_worth_fewer_devices(num_photographs: int, num_devices: int, expected: int) -> None:
     assert num_devices_worth(num_photographs, num_devices) == expected
@@ -54,8 +68,8 @@ def test_no_count_of_devices_is_worth_none_or_more_than_there_are() -> None:
         found = [num_devices_worth(number, num_devices) for number in range(600)]
         assert found == sorted(found) and found[0] == 1 and found[-1] == num_devices
         for number, count in enumerate(found):
-            assert count in (1, num_devices) or number // count >= ENOUGH_PER_DEVICE
-            assert (count == num_devices) or number < max(FEW_PER_DEVICE * num_devices, FEW_AT_ALL)
+            assert count in (1, num_devices) or number // count >= FEW_PHOTOGRAPHS
+            assert (count == num_devices) or number < max(PHOTOGRAPHS_OF_A_DEVICE * num_devices, FEW_PHOTOGRAPHS)
 
 
 def test_the_fastest_device_works_alone_and_its_edge_with_it() -> None:

@@ -14,7 +14,7 @@ from radiant_app.commands.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.source_key import used_files
-from radiant_app.workers.sources import detect_source, load_scene_of
+from radiant_app.workers.sources import NO_POSES, detect_source, load_scene_of, notes_on_source
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.listing import photograph_positions
@@ -75,3 +75,15 @@ def test_films_beside_photographs_are_left_and_asked_for_in_one_place_only(fligh
         RunConfig(source=flight, out=tmp_path / "out", sfm=SfmOptions(film_frames=2)).sfm.intake  # noqa: B018
     with pytest.raises(BadInput, match="--mask-ignores and --film-frames are of photographs in one place"):
         RunConfig(source=flight, out=tmp_path / "out", sfm=SfmOptions(film_frames=20), frames="gps")
+
+
+def test_frames_of_a_film_take_no_poses(flight: Path, tmp_path: Path) -> None:
+    (tmp_path / "film.mp4").symlink_to(flight / "DJI_0007.MP4")
+    (tmp_path / "transforms.json").write_text("{}")
+    assert detect_source(tmp_path)[0] == detect_source(tmp_path, NO_POSES)[0] == "film"
+    assert notes_on_source(tmp_path) == ("not used: transforms.json, since the frames of a film are placed by themselves.",)
+    for source in (tmp_path, flight / "DJI_0007.MP4"):
+        with pytest.raises(BadInput, match=r"is a film or holds films alone.*leave out --poses"):
+            detect_source(source, tmp_path / "transforms.json")
+        with pytest.raises(BadInput, match="no poses to adjust: leave out --refine-poses"):
+            sfm(source, tmp_path / "out", SfmConfig(), quiet(), refine_poses=True)

@@ -106,9 +106,9 @@ def test_masks_beside_the_photographs_are_used_without_being_asked_for(project: 
     """The hamlet's masks leave a sixth out, so that black is taken; the same masks turned are asked about."""
     task = sfm_task(project, SfmConfig(), None, Placement())
     assert task.masks == str((project / "masks").resolve())
-    assert sfm_task(project, SfmConfig(), None, Placement(), Intake(mask_ignores="nothing")).masks is None
+    assert sfm_task(project, SfmConfig(), None, Placement(), intake=Intake(mask_ignores="nothing")).masks is None
     with pytest.raises(BadInput, match="leave one of them out"):
-        sfm_task(project, SfmConfig(), project / "masks", Placement(), Intake(mask_ignores="nothing"))
+        sfm_task(project, SfmConfig(), project / "masks", Placement(), intake=Intake(mask_ignores="nothing"))
     result = reconstruct_source(task, tmp_path / "work", lambda progress: None)
     chosen = {decision.topic: decision for decision in result.decisions}
     assert chosen["colour of masks"].figure == pytest.approx(100 / 6, abs=0.1) and not chosen["colour of masks"].forced
@@ -127,7 +127,7 @@ def test_white_is_left_out_when_asked_for_to_the_same_scene(project: Path, tmp_p
     with pytest.raises(BadInput, match="--mask-ignores white"):
         reconstruct_source(task, tmp_path / "asked", lambda progress: None)
     white = reconstruct_source(
-        sfm_task(turned, SfmConfig(), None, Placement(), Intake(mask_ignores="white")), tmp_path / "white", lambda progress: None
+        sfm_task(turned, SfmConfig(), None, Placement(), intake=Intake(mask_ignores="white")), tmp_path / "white", lambda progress: None
     )
     black = reconstruct_source(sfm_task(project, SfmConfig(), None, Placement()), tmp_path / "black", lambda progress: None)
     np.testing.assert_array_equal(white.scene.observations, black.scene.observations)

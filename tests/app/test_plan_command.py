@@ -100,6 +100,17 @@ def test_1600_waypoints_become_a_plan_with_lists_and_regions(tmp_path: Path) -> 
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(("link_mbit_per_s", "chosen"), [(20, "models are joined"), (1000, "4 devices train together")])
+def test_a_plan_says_whether_its_run_trains_together_with_both_times(tmp_path: Path, link_mbit_per_s: int, chosen: str) -> None:
+    link = f"uplink_mbit_per_s = {link_mbit_per_s}.0"
+    edges = [f'[[edge]]\nid = "e{edge}"\n{link}\n' for edge in (1, 2)]
+    devices = [f'[[edge.device]]\nid = "d{edge}{number}"\nrelative_speed = 0.5\n{link}\n' for edge in (1, 2) for number in (1, 2)]
+    (tmp_path / "system.toml").write_text("".join([edges[0], *devices[:2], edges[1], *devices[2:]]))
+    result = make_plan(grid_csv(tmp_path, 10, 6), tmp_path / "plan.json", tmp_path / "system.toml")
+    whole = result["training"][result["training"].index("all edges: ") :]
+    assert whole.startswith(f"all edges: {chosen}") and " s together, " in whole and " s joined)" in whole
+
+
 def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) -> None:
     for path in HAMLET.iterdir():
         shutil.copy(path, tmp_path)

@@ -31,7 +31,6 @@ from radiant_app.workers.refining import (
 )
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import FinishTask
-from radiant_core.aggregate.config import ENOUGH_SHOWS, HARDLY_SHOWN, SHORT_SHOWS, SHORT_STEPS
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining, refining_steps
 from radiant_core.io.array_file import save_arrays
@@ -39,6 +38,7 @@ from radiant_core.io.messages import CAMERAS_NAME, REFINED_NAME, ROWS_NAME
 from radiant_core.io.ply import save_ply
 from radiant_core.io.run_store import file_sha256, read_json, seal, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
+from radiant_core.regimes import ENOUGH_SHOWS, HARDLY_SHOWN, SHORT_SHOWS, SHORT_STEPS
 from tests.app.test_faults import planned
 from tests.core.scenes import ground_splats
 

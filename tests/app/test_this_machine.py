@@ -18,11 +18,9 @@ from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, Pl
 from radiant_app.events import Decided, Event, Outlined, Warned
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.run import this_machine
-from radiant_app.run.few_photographs import FEW_PER_DEVICE
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.this_machine import (
-    LEAST_PHOTOGRAPHS,
     MACHINE_NAME,
     MEMORY_SHARE,
     Division,
@@ -33,6 +31,7 @@ from radiant_app.run.this_machine import (
 )
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
+from radiant_core.regimes import PHOTOGRAPHS_OF_A_DEVICE
 from radiant_core.train.memory import TrainingMemory, training_memory
 from radiant_core.train.needs import Overrides
 from tests.app.pipeline_kit import FOUR
@@ -117,7 +116,7 @@ def test_where_memory_is_short_several_devices_train_one_after_another(
     hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The hamlet's 10 training photographs are too few to divide: here three are a device's.
-    monkeypatch.setattr(this_machine, "LEAST_PHOTOGRAPHS", 3)
+    monkeypatch.setattr(this_machine, "PHOTOGRAPHS_OF_A_DEVICE", 3)
     half, whole = (training_memory(TRAIN, count, 96 * 72) for count in (5, 10))
     assert half.needed_bytes < whole.needed_bytes
     monkeypatch.setattr(this_machine, "available_bytes", lambda: round((half.needed_bytes + whole.needed_bytes) / 2 / MEMORY_SHARE))
@@ -151,7 +150,7 @@ def test_a_division_is_the_least_that_fits(num_photographs: int, free_mb: int, f
     each = -(-num_photographs // found.num_devices)
     assert found.needed_bytes == memory_of(each).needed_bytes and found.at_once >= 1
     assert found.at_once == 1 or found.at_once * found.ample_bytes <= budget
-    assert found.num_devices == 1 or num_photographs // found.num_devices >= LEAST_PHOTOGRAPHS == FEW_PER_DEVICE
+    assert found.num_devices == 1 or num_photographs // found.num_devices >= PHOTOGRAPHS_OF_A_DEVICE
     if found.num_devices > 1:
         fewer = -(-num_photographs // (found.num_devices - 1))
         assert memory_of(fewer).needed_bytes > budget, "one fewer would not fit"

@@ -48,6 +48,12 @@ def all_of_the_hamlet(folder: Path) -> World:
     return replace(world, recipe=grouped(world.recipe, ("cloud",)))
 
 
+def overlapping_hamlet(folder: Path) -> World:
+    """The same, and devices render for the next step while the sum of this one is on its way."""
+    world = hamlet_of_two_tiers(folder)
+    return replace(world, recipe=grouped(world.recipe, ("cloud",), overlaps=True, form="blocks"))
+
+
 def overlapping_ground(folder: Path) -> World:
     """One edge of two devices, which render for the next step while the sum of this one is on its way; 8 bits."""
     world = ground(folder, even_system(1, 2), AggregateConfig(edge_epochs=1, refine_epochs=0))
@@ -74,6 +80,7 @@ def masked_ground(folder: Path) -> World:
 
 WORLDS: dict[str, Callable[[Path], World]] = {
     "all of the hamlet": all_of_the_hamlet,
+    "overlapping hamlet": overlapping_hamlet,
     "overlapping ground": overlapping_ground,
     "one edge of two": one_edge_of_two,
     "masked hamlet": masked_hamlet,
@@ -134,10 +141,11 @@ def test_processes_make_the_model_of_the_fold_in_one_process(
 
 
 @pytest.mark.parametrize("victim", ["devices/edge-1-1", "edges/edge-2", "cloud"])
+@pytest.mark.parametrize("name", ["all of the hamlet", "overlapping hamlet"])
 def test_a_machine_that_is_killed_comes_back_and_nothing_changes(
-    victim: str, worlds: dict[str, World], oracle: dict[str, Oracle], command: Callable[[NodeTask], list[str]], tmp_path: Path
+    name: str, victim: str, worlds: dict[str, World], oracle: dict[str, Oracle], command: Callable[[NodeTask], list[str]], tmp_path: Path
 ) -> None:
-    world, killed, warned = worlds["all of the hamlet"], threading.Event(), list[str]()
+    world, killed, warned = worlds[name], threading.Event(), list[str]()
 
     def listen(event: Event) -> None:
         if isinstance(event, Warned):
@@ -149,7 +157,7 @@ def test_a_machine_that_is_killed_comes_back_and_nothing_changes(
 
     executor = LocalExecutor(num_workers=2, command=command, retry_policy=RetryPolicy(max_attempts=3))
     cloud = fold(world, tmp_path / "run", executor, listen)
-    made = oracle["all of the hamlet"].run.scene.splats
+    made = oracle[name].run.scene.splats
     assert_same(made, load_ply(cloud / "scene.ply"))
     assert not killed.is_set() or any("tried again" in message for message in warned)
 

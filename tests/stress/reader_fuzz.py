@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -38,6 +39,7 @@ from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
 from radiant_core.io.photos.jpeg import read_jpeg_facts
 from radiant_core.io.photos.listing import decode_image, list_photographs, load_photograph, photograph_positions, read_size_wh
 from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.io.poses.recognise import alignment_files, read_alignment
 from radiant_core.io.records import load_cameras, load_plan, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.sog_reader import load_sog
 from radiant_core.io.transport.upload import load_upload, save_upload
@@ -46,6 +48,9 @@ from radiant_core.lod.cells import whole_region
 from radiant_core.lod.levels import LodLimits
 from radiant_core.scene import SfmScene
 from tests.core.io.glb_reader import load_glb
+from tests.core.io.poses import writers
+from tests.core.io.poses.bent_hamlet import Truth
+from tests.core.io.poses.writers import F
 from tests.core.scenes import cameras_above, ground_splats
 
 SEED = 9
@@ -356,6 +361,38 @@ def _exif_segment(order: str) -> bytes:
     return b"\xff\xe1" + struct.pack(">H", len(content) + 2) + content
 
 
+def _alignment(write: Callable[..., Path]) -> Callable[[Path], Target]:
+    """The main file of an alignment of two photographs and three points, and those that are read beside it."""
+
+    def target(folder: Path) -> Target:
+        names, dist = ["a.jpg", "b.jpg"], (0.1, 0.01, 0.001, 0.002, 0.003)
+        R, t = np.tile(F, (2, 1, 1)), np.array([[0.0, 0, 9], [0.5, 0, 9]])
+        seen = [(np.array([[20.0, 30], [40, 50], [60, 70]]), np.arange(3))] * 2
+        truth = Truth(names=names, R=R, t=t, points=np.eye(3), colors=np.full((3, 3), 9, np.uint8), dist=dist, seen=seen)
+        path = write(folder, truth)
+        places = [each.relative_to(folder).as_posix() for each in alignment_files(path)]
+
+        def read(inside: Path, number: int) -> object:
+            del number
+            return read_alignment(inside / path.relative_to(folder), lambda name: (320, 240) if name in names else None).model()
+
+        seeds = [(folder / place).read_bytes() for place in places]
+        return Target(seeds=seeds, place=lambda number: places[number], read=read)
+
+    return target
+
+
+ALIGNMENTS: dict[str, Callable[..., Path]] = {
+    "transforms": partial(writers.transforms, ply=True),
+    "opensfm": partial(writers.opensfm, tracks=True),
+    "metashape": writers.metashape,
+    "realityscan": writers.realityscan,
+    "pix4d": partial(writers.pix4d, prj="EPSG:25832"),
+    "openmvg": writers.openmvg,
+    "bundler": writers.bundler,
+    "opf": writers.opf,
+    "polycam": writers.polycam,
+}
 TARGETS: dict[str, Callable[[Path], Target]] = {
     "ply": _ply,
     "safetensors": _safetensors,
@@ -367,6 +404,7 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
     "toml": _toml,
     "json": _json,
     "exif": _exif,
+    **{name: _alignment(write) for name, write in ALIGNMENTS.items()},
 }
 
 

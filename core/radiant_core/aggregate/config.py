@@ -6,30 +6,16 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from radiant_core.errors import BadInput
+from radiant_core.regimes import JOINING, REFINING, Regime, require
 
 AggregatePreset = Literal["default", "paper"]
 """default: ours; paper: concatenate and retrain everything at full rate, at the edges and then at
 the cloud, nothing skipped (paper Sec. III-D)."""
 
 MAX_TILES = 256
-JOINING_EPOCHS, SHORT_EPOCHS, FEW_EPOCHS = (10, 5), (2, 2), (1, 0)
-"""Epochs at the edges and at the cloud: after long trainings, after short ones where refining
-follows, which does the rest as well, and after such of few devices
-(docs/experiments/aggregation.md)."""
-SHORT_SHOWS, SHORT_STEPS = 50, 650
-"""Short trainings show each photograph less often than that, or take fewer steps."""
-FEW_DEVICES = 4
-"""With so many `FEW_EPOCHS` are better than `paper` in half of its time, with 16 they are 0.6 dB
-worse than `SHORT_EPOCHS` (the same page)."""
-HARDLY_SHOWN, ENOUGH_SHOWS = 30, 75
-"""Trainings that show each photograph less often than the first leave work for `MOST_ROUNDS` of
-refining, those that show it as often as the second for one: a second round gains less than its time
-is worth then. Between them a third is worth it, but after short trainings of few devices."""
-MOST_ROUNDS, MORE_ROUNDS, FEW_ROUNDS = 5, 3, 2
-ROUND_EPOCHS, ROUND_EPOCHS_OF_FEW = 8, 5
-OFTEN_SHOWN = 100
-"""Epochs of a round, and the same where few devices have shown each photograph so often in few
-steps: more change nothing there (the same page; from 117 times on, and up to 43 they do)."""
+JOINING_EPOCHS = (10, 5)
+"""Epochs at the edges and at the cloud where nothing refines the scene, as in the paper, and after
+long trainings."""
 MAX_ROUNDS = 99
 
 
@@ -43,33 +29,18 @@ class Trainings:
     num_steps: float
 
     @property
-    def are_short(self) -> bool:
-        """Whether devices that refine the scene have much left to fit."""
-        return self.photograph_shows < SHORT_SHOWS or self.num_steps < SHORT_STEPS
+    def joining(self) -> Regime:
+        """How tiers join models then, where devices refine what was joined."""
+        return require(JOINING, self._figures)
 
     @property
-    def are_of_few(self) -> bool:
-        """Whether so few devices trained that the cloud has nothing to fit that they would not."""
-        return self.num_devices <= FEW_DEVICES
+    def refining(self) -> Regime:
+        """How devices refine the scene then."""
+        return require(REFINING, self._figures)
 
     @property
-    def are_of_few_photographs(self) -> bool:
-        """Whether few devices trained in few steps, which were many for each photograph."""
-        return self.are_short and self.are_of_few and self.photograph_shows >= OFTEN_SHOWN
-
-    @property
-    def num_epochs(self) -> int:
-        """How often a device shows each of its photographs to the scene in a round then."""
-        return ROUND_EPOCHS_OF_FEW if self.are_of_few_photographs else ROUND_EPOCHS
-
-    @property
-    def num_rounds(self) -> int:
-        """In how many rounds devices refine then."""
-        if self.photograph_shows < HARDLY_SHOWN:
-            return MOST_ROUNDS
-        if self.are_short and self.are_of_few:
-            return FEW_ROUNDS
-        return MORE_ROUNDS if self.photograph_shows < ENOUGH_SHOWS else 1
+    def _figures(self) -> dict[str, float]:
+        return {"devices": self.num_devices, "shows": self.photograph_shows, "steps": self.num_steps}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,20 +53,20 @@ class AggregateConfig:
     num_epochs: int | None = None
     """How often the cloud shows each synthetic view (paper Sec. IV-B: 10); 0: models fade where
     others own the place, and nothing is fitted before devices refine them. None: as in
-    `JOINING_EPOCHS`, or in `SHORT_EPOCHS` or `FEW_EPOCHS` where devices are to refine what was
-    joined after short trainings; whether memory keeps them from it is not known yet then."""
+    `JOINING_EPOCHS`, or where devices are to refine what was joined by how long they trained
+    (`Trainings.joining`); whether memory keeps them from it is not known yet then."""
     edge_epochs: int | None = None
     """The same of an edge, whose model teaches the cloud (paper Sec. IV-B: 10)."""
     refine_epochs: int | None = None
     """How often a device shows each of its photographs to the joined scene in a round, at most (see
     `hierarchy.refining_plan.MAX_STEPS`); 0: not at all. None: by how long devices trained
-    (`Trainings.num_epochs`)."""
+    (`Trainings.refining`)."""
     refine_rounds: int | None = None
     """How often devices refine the scene, each time from somewhat beyond the mean of what all of
     them made of it before; the scene travels down and what changed in it up in each. Above ten,
     where the light of photographs differs, the scene's may run away (docs/experiments/
     aggregation.md, "Lost or unfinished?"). None: by how long devices trained
-    (`Trainings.num_rounds`)."""
+    (`Trainings.refining`)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
@@ -156,10 +127,11 @@ class AggregateConfig:
 
     def joining_after(self, trainings: Trainings) -> AggregateConfig:
         """The settings with the epochs of joining after such trainings."""
-        if not self.refines or not trainings.are_short:
+        if not self.refines:
             return self
-        epochs = FEW_EPOCHS if trainings.are_of_few else SHORT_EPOCHS
-        edge, cloud = (own if own is not None else left for own, left in zip((self.edge_epochs, self.num_epochs), epochs, strict=True))
+        case = trainings.joining.values
+        edge = case.get("edge_epochs") if self.edge_epochs is None else self.edge_epochs
+        cloud = case.get("cloud_epochs") if self.num_epochs is None else self.num_epochs
         return replace(self, edge_epochs=edge, num_epochs=cloud)
 
     @property
@@ -169,11 +141,11 @@ class AggregateConfig:
 
     def refining_epochs_after(self, trainings: Trainings) -> int:
         """How often a device shows each of its photographs in a round after such trainings."""
-        return trainings.num_epochs if self.refine_epochs is None else self.refine_epochs
+        return trainings.refining.values["epochs"] if self.refine_epochs is None else self.refine_epochs
 
     def rounds_after(self, trainings: Trainings) -> int:
         """In how many rounds devices refine after such trainings."""
-        return self.refine_rounds or trainings.num_rounds
+        return self.refine_rounds or trainings.refining.values["rounds"]
 
 
 def aggregate_preset(name: str) -> AggregateConfig:

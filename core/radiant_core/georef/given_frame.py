@@ -43,6 +43,10 @@ class GivenFrame:
     given_from_scene: Sim3
     model: str
     largest_error: float = 0.0
+    crs: str | None = None
+    """The system that the given frame is, where the model says so."""
+    is_default: bool = False
+    """Whether files are written in it where no other system is asked for."""
 
     @property
     def offset(self) -> FloatArray:
@@ -81,14 +85,16 @@ class GivenFrame:
         adjusted = f", to {self.largest_error:.2g} after the adjustment" if self.largest_error else ""
         turned = [f"turned by {turned_deg:.1f}°"] if turned_deg > 1e-6 else []
         scaled = "in its own unit" if move.scale == 1 else f"scaled by {move.scale:.4g}"
+        export = "`radiant export`" if self.is_default else f"`radiant export --crs {GIVEN}`"
         return (
             f"the scene is {self.model}, {', '.join([*turned, 'moved', scaled])}: {NAME} beside it has the matrix back{adjusted}, and "
-            f"`radiant export --crs {GIVEN}` writes files in its own coordinates.",
+            f"{export} writes files in its own coordinates.",
         )
 
     def comments(self) -> tuple[str, ...]:
         """Lines for the header of a PLY."""
-        return (f"in the frame of {self.model}", f"offset {' '.join(f'{value:.10g}' for value in self.offset)}")
+        system = () if self.crs is None else (f"crs {self.crs}",)
+        return (f"in the frame of {self.model}", *system, f"offset {' '.join(f'{value:.10g}' for value in self.offset)}")
 
     def record(self) -> dict[str, Any]:
         """The content of the JSON beside an exported file."""
@@ -96,6 +102,7 @@ class GivenFrame:
             "schema": "radiant.georeference",
             "version": 1,
             "crs": GIVEN,
+            **({} if self.crs is None else {"given_crs": self.crs}),
             "model": self.model,
             "offset": self.offset.tolist(),
             "given_from_scene": matrix_of(self.given_from_scene).tolist(),
@@ -132,6 +139,8 @@ def save_given_frame(folder: Path, given: GivenFrame) -> str:
             "model": given.model,
             "given_from_scene": matrix_of(given.given_from_scene).tolist(),
             "largest_error": given.largest_error,
+            **({} if given.crs is None else {"crs": given.crs}),
+            **({"is_default": True} if given.is_default else {}),
         },
     )
     return NAME
@@ -146,7 +155,15 @@ def load_given_frame(folder: Path) -> GivenFrame | None:
     record = read_json(path, ("model", "given_from_scene", "largest_error"))
     matrix = check_array("given_from_scene", record["given_from_scene"], (4, 4))
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-    if not scale > 0 or not isinstance(record["model"], str) or not isinstance(record["largest_error"], int | float):
+    crs = record.get("crs")
+    is_text = isinstance(record["model"], str) and isinstance(crs, str | None)
+    if not scale > 0 or not is_text or not isinstance(record["largest_error"], int | float):
         raise BadInput(f"{path} holds no similarity: give the file as it was written.")
     move = Sim3(scale=scale, rotation=matrix[:3, :3] / scale, translation=matrix[:3, 3])
-    return GivenFrame(given_from_scene=move, model=record["model"], largest_error=float(record["largest_error"]))
+    return GivenFrame(
+        given_from_scene=move,
+        model=record["model"],
+        largest_error=float(record["largest_error"]),
+        crs=crs,
+        is_default=record.get("is_default") is True,
+    )

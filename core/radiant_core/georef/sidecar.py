@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_core.errors import BadInput
+from radiant_core.georef.crs import Crs
 from radiant_core.georef.reference import Georeference
 from radiant_core.io.run_store import write_atomic, write_json
 
@@ -24,10 +25,16 @@ def require_no_sidecar(file: Path) -> None:
 
 def save_sidecar(file: Path, reference: Georeference) -> tuple[Path, Path]:
     """Write both, atomically; the paths written."""
-    json_path, prj_path = sidecar_paths(file)
-    write_atomic(prj_path, f"{reference.crs.wkt()}\n".encode())
+    json_path, prj_path = sidecar_paths(file)[0], save_projection(file, reference.crs)
     write_json(json_path, {**reference.record(), "file": file.name})
     return json_path, prj_path
+
+
+def save_projection(file: Path, crs: Crs) -> Path:
+    """Write the .prj of a file in a projected system; the path written."""
+    path = sidecar_paths(file)[1]
+    write_atomic(path, f"{crs.wkt()}\n".encode())
+    return path
 
 
 def save_local_sidecar(file: Path, record: dict[str, Any]) -> Path:

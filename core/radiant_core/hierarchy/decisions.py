@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from radiant_core.decisions import Decision
+from radiant_core.regimes import FILL_IN, SHAPES, SKY, require
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,32 +38,55 @@ def step_decision(recipe: Recipe) -> Decision | None:
     )
 
 
+def joining_decision(recipe: Recipe) -> Decision | None:
+    """In how many epochs tiers join, where devices refine what was joined; None where no model is
+    joined or nothing is refined."""
+    asked, joining, trainings = recipe.aggregate, recipe.joining, recipe.trainings
+    if not asked.refines or trainings.num_devices < 2 or "cloud" in recipe.groups:
+        return None
+    case = trainings.joining
+    return Decision(
+        stage="edges",
+        topic="epochs of joining",
+        choice=f"{joining.epochs_at_edges} at edges, {joining.epochs_at_cloud} at the cloud",
+        figure=trainings.photograph_shows,
+        unit=f"times a training of {trainings.num_steps:,.0f} steps shows each photograph",
+        reason=case.reason if asked.num_epochs is None or asked.edge_epochs is None else "asked for",
+        row=case.row,
+        forced=asked.num_epochs is not None or asked.edge_epochs is not None,
+    )
+
+
 def sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
     """How much of the pictures looks like sky, and whether a sky is built."""
-    from radiant_core.train.initialize import MIN_SKY_SHARE
-
-    looks_up = wanted and share >= MIN_SKY_SHARE
+    case = require(SKY, {"share": share})
+    looks_up = wanted and bool(case.values["built"])
     return Decision(
         stage=stage,
         topic="sky",
         choice="Gaussians on a far half sphere were added" if looks_up else "no sky was added",
         figure=100 * share,
         unit="% above the horizon in the image that has most",
-        reason=f"a sky is modelled from {100 * MIN_SKY_SHARE:.0f} % of one image on" if wanted else BY_PRESET,
+        reason=case.reason if wanted else BY_PRESET,
+        row=case.row if wanted else "",
+        otherwise="--set train.sky=false" if looks_up else "",
         forced=not wanted,
         changes_nothing=not looks_up,
     )
 
 
 def fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool) -> Decision:
-    """How many points were added where there is no sparse one."""
+    """How many points were added where there is no sparse one and nothing speaks against them."""
+    case = require(FILL_IN, {"contradicted": 0.0, "seen_through": 0.0})
     return Decision(
         stage=stage,
         topic="fill-in points",
         choice=f"{num_filled:,} points were added to {num_points:,} sparse ones",
         figure=float(num_filled),
         unit="image cells without a sparse point" if wanted else "points",
-        reason="places without sparse points would start empty" if wanted else BY_PRESET,
+        reason=case.reason if wanted else BY_PRESET,
+        row=case.row if wanted else "",
+        otherwise="--set train.fill_in=false" if num_filled else "",
         forced=not wanted,
         changes_nothing=not num_filled,
     )
@@ -86,6 +110,7 @@ def density_decision(stage: str, counts: Any, num_before: int, num_after: int) -
 def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Decision:
     """Gaussians held at the limits of size and elongation, and those that no pixel shows."""
     held = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
+    case = require(SHAPES)
     # The presets that follow 3DGS limit no shape.
     given = [(config.max_elongation, "times the second axis"), (config.max_scale_per_distance, "of the distance to the nearest camera")]
     limits = ", ".join(f"{limit:.3g} {unit}" for limit, unit in given if limit is not None)
@@ -95,9 +120,18 @@ def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Dec
         choice=f"{held}; {counts.num_dead:,} that no pixel shows are left out",
         figure=float(counts.num_needles + counts.num_screen_filling + counts.num_dead),
         unit="Gaussians",
-        reason=(f"beyond {limits}, a shape shows in views it was not fitted to; " if limits else "")
-        + "an opacity below 1/255 is never drawn",
+        reason=(f"beyond {limits}, {case.reason}; " if limits else "") + "an opacity below 1/255 is never drawn",
+        row=case.row if limits else "",
+        otherwise=_without_limit(config, counts),
     )
+
+
+def _without_limit(config: TrainConfig, counts: ShapeCounts) -> str:
+    """The option that lifts the limit at which most Gaussians are held."""
+    if config.max_elongation is not None and counts.num_needles >= max(1, counts.num_screen_filling):
+        return "--set train.max_elongation=none"
+    held = config.max_scale_per_distance is not None and counts.num_screen_filling
+    return "--set train.max_scale_per_distance=none" if held else ""
 
 
 def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Decision:

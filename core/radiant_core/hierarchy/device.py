@@ -32,7 +32,7 @@ from radiant_core.train.dense.seeding import seed_densely
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.extent import extent_decision
 from radiant_core.train.few import Trial, choose_for_few, score_apart
-from radiant_core.train.fill_in_trial import choose_fill_in
+from radiant_core.train.gates import choose_helpers, open_gates
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
@@ -119,10 +119,10 @@ def prepare_training(
     views, lights, decisions = canonical_views(scene, views, config.light)
     _decide(reporter, decisions)
     trials = _Trials(task=task, scene=scene, views=views, reporter=reporter, machine=machine, statistics_bytes=statistics_bytes)
-    fill = choose_fill_in(config, scene, views, trials.score)
-    choice = choose_for_few(fill.config, views, trials.score)
-    config, heard, num_trials = choice.config, reporter, fill.num_trials + choice.num_trials
-    _decide(reporter, (*fill.decisions, *choice.decisions))
+    helpers = choose_helpers(*open_gates(config, scene, views), views, trials.score)
+    choice = choose_for_few(helpers.config, views, trials.score)
+    config, heard, num_trials = choice.config, reporter, helpers.num_trials + choice.num_trials
+    _decide(reporter, (*helpers.decisions, *choice.decisions))
     if num_trials:
         heard = OneOfSeveral(reporter=reporter, number=num_trials, total=num_trials + 1, name="the model itself")
     config, decisions = fit_to_views(config, views)
@@ -135,8 +135,9 @@ def prepare_training(
     config, dense, decisions = seed_densely(config, scene, views)
     _decide(reporter, decisions)
     initial, num_filled = first_splats(scene, views, config, dense)
-    if config.fill_in or not fill.decisions:
-        reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=bool(config.fill_in)))
+    if config.fill_in or not helpers.decisions:
+        filled = fill_decision(reporter.stage, num_filled, len(scene.points), wanted=bool(config.fill_in))
+        reporter.decide(replace(filled, row="", otherwise="") if helpers.decisions else filled)
     _decide(reporter, [extent_decision(views.cameras, initial, config.max_extent_per_distance)])
     bare = FitOptions(backend=task.backend, validation=validation)
     options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))
@@ -144,13 +145,13 @@ def prepare_training(
     return PreparedTraining(task=task, scene=scene, views=views, config=config, initial=initial, options=options)
 
 
-def choose_filling(
+def choose_for_share(
     task: DeviceTask, scene: SfmScene, views: TrainingViews, reporter: Reporter, machine: Machine, statistics_bytes: int
 ) -> tuple[TrainConfig, Sequence[Decision]]:
-    """The settings of the task with points filled in or not, by trials on these photographs, which
-    are in one light and worth training."""
+    """The settings of the task with each helper of its own photographs on or off, by trials on
+    these, which are in one light and worth training."""
     trials = _Trials(task=task, scene=scene, views=views, reporter=reporter, machine=machine, statistics_bytes=statistics_bytes)
-    choice = choose_fill_in(task.train, scene, views, trials.score)
+    choice = choose_helpers(*open_gates(task.train, scene, views), views, trials.score)
     return choice.config, choice.decisions
 
 

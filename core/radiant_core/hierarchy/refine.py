@@ -24,8 +24,9 @@ from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.refining_plan import MAX_STEPS, refining_steps, warning_of
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
-from radiant_core.light.lights import MIN_SPREAD, in_canonical_light
+from radiant_core.light.lights import in_canonical_light
 from radiant_core.light.solve import lights_from_model
+from radiant_core.regimes import LIGHT_SPREAD
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.densify.policies import NoDensification
@@ -141,7 +142,8 @@ def _in_light_of(scene: Splats, views: TrainingViews, task: RefineTask, reporter
             choice="photographs are fitted in the light of the scene",
             figure=100 * float(np.expm1(np.abs(lights.log_gains).max())),
             unit="% brighter or darker in a channel",
-            reason=f"from {MIN_GAIN:.0%} of a device or a spread of {MIN_SPREAD:.0%} on the scene would change its light",
+            reason=f"from {MIN_GAIN:.0%} of a device or a spread of {LIGHT_SPREAD:.0%} on the scene would change its light",
+            row=lights.regime.row,
         )
     )
     return in_canonical_light(views, lights)

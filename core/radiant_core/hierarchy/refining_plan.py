@@ -11,15 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from radiant_core.aggregate.averaging import average_bytes
-from radiant_core.aggregate.config import (
-    ENOUGH_SHOWS,
-    FEW_DEVICES,
-    FEW_ROUNDS,
-    HARDLY_SHOWN,
-    MORE_ROUNDS,
-    MOST_ROUNDS,
-    SHORT_SHOWS,
-)
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.join_limits import UNREFINED_COSTS
 from radiant_core.hierarchy.recipe import Recipe
@@ -30,12 +21,6 @@ MAX_STEPS = 200
 more than were measured to gain, but each photograph once."""
 STAGE = "refining"
 """No node's name: notes of a node are dropped when it starts."""
-_WHY = {
-    MOST_ROUNDS: f"below {HARDLY_SHOWN} times a fourth and a fifth round still gained",
-    MORE_ROUNDS: f"below {ENOUGH_SHOWS} times a second and a third round gained 0.1 to 0.2 dB each",
-    FEW_ROUNDS: f"after short trainings of up to {FEW_DEVICES} devices a third round gained 0 to 0.2 dB for a third of the time",
-    1: f"from {ENOUGH_SHOWS} times on a second and a third round gained −0.1 to +0.1 dB",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,8 +89,9 @@ def warning_of(decision: Decision) -> str:
 
 def _rounds(recipe: Recipe) -> Decision:
     number, trainings = choose_rounds(recipe), recipe.trainings
-    reason = _WHY[number] if number == trainings.num_rounds else f"asked for; after such trainings it would be {trainings.num_rounds}"
-    by_steps = trainings.photograph_shows >= SHORT_SHOWS and trainings.are_short and trainings.are_of_few
+    case = trainings.refining
+    usual = case.values["rounds"]
+    by_steps = "steps" in case.limits
     epochs, asked = recipe.refining_epochs, recipe.aggregate
     return Decision(
         stage=STAGE,
@@ -113,7 +99,8 @@ def _rounds(recipe: Recipe) -> Decision:
         choice=f"devices refine the scene in {_counted(number, 'round')} of at most {_counted(epochs, 'epoch')}",
         figure=trainings.num_steps if by_steps else trainings.photograph_shows,
         unit="steps of a training" if by_steps else "times a training shows each photograph",
-        reason=reason,
+        reason=case.reason if number == usual else f"asked for; after such trainings it would be {usual}",
+        row=case.row,
         forced=asked.refine_rounds is not None or asked.refine_epochs is not None,
     )
 

@@ -23,7 +23,7 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.decisions import sky_decision
-from radiant_core.hierarchy.device import choose_filling
+from radiant_core.hierarchy.device import choose_for_share
 from radiant_core.hierarchy.groups import GroupTraining, Seat
 from radiant_core.hierarchy.joining import number_cameras
 from radiant_core.hierarchy.messages import DeviceTask
@@ -150,7 +150,7 @@ def prepare_share(task: DeviceTask, views: TrainingViews, reporter: Reporter, ma
     _decide(reporter, decisions)
     lit, lights, decisions = canonical_views(scene, views, config.light)
     _decide(reporter, decisions)
-    config, decisions = choose_filling(replace(task, train=config), scene, lit, reporter, machine, statistics_bytes)
+    config, decisions = choose_for_share(replace(task, train=config), scene, lit, reporter, machine, statistics_bytes)
     _decide(reporter, decisions)
     filled = fill_in_points(scene, lit) if config.fill_in else NO_POINTS
     start = ShareStart(

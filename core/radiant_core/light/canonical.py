@@ -16,10 +16,10 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import LightMode
 from radiant_core.decisions import Decision
 from radiant_core.light.captures import Captures, complete_captures, shots_of
-from radiant_core.light.evenness import MIN_EVENNESS
-from radiant_core.light.lights import MIN_SPREAD, Lights, in_canonical_light
+from radiant_core.light.lights import Lights, in_canonical_light
 from radiant_core.light.predict import Prediction, predict_lights
 from radiant_core.light.solve import NUM_PLACES, lights_from_model, lights_from_tracks
+from radiant_core.regimes import LIGHT_EVENNESS
 from radiant_core.render.contract import Backend
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
@@ -49,25 +49,36 @@ def canonical_views(scene: SfmScene, views: TrainingViews, mode: LightMode) -> t
     if mode == "none":
         return views, None, ()
     lights = lights_from_tracks(scene, views)
-    wanted = bool(lights.known.any()) and (mode == "always" or lights.is_worth_modelling)
-    decision = Decision(
+    decision = light_decision(lights, mode)
+    return (in_canonical_light(views, lights), lights, (decision,)) if _is_wanted(lights, mode) else (views, None, (decision,))
+
+
+def _is_wanted(lights: Lights, mode: LightMode) -> bool:
+    return bool(lights.known.any()) and (mode == "always" or lights.is_worth_modelling)
+
+
+def light_decision(lights: Lights, mode: LightMode) -> Decision:
+    """Whether photographs in these lights are trained on in one."""
+    wanted = _is_wanted(lights, mode)
+    return Decision(
         stage="train",
         topic="light",
         choice="photographs are trained on in one canonical light" if wanted else "photographs are trained on as they were taken",
         figure=100 * lights.spread,
         unit="% spread of brightness at common points",
         reason=_reason(lights),
+        row=lights.regime.row,
+        otherwise="--set train.light=none" if wanted else "--set train.light=always" if lights.known.any() else "",
         forced=mode == "always",
     )
-    return (in_canonical_light(views, lights), lights, (decision,)) if wanted else (views, None, (decision,))
 
 
 def _reason(lights: Lights) -> str:
-    taken_out = f"from {100 * MIN_SPREAD:.0f} % on a gain per photograph and channel and a vignetting per camera are taken out"
-    if lights.spread < MIN_SPREAD or not np.isfinite(lights.evenness):
-        return taken_out
+    case = lights.regime
+    if not case.values["compared"] or not np.isfinite(lights.evenness):
+        return case.reason
     compared = f"gains are {lights.evenness:.1f} times what they leave of parts of pictures"
-    return f"{taken_out} where gains explain whole pictures: {compared}, and from {MIN_EVENNESS:g} on they are exposures"
+    return f"{case.reason} where gains explain whole pictures: {compared}, and from {LIGHT_EVENNESS:g} on they are exposures"
 
 
 def canonical_validation(lights: Lights, scene: SfmScene, validation: TrainingViews) -> TrainingViews:

@@ -21,8 +21,6 @@ from radiant_core.numerics import FloatArray
 PARTS_ACROSS = 3
 MIN_OBSERVATIONS = 10
 """A part with fewer says nothing."""
-MIN_EVENNESS = 1.5
-"""Below this what gains leave of parts of pictures is nearly as large as the gains."""
 
 
 def parts_of(pixels: NDArray[np.integer], sizes_wh: NDArray[np.integer]) -> NDArray[np.int64]:

@@ -17,15 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.light.evenness import MIN_EVENNESS
 from radiant_core.numerics import FloatArray, check_array
+from radiant_core.regimes import LIGHT, Regime, require
 from radiant_core.train.views import TrainingViews
 
 NUM_TERMS = 3
 """Even powers of the radius in the logarithm of a vignetting."""
-MIN_SPREAD = 0.02
-"""Standard deviation of log gains from which on light differs: an error of brightness of 2 % at mid
-grey is one of 40 dB. The sample town has 0.001, three real sets 0.10 to 0.15."""
 FOCAL_STEP = 0.05
 """Cameras whose sizes agree, and focal lengths to about this share, count as one."""
 
@@ -71,9 +68,14 @@ class Lights:
         return float(np.sqrt(np.mean(own.var(axis=0)))) if len(own) > 1 else 0.0
 
     @property
+    def regime(self) -> Regime:
+        """The case of its spread and evenness."""
+        return require(LIGHT, {"spread": self.spread, "evenness": self.evenness})
+
+    @property
     def is_worth_modelling(self) -> bool:
         """Whether light differs, by gains that explain whole pictures."""
-        return bool(self.known.any()) and self.spread >= MIN_SPREAD and self.evenness >= MIN_EVENNESS
+        return bool(self.known.any()) and bool(self.regime.values["taken_out"])
 
     @property
     def corner(self) -> float:

@@ -83,8 +83,8 @@ class RenderOutput:
     """(C,N,2) projected centres, of any value where `radii_px` is 0. Densification takes their
     gradient in pixels: `register_hook`, or `retain_grad`, which copies it."""
     absgrad: Tensor | None = None
-    """(C,N,2) Σ over pixels p of `|∂loss_p/∂means2d|`, where requested: the loss by way of p, so that
-    nothing cancels (AbsGS, Ye 2024). Zeros until a backward pass through the pictures, which
+    """(C,N,2) Σ over pixels p of `|∂loss_p/∂means2d|`, where requested: the loss by way of p, so
+    that nothing cancels (AbsGS, Ye 2024). Zeros until a backward pass through the pictures, which
     overwrites it before the gradient of `means2d` comes to its hooks."""
 
     @property

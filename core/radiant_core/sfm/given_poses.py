@@ -1,4 +1,5 @@
-"""Poses that come with the photographs: a COLMAP model, or a Mill 19 folder. Once per run.
+"""Poses that come with the photographs: a COLMAP model, another alignment, a Mill 19 folder. Once a
+run.
 
 The world is that of the poses, but for a whole offset where they lie far from its origin; z must be
 up for a plan of the ground.
@@ -16,16 +17,19 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.frames import compose
 from radiant_core.geometry.similarity import move_cameras
 from radiant_core.georef.given_frame import GivenFrame, shifted_frame
 from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
-from radiant_core.io.colmap.image_files import ImageFiles, photographs_without_pose, read_with_files, unposed_count
+from radiant_core.io.colmap.image_files import ImageFiles, photographs_without_pose, read_with_files, require_files, unposed_count
 from radiant_core.io.colmap.records import ColmapModel, check_model
 from radiant_core.io.colmap.text import write_model
 from radiant_core.io.mill19 import given_from_scene, images_without_pose, read_mill19
 from radiant_core.io.photos.listing import photograph_size_wh
+from radiant_core.io.poses.recognise import the_alignment
 from radiant_core.io.records import save_cameras
 from radiant_core.sfm.known_poses import NO_POINTS, misfit_text
+from radiant_core.sfm.pose_project import crs_of, placed_project, read_with_photographs, said_of
 from radiant_core.sfm.world_frame.up import roll_deg
 
 NO_POINTS_2D, NO_IDS = np.zeros((0, 2)), np.zeros(0, np.int64)
@@ -76,8 +80,14 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
     if model_folder is None and (source / "train" / "metadata").is_dir():
         return _read_mill19_poses(source)
     models, photos = find_models(source), picture_folder(source) or source
+    alignment = the_alignment(source) if model_folder is None and not models else model_folder
+    if alignment is not None and not alignment.is_dir():
+        return _read_alignment(alignment, photos, where)
     if model_folder is None and not models:
-        raise BadInput(f"{source} has no poses beside its photographs (sparse/ or a Mill 19 folder): give a COLMAP model with --poses.")
+        raise BadInput(
+            f"{source} has no poses beside its photographs (sparse/, an alignment or a Mill 19 folder): give a COLMAP model or another "
+            "alignment with --poses."
+        )
     folder = model_folder or models[0].folder
     model, files = read_with_files(folder, photos, required=False)
     if where != "by device":
@@ -90,11 +100,7 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
         raise BadInput(f"{folder} has {len(cameras)} poses, expected those of all photographs.")
     _require_z_up(cameras, folder)
     given = shifted_frame(cameras, "the COLMAP model")
-    if where == "own" and not given.is_same:
-        raise BadInput(
-            f"the poses lie up to {np.abs(cameras.centers).max():.3g} from their origin, where float32 loses what is small: take the same "
-            "whole numbers off the poses of all devices."
-        )
+    _require_shared(cameras, given, where)
     unposed = photographs_without_pose(files) if where != "by device" else ()
     beside = notes_on_project(source, for_poses=True) if model_folder is None else ()
     counts = (*files.count(), *unposed_count(unposed, files))
@@ -106,6 +112,57 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
         notes=(*beside, *files.notes(), *unposed_count(unposed, files), *given.notes()),
         unnamed_notes=(*beside, *counts, *given.notes()),
     )
+
+
+def _read_alignment(path: Path, photos: Path, where: Where) -> GivenPoses:
+    """The poses of another program, in metres where it says so."""
+    alignment, files = read_with_photographs(path, photos)
+    if where == "by device":
+        views = [replace(view, name=files.files.get(view.name) or _last_of(view.name)) for view in alignment.views]
+        project = placed_project(replace(alignment, views=tuple(views)), None)
+        files, model = _below_devices(files), _named_below_devices(project.model, files)
+    else:
+        here = [view for view in alignment.views if view.name in files.files]
+        if where == "together":
+            require_files(files, [view.name for view in alignment.views])
+        if len(here) < 2:
+            raise BadInput(f"{len(here)} of the photographs in {photos} have a pose in {path}, expected 2 or more: give poses of these.")
+        project = placed_project(replace(alignment, views=tuple(here)).named(files), photos)
+        model = project.model
+    if project.other_lenses:
+        raise BadInput(
+            f"{alignment.title} has lenses with k4 or skew, which devices cannot undistort: use --frames shared, or undistort the "
+            "photographs in the program that aligned them."
+        )
+    cameras = _cameras_of(model)
+    _require_z_up(cameras, path)
+    shift = shifted_frame(cameras, alignment.title)
+    given = replace(
+        shift,
+        given_from_scene=compose(project.given_from_scene, shift.given_from_scene),
+        crs=crs_of(alignment),
+        is_default=True,
+    )
+    _require_shared(cameras, given, where)
+    unposed = photographs_without_pose(files) if where != "by device" else ()
+    counts = (*files.count(), *unposed_count(unposed, files))
+    return GivenPoses(
+        cameras=move_cameras(cameras, shift.given_from_scene.inverse()),
+        photos=photos,
+        model=_moved(model, shift),
+        given=given,
+        notes=(said_of(alignment), *alignment.notes, *files.notes(), *unposed_count(unposed, files), *given.notes()),
+        unnamed_notes=(*counts, *given.notes()),
+    )
+
+
+def _require_shared(cameras: Cameras, given: GivenFrame, where: Where) -> None:
+    """Raise BadInput where one device of many would choose a frame of its own."""
+    if where == "own" and not given.is_same:
+        raise BadInput(
+            f"the poses lie up to {np.abs(cameras.centers).max():.3g} from their origin, where float32 loses what is small: take the same "
+            "whole numbers off the poses of all devices."
+        )
 
 
 def _read_mill19_poses(source: Path) -> GivenPoses:
@@ -138,6 +195,11 @@ def _named_below_devices(model: ColmapModel, files: ImageFiles) -> ColmapModel:
                 "and in the poses."
             )
     return replace(model, images=tuple(replace(image, name=name) for image, name in zip(model.images, names, strict=True)))
+
+
+def _last_of(name: str) -> str:
+    """The file of a name, whatever system wrote it."""
+    return PurePosixPath(name.replace("\\", "/")).name
 
 
 def _below_first(path: str) -> str:

@@ -120,7 +120,7 @@ def triangulated_model(
     """The same as a COLMAP model, in `work_folder`/sparse too; raises alike."""
     phases = with_preview(("checking photographs", "features", "matching", "triangulating"), config)
     report = number_phases(report, phases)
-    photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
+    photographs = photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
     config, _ = limit_to_memory(config, [photo.size_wh for photo in photographs])
     report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
     with prepare_database(work_folder, database_key(photographs, config, masks)) as database:
@@ -128,7 +128,7 @@ def triangulated_model(
         extract_features(database, photo_folder, photographs, config, report, given)
         keep_masks(given, work_folder)
         model_folder = work_folder / "sparse"
-        posed = _posed_model(cameras, database, model_folder)
+        posed = posed_model(cameras, database, model_folder)
         candidates = neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors)
         pairs, _ = keep_promising(database, candidates, config, report)
         match_pairs(database, pairs, config, report, dict(zip(cameras.names, cameras.cam_from_world, strict=True)))
@@ -175,7 +175,7 @@ def triangulate(
     )
 
 
-def _photographs_of(cameras: Cameras, photographs: tuple[Photograph, ...]) -> tuple[Photograph, ...]:
+def photographs_of(cameras: Cameras, photographs: tuple[Photograph, ...]) -> tuple[Photograph, ...]:
     """The photographs in the order of the cameras, grouped by calibration instead of EXIF."""
     by_name = {photo.name: photo for photo in photographs}
     lost = [name for name in cameras.names if name not in by_name]
@@ -209,7 +209,7 @@ def misfit_text(what: str, size_wh: tuple[int, int], camera_wh: tuple[int, int])
     return f"{sizes}: give the photographs that the poses were made from, in their size."
 
 
-def _posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Reconstruction:
+def posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Reconstruction:
     """The known poses as a model without points, with the database's numbers, whose calibrations
     they replace."""
     index_of = {name: index for index, name in enumerate(cameras.names)}

@@ -7,11 +7,13 @@ world frame (`world.py`). EXIF orientation is ignored for pixels throughout.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from radiant_core.errors import BadInput
+from radiant_core.frames import Frame, Sim3, compose
 from radiant_core.georef.given_frame import GivenFrame
 from radiant_core.io.colmap.image_files import photographs_without_pose, read_with_files, unposed_count
 from radiant_core.io.colmap.model import read_model
@@ -41,7 +43,7 @@ from radiant_core.sfm.readable import readable_folder, remove_readable, stretch_
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
-from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_in_world, with_warnings
+from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_as_given, scene_in_world, with_warnings
 
 GIVEN_MODEL = "the COLMAP model"
 PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "triangulating", "undistorting")
@@ -139,6 +141,23 @@ def _placed(
     return scene_in_world(model, photographs, seed, placement, keeps_frame=keeps_frame)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GivenModel:
+    """A COLMAP model that a scene is made from, and what is known of it beyond its files."""
+
+    folder: Path
+    images: Path
+    title: str = GIVEN_MODEL
+    frame: Frame | None = None
+    """What its coordinates are, where whoever made it says so; None: GPS or its own z decide."""
+    given_from_model: Sim3 | None = None
+    """To the coordinates of the file that it was read from; None: they are its own."""
+    crs: str | None = None
+    """The system of those, where they have one."""
+    used: frozenset[Path] = frozenset()
+    """Files that it was read from; none for a COLMAP model."""
+
+
 def scene_from_colmap(
     model_folder: Path, image_folder: Path, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
 ) -> SfmResult:
@@ -149,6 +168,14 @@ def scene_from_colmap(
     skipped and named. Points seen only where `masks` are 0 are left out. BadInput for an unreadable
     model, an image that is missing or not of its camera's shape, or arguments that do not fit.
     """
+    return scene_from_model(GivenModel(folder=model_folder, images=image_folder), work_folder, report, masks, placement)
+
+
+def scene_from_model(
+    source: GivenModel, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
+) -> SfmResult:
+    """`scene_from_colmap` of a model of which more is known than its files say."""
+    model_folder, image_folder = source.folder, source.images
     model, files = read_with_files(model_folder, image_folder)
     unposed = photographs_without_pose(files)
     placement.check_names((image.name for image in model.images), of_model=True)
@@ -162,7 +189,7 @@ def scene_from_colmap(
     _require_images(model, listing, image_folder)
     _require_tracks(model, model_folder, placement)
     contradicted = check_control(placement, listing.photographs, _sizes_of(model))
-    beside = beside_warning(image_folder, masks, control=placement.control_text)
+    beside = beside_warning(image_folder, masks, control=placement.control_text, used=source.used)
     if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
     image_folder = readable_folder(listing, image_folder, work_folder)
@@ -180,8 +207,11 @@ def scene_from_colmap(
             model_folder = _written(model, work_folder / "sparse")
         model, images_to_use, masks = _undistorted(model_folder, image_folder, work_folder, given, report)
     model, said = with_points(model, images_to_use, work_folder, report, masks)
-    placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement, keeps_frame=True), contradicted)
-    given_frame = _given_frame(placed, given_centers if surveyed is not None else None)
+    if source.frame is not None:
+        placed = scene_as_given(model, source.frame)
+    else:
+        placed = with_warnings(_placed(model, surveyed, listing.photographs, 0, placement, keeps_frame=True), contradicted)
+    given_frame = _given_frame(placed, source, given_centers if surveyed is not None else None)
     scene, repeats = without_repeats(placed.scene, images_to_use)
     outliers = gps_outliers(scene, listing.photographs)
     if not pinhole:
@@ -255,16 +285,18 @@ def _fit_models(work_folder: Path, placed: PlacedScene, scene: SfmScene, images:
             fit_model(folder, placed.world_from_model, scene.cameras)
 
 
-def _given_frame(placed: PlacedScene, centers: dict[str, FloatArray] | None) -> GivenFrame:
+def _given_frame(placed: PlacedScene, source: GivenModel, centers: dict[str, FloatArray] | None) -> GivenFrame:
     """The way back to the given model: exact, or what fits its `centers` (3,) best where its poses
     were adjusted."""
-    if centers is None:
-        return GivenFrame(given_from_scene=placed.world_from_model.inverse(), model=GIVEN_MODEL)
-    cameras = placed.scene.cameras
-    given = np.array([centers[name] for name in cameras.names])
-    back = fit_sim3(cameras.centers, given)
-    error = float(np.linalg.norm(back.apply(cameras.centers) - given, axis=1).max())
-    return GivenFrame(given_from_scene=back, model=GIVEN_MODEL, largest_error=error)
+    back, error = placed.world_from_model.inverse(), 0.0
+    if centers is not None:
+        cameras = placed.scene.cameras
+        given = np.array([centers[name] for name in cameras.names])
+        back = fit_sim3(cameras.centers, given)
+        error = float(np.linalg.norm(back.apply(cameras.centers) - given, axis=1).max())
+    if source.given_from_model is not None:
+        back = compose(source.given_from_model, back)
+    return GivenFrame(given_from_scene=back, model=source.title, largest_error=error, crs=source.crs, is_default=bool(source.used))
 
 
 def _adjusted_copy(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
-from radiant_core.frames import Frame, enu_from_geodetic, geodetic_from_enu
+from radiant_core.frames import Frame, Sim3, enu_from_geodetic, geodetic_from_enu
 from radiant_core.georef.crs import Crs, parse_crs
 from radiant_core.map_projection import utm_epsg
 from radiant_core.numerics import FloatArray, check_array
@@ -28,6 +28,8 @@ class MapFrame:
 
     frame: Frame
     system: Crs | None
+    map_from_world: Sim3 | None = None
+    """Where the scene was given in coordinates of this map: what leads back to them, exactly."""
 
     @property
     def epsg(self) -> int | None:
@@ -44,6 +46,8 @@ class MapFrame:
         points = check_array("points", points, (None, 3))
         if self.system is None or not len(points):
             return points.copy()
+        if self.map_from_world is not None:
+            return self.map_from_world.apply(points)
         return self.system.from_geodetic(geodetic_from_enu(points, self.frame.origin_lat_lon_alt))
 
     def to_world(self, places: ArrayLike) -> FloatArray:
@@ -51,6 +55,8 @@ class MapFrame:
         places = check_array("places", places, (None, 3))
         if self.system is None or not len(places):
             return places.copy()
+        if self.map_from_world is not None:
+            return self.map_from_world.inverse().apply(places)
         return enu_from_geodetic(self.system.to_geodetic(places), self.frame.origin_lat_lon_alt)
 
     @property
@@ -59,9 +65,10 @@ class MapFrame:
         return "none, the model's own coordinates" if self.system is None else self.system.title
 
 
-def map_frame_of(frame: Frame, system: Crs | None = None) -> MapFrame:
-    """The map of a frame: `system`, by default the UTM zone of its origin; BadInput for one where
-    the frame has no place on the globe."""
+def map_frame_of(frame: Frame, system: Crs | None = None, map_from_world: Sim3 | None = None) -> MapFrame:
+    """The map of a frame: `system`, by default the UTM zone of its origin; `map_from_world`, where
+    the scene was given in coordinates of that system. BadInput for one where the frame has no place
+    on the globe."""
     if frame.kind != "metric":
         if system is not None:
             raise BadInput(
@@ -69,7 +76,9 @@ def map_frame_of(frame: Frame, system: Crs | None = None) -> MapFrame:
             )
         return MapFrame(frame=frame, system=None)
     lat, lon, _ = frame.origin_lat_lon_alt.tolist()
-    return MapFrame(frame=frame, system=parse_crs(f"EPSG:{utm_epsg(lat, lon)}") if system is None else system.at(lat, lon))
+    if system is None:
+        return MapFrame(frame=frame, system=parse_crs(f"EPSG:{utm_epsg(lat, lon)}"))
+    return MapFrame(frame=frame, system=system.at(lat, lon), map_from_world=map_from_world)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

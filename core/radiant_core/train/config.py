@@ -72,7 +72,7 @@ class TrainConfig:
     """Share of them that the last steps of a run leave out; none at its start."""
     cross_validate: Literal["none", "auto", "always"] = "none"
     """Whether trainings without some of the photographs choose, where they are "auto", if Gaussians
-    are left out and how many there may be: up to eight trainings more (`few.py`); auto: below 25
+    are left out and how many there may be: up to eight trainings more (`few.py`); auto: below 36
     photographs. For a model that stands alone."""
     max_extent_per_distance: float | None = 2.0
     """The extent, in whose units centres move and density control calls Gaussians large, is that of

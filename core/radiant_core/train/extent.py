@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
+from radiant_core.regimes import EXTENT, require
 from radiant_core.splats import Splats
 
 NUM_CAMERAS, NUM_PLACES, NEARER = 64, 20_000, 0.25
@@ -51,6 +52,7 @@ def working_extent(cameras: Cameras, splats: Splats, per_distance: float | None)
 
 def extent_decision(cameras: Cameras, splats: Splats, per_distance: float | None) -> Decision:
     """In which unit the centres of a training move, as the report lists it."""
+    case = require(EXTENT)
     flown, used = camera_extent(cameras), working_extent(cameras, splats, per_distance)
     return Decision(
         stage="train",
@@ -58,8 +60,8 @@ def extent_decision(cameras: Cameras, splats: Splats, per_distance: float | None
         choice=f"centres move in units of {used:.3g}" + (f" in place of {flown:.3g}" if used < flown else ""),
         figure=flown / used,
         unit="times as far would be a step in units of the cameras' extent",
-        reason="as in 3DGS"
-        if per_distance is None
-        else f"a longer flight sees no coarser: at most {per_distance:g} times the distance at which cameras see",
+        reason="as in 3DGS" if per_distance is None else f"{case.reason}: at most {per_distance:g} times the distance at which cameras see",
+        row="" if per_distance is None else case.row,
+        otherwise="--set train.max_extent_per_distance=none" if used < flown else "",
         changes_nothing=used == flown,
     )

@@ -25,6 +25,7 @@ from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.io.photos.masks import used_pixels
 from radiant_core.numerics import FloatArray
+from radiant_core.regimes import FEW_PHOTOGRAPHS, PHOTOGRAPHS, require
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
@@ -33,8 +34,6 @@ from radiant_core.train.densify.policies import Adc, Mcmc
 from radiant_core.train.needs import fit_dropping, most_splats, most_steps, pixels_per_splat
 from radiant_core.train.views import TrainingViews
 
-FEW = 25
-"""`cross_validate` "auto" asks below so many photographs."""
 FEWEST = 6
 """With fewer than these nothing is asked: what is left of them is another set."""
 EVERY, PARTS = 8, (0, 4)
@@ -147,6 +146,7 @@ def choose_for_few(config: TrainConfig, views: TrainingViews, score: Score) -> C
         unit=f"dB over what the number of photographs says, on {len(first)} of {len(views)} in turn",
         reason=f"{trials.taken} trainings without them, each candidate against the best before: {', '.join(tried)}; "
         f"from {MIN_GAIN_DB:g} dB on one is taken",
+        row=require(PHOTOGRAPHS, {"photographs": len(views)}).row,
     )
     return Choice(config=best if best != start else plain, decisions=(decision,), num_trials=trials.taken)
 
@@ -201,8 +201,8 @@ def _parts(views: TrainingViews) -> list[NDArray[np.bool_]]:
 
 def _why_not(config: TrainConfig, num_views: int) -> str:
     """Why so many photographs are not asked; empty where they are."""
-    if config.cross_validate == "auto" and num_views >= FEW:
-        return f"from {FEW} photographs on their number decides"
+    if config.cross_validate == "auto" and num_views >= FEW_PHOTOGRAPHS:
+        return f"from {FEW_PHOTOGRAPHS} photographs on their number decides"
     if config.budget_s is not None:
         return "the training has a budget of time, which leaves none for others"
     return ""
@@ -224,7 +224,8 @@ def _not_asked(asked: str, num_views: int, reason: str) -> Decision:
         figure=float(num_views),
         unit="training photographs",
         reason=reason,
-        changes_nothing=asked == "auto" and num_views >= FEW,
+        row=require(PHOTOGRAPHS, {"photographs": num_views}).row,
+        changes_nothing=asked == "auto" and num_views >= FEW_PHOTOGRAPHS,
     )
 
 

@@ -6,13 +6,15 @@ points, in the cell's mean colour. Without these points such places start empty,
 training does not fill them: on an aerial set the woods stayed black.
 
 A point that another photograph sees through, since what it shows there lies farther away, is left
-out: before an object that cameras look at from all sides it would be haze.
+out: before an object that cameras look at from all sides it would be haze. Where most points are of
+another colour than the photographs show in their place, they lie where nothing is (`contradicted`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
@@ -33,6 +35,12 @@ SEEN_THROUGH = 0.85
 """A point nearer to a camera than this share of the nearest of `WITNESSES` points that the camera
 sees within `WITNESS_CELLS` cells of it would hide them: the camera sees through it."""
 WITNESSES, WITNESS_CELLS = 3, 0.5
+MOST_ASKED, FEWEST_LOOKS = 1_000, 3
+"""So many points, evenly chosen, are compared with photographs, those that this many show."""
+CONTRADICTED = 0.5
+"""A point differs that is farther from what photographs show in its place, in the median of them,
+than this share of how far two places of the photographs are apart, in the median of pairs."""
+NUM_PAIRS = 20_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,22 +66,22 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
     """One point per empty image cell, apart from the scene's and from those of images before,
     that no image sees through. `views.cameras` are the scene's in the same order, at any
     resolution."""
-    known, first_new = scene.points, len(scene.points)
-    colors = [np.zeros((0, 3), np.uint8)]
+    # The scene's points, of which there may be many, are sorted once; of those added there are few.
+    tree, points, colors_of_points = KDTree(scene.points), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     for index in range(len(views)):
         cells = _cells(views.images[index], None if views.weights is None else views.weights[index])
         seen = scene.points[scene.observations[scene.observations[:, 1] == index, 0]]
         placed = _place(views.cameras, index, seen, cells)
         if placed is None:
             continue
-        points, spacing, empty = placed
+        new, spacing, empty = placed
         empty &= cells.counts
-        points, spacing, new_colors = points[empty], spacing[empty], cells.colors[empty]
-        if len(points):
-            apart = KDTree(known).query(points)[0] > MIN_SPACING_CELLS * spacing
-            known = np.concatenate([known, points[apart]])
-            colors.append(new_colors[apart])
-    points, colors_of_points = known[first_new:], np.concatenate(colors)
+        new, spacing, new_colors = new[empty], spacing[empty], cells.colors[empty]
+        if len(new):
+            distances = np.minimum(tree.query(new)[0], KDTree(points).query(new)[0])
+            apart = distances > MIN_SPACING_CELLS * spacing
+            points = np.concatenate([points, new[apart]])
+            colors_of_points = np.concatenate([colors_of_points, new_colors[apart]])
     stays = ~_are_seen_through(scene, views.cameras, points)
     share = 1 - float(stays.mean()) if len(stays) else 0.0
     return AddedPoints(points=points[stays], colors=colors_of_points[stays], seen_through_share=share)
@@ -103,6 +111,32 @@ def _project(cameras: Cameras, index: int, points: FloatArray) -> tuple[FloatArr
     depths = in_camera[:, 2]
     pixels = (in_camera @ cameras.Ks[index].T)[:, :2] / np.where(depths > 0, depths, 1.0)[:, None]
     return pixels, depths
+
+
+def contradicted_share(added: AddedPoints, views: TrainingViews) -> float:
+    """Share of the points whose colour is not what other photographs show there, hidden or not; 0
+    where too few show any. Once per training: a mean over cells of each photograph."""
+    asked = added.thin(MOST_ASKED)
+    cameras, colors = views.cameras, asked.colors.astype(np.float64)
+    apart, places = np.full((len(asked.points), len(views)), np.nan), []
+    for index in range(len(views)):
+        cell_px = max(1, int(cameras.sizes_wh[index].max() / CELLS_ACROSS))
+        smooth = cv2.blur(np.asarray(views.images[index], np.float32), (cell_px, cell_px))
+        places.append(smooth[cell_px // 2 :: cell_px, cell_px // 2 :: cell_px].reshape(-1, 3))
+        pixels, depths = _project(cameras, index, asked.points)
+        seen = (depths > 0) & ((pixels >= 0) & (pixels < cameras.sizes_wh[index])).all(axis=1)
+        if views.weights is not None:
+            column, row = pixels[seen].astype(np.int64).T
+            seen[seen] = np.asarray(views.weights[index])[row, column] > 0
+        column, row = pixels[seen].astype(np.int64).T
+        apart[seen, index] = np.abs(smooth[row, column] - colors[seen]).mean(axis=1)
+    shown = np.isfinite(apart).sum(axis=1) >= FEWEST_LOOKS
+    if not shown.any():
+        return 0.0
+    all_places = np.concatenate(places)
+    first, second = np.random.default_rng(0).integers(0, len(all_places), (2, NUM_PAIRS))
+    usual = float(np.median(np.abs(all_places[first] - all_places[second]).mean(axis=1)))
+    return float((np.nanmedian(apart[shown], axis=1) > CONTRADICTED * usual).mean())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

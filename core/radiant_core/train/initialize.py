@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_core.regimes import SKY, require
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_BASES, SH_C0, Splats, concatenate_splats, morton_order
 from radiant_core.train.config import TrainConfig
@@ -28,8 +29,6 @@ SKY_RGB = (0.75, 0.75, 0.75)
 """Colour of the sky where no photographs are given."""
 MIN_CAMERA_SHARE = 1e-3
 """Points nearer to a camera than this share of the usual distance are no points."""
-MIN_SKY_SHARE = 0.03
-"""Less sky than this in every image is a strip that the far ground's Gaussians cover."""
 DENSE_OPACITY = 0.5
 """Dense points lie on surfaces; at 0.1 held-out photographs of the town begin at 9.5 dB in place of
 13.3."""
@@ -205,9 +204,9 @@ def _neighbour_distance(points: FloatArray) -> FloatArray:
 
 
 def _sky_points(points: FloatArray, cameras: Cameras, count: int) -> FloatArray:
-    """Points (count,3) on a half sphere far around everything; none when less than `MIN_SKY_SHARE`
-    of every image looks up."""
-    if sky_share(cameras) < MIN_SKY_SHARE:
+    """Points (count,3) on a half sphere far around everything; none where hardly any image looks
+    up."""
+    if not require(SKY, {"share": sky_share(cameras)}).values["built"]:
         return np.zeros((0, 3))
     everything = np.concatenate([points, cameras.centers])
     low, high = np.quantile(everything, [0.02, 0.98], axis=0)

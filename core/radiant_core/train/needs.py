@@ -11,25 +11,23 @@ from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any
 
-import numpy as np
-
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.plan.profiles.step_law import StepLaw
+from radiant_core.regimes import FEW_PHOTOGRAPHS, LENGTH, PHOTOGRAPHS, require
 from radiant_core.train.config import TrainConfig, with_settings
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.views import TrainingViews
 
 MIN_PLANNED = 4_000
 """Planned growth may always reach this number of Gaussians."""
-FEW_PHOTOGRAPHS = 36
-"""With fewer than these to train on, leaving Gaussians out at random gains on photographs left
-out, and so do more Gaussians (docs/experiments/training.md)."""
-PIXELS_PER_SPLAT, PIXELS_OF_FEW = 80, 40
+PIXELS_PER_SPLAT, PIXELS_OF_FEW = (
+    require(PHOTOGRAPHS, {"photographs": count}).values["pixels_per_splat"] for count in (2 * FEW_PHOTOGRAPHS, 0)
+)
 """Training pixels for each Gaussian that growth may reach, and the same for few photographs, or
 where Gaussians are left out at random: few show a place less often, so that each of their pixels
 tells more. From `FEW_PHOTOGRAPHS` to twice as many the limit stays where it is, so that more
-photographs never mean fewer Gaussians (docs/experiments/training.md)."""
+photographs never mean fewer Gaussians."""
 MIN_STEPS = 1_500
 """Few photographs never shorten a run below this."""
 
@@ -139,6 +137,7 @@ def _fit_size(config: TrainConfig, cameras: Cameras) -> tuple[TrainConfig, tuple
         choice=f"growth is planned to {most:,} instead of {config.max_num_splats:,}",
         figure=num_pixels / 1e6,
         unit="million pixels of training photographs",
+        row=_row_of(len(cameras)) if getattr(config.density, "pixels_per_splat", None) == "auto" else "",
         reason=f"more than one Gaussian per {per_splat} pixels {_why_no_more(config, per_splat)}",
     )
     return replace(config, max_num_splats=most), (decision,)
@@ -152,6 +151,10 @@ def _why_no_more(config: TrainConfig, per_splat: int | None) -> str:
     return "cost time and gained nothing on photographs left out"
 
 
+def _row_of(num_views: int) -> str:
+    return require(PHOTOGRAPHS, {"photographs": num_views}).row
+
+
 def pixels_per_splat(config: TrainConfig, num_views: int) -> int | None:
     """Training pixels for each Gaussian that growth may reach with so many photographs, once
     `drop_gaussians` is no longer "auto"; None: growth has no such limit."""
@@ -161,7 +164,8 @@ def pixels_per_splat(config: TrainConfig, num_views: int) -> int | None:
     if density.pixels_per_splat == "auto":
         if config.drop_gaussians == "always":
             return PIXELS_OF_FEW
-        return int(np.clip(round(PIXELS_OF_FEW * num_views / FEW_PHOTOGRAPHS), PIXELS_OF_FEW, PIXELS_PER_SPLAT))
+        between = round(PIXELS_OF_FEW * num_views / FEW_PHOTOGRAPHS)
+        return require(PHOTOGRAPHS, {"photographs": num_views}).values.get("pixels_per_splat", between)
     return density.pixels_per_splat
 
 
@@ -194,13 +198,15 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
     """At most `max_epochs` steps per photograph; schedules are scaled to them."""
     if config.num_steps == (most := most_steps(config, num_views)):
         return config, ()
+    case = require(LENGTH)
     decision = Decision(
         stage="train",
         topic="length",
         choice=f"at most {most:,} steps",
         figure=float(num_views),
         unit="training photographs",
-        reason=f"after {config.max_epochs} steps per photograph more of them gained nothing on photographs left out",
+        reason=f"after {config.max_epochs} steps per photograph {case.reason}",
+        row=case.row,
     )
     return replace(config, num_steps=most), (decision,)
 
@@ -209,14 +215,17 @@ def fit_dropping(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tupl
     """Whether steps leave Gaussians out, where that is "auto"."""
     if config.drop_gaussians != "auto":
         return config, ()
-    few = num_views < FEW_PHOTOGRAPHS
+    case = require(PHOTOGRAPHS, {"photographs": num_views})
+    few = bool(case.values["leaves_out"])
     decision = Decision(
         stage="train",
         topic="Gaussians left out at random",
         choice=f"up to {config.drop_share:.0%} at each step" if few else "none",
         figure=float(num_views),
         unit="training photographs",
-        reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out, above it costs",
+        reason=case.reason,
+        row=case.row,
+        otherwise=f"--set train.drop_gaussians={'none' if few else 'always'}",
         changes_nothing=not few,
     )
     return replace(config, drop_gaussians="always" if few else "none"), (decision,)

@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from radiant_core.decisions import Decision
 from radiant_core.numerics import FloatArray
+from radiant_core.regimes import BLUR, REPEATS, SHARPNESS, require
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.copies import find_repeats as find_repeated_pictures
 from radiant_core.train.config import TrainConfig
@@ -29,13 +30,13 @@ MIN_GRADIENT = 1.0
 """Brightness steps per pixel that are noise: added to e, so that flat places compare as equal."""
 MIN_COMMON_POINTS = 20
 """A photograph with fewer points that two others see too is not judged."""
-MIN_SHARPNESS = 0.7
-"""Below this a photograph is blurred."""
 MIN_SEEN_ELSEWHERE = 0.9
 """A blurred photograph stays unless this share of its places is seen by two that are kept."""
 POINTS_OF_A_PLACE = 5
 """A place is one of its points and the nearest others, and is seen by as many as see any of them:
 36 to 53 % of all points are found in two photographs alone, though more see the place."""
+
+_ALL = "--set train.skip_images=none"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +117,7 @@ def _find_dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.b
     num_seeing = np.bincount(point[kept[view]], minlength=len(scene.points))
     blurred = np.zeros(len(sharpness), bool)
     for index in np.argsort(sharpness):
-        if not (kept[index] and sharpness[index] < MIN_SHARPNESS):
+        if not (kept[index] and sharpness[index] < SHARPNESS):
             continue
         own = point[view == index]
         if (_views_of_places(scene.points[own], num_seeing[own]) >= 3).mean() >= MIN_SEEN_ELSEWHERE:
@@ -139,24 +140,30 @@ def find_repeats(scene: SfmScene, views: TrainingViews) -> NDArray[np.bool_]:
 
 
 def _repeats_decision(repeated: NDArray[np.bool_]) -> Decision:
+    case = require(REPEATS)
     return Decision(
         stage="train",
         topic="repeated photographs",
         choice=f"{repeated.sum()} of {len(repeated)} photographs are left out",
         figure=float(repeated.sum()),
         unit="photographs that show another's picture from its place",
-        reason="a second copy takes steps and shows nothing new",
+        reason=case.reason,
+        row=case.row,
+        otherwise=_ALL if repeated.any() else "",
         changes_nothing=not repeated.any(),
     )
 
 
 def _blur_decision(blurred: NDArray[np.bool_], worst: float) -> Decision:
+    case = require(BLUR)
     return Decision(
         stage="train",
         topic="blurred photographs",
         choice=f"{blurred.sum()} of {len(blurred)} photographs are left out",
         figure=100 * worst,
         unit="% of the others' sharpness at common points, in the least sharp one",
-        reason=f"below {100 * MIN_SHARPNESS:.0f} % a photograph teaches its blur; one that alone shows a place is kept",
+        reason=case.reason,
+        row=case.row,
+        otherwise=_ALL if blurred.any() else "",
         changes_nothing=not blurred.any(),
     )

@@ -10,12 +10,6 @@ import pytest
 
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs
 from radiant_core.aggregate.config import (
-    ENOUGH_SHOWS,
-    FEW_DEVICES,
-    HARDLY_SHOWN,
-    OFTEN_SHOWN,
-    SHORT_SHOWS,
-    SHORT_STEPS,
     AggregateConfig,
     Trainings,
     aggregate_preset,
@@ -29,6 +23,7 @@ from radiant_core.aggregate.virtual_cameras import MAX_MOVE, MAX_TURN_DEG, virtu
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import Cloud
+from radiant_core.regimes import ENOUGH_SHOWS, FEW_DEVICES, HARDLY_SHOWN, OFTEN_SHOWN, SHORT_SHOWS, SHORT_STEPS
 from radiant_core.splats import Splats
 from radiant_core.train.config import train_preset
 from radiant_core.train.densify.policies import Adc, NoDensification

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_core.light.evenness import MIN_EVENNESS, MIN_OBSERVATIONS, evenness, parts_of
+from radiant_core.light.evenness import MIN_OBSERVATIONS, evenness, parts_of
 from radiant_core.light.solve import Observations, solve_lights
+from radiant_core.regimes import LIGHT_EVENNESS
 from tests.core.light.test_solve import CAMERAS, NUM_VIEWS, planted
 
 
@@ -26,7 +27,7 @@ def test_gains_are_exposures_where_they_explain_all_parts(noise: float, by_part:
     """Noise of places alone, however large, is no reason to doubt gains; shades are."""
     lights = solve_lights(observed_in_parts(np.random.default_rng(5), noise, by_part), CAMERAS)
     assert lights.spread > 0.1
-    assert (lights.evenness >= MIN_EVENNESS) == is_exposure == lights.is_worth_modelling
+    assert (lights.evenness >= LIGHT_EVENNESS) == is_exposure == lights.is_worth_modelling
 
 
 def test_the_ratio_is_that_of_the_planted_spreads() -> None:

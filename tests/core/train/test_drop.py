@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from radiant_core.regimes import FEW_PHOTOGRAPHS
 from radiant_core.render.contract import SplatTensors
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.drop import DROPPED_LOGIT, DroppedGaussians
-from radiant_core.train.needs import FEW_PHOTOGRAPHS, fit_to_views
+from radiant_core.train.needs import fit_to_views
 from radiant_core.train.parts import Moment
 from radiant_core.train.trainer import FitOptions, Training, fit_splats
 from tests.core.scenes import ground_splats

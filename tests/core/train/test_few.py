@@ -14,11 +14,12 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.numerics import FloatArray
+from radiant_core.regimes import FEW_PHOTOGRAPHS
 from radiant_core.render.rendered_view import render_views
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
-from radiant_core.train.few import EVERY, FEW, FEWEST, MIN_GAIN_DB, PARTS, TOPIC, Trial, choose_for_few, score_apart
-from radiant_core.train.needs import FEW_PHOTOGRAPHS, PIXELS_OF_FEW, fit_to_views
+from radiant_core.train.few import EVERY, FEWEST, MIN_GAIN_DB, PARTS, TOPIC, Trial, choose_for_few, score_apart
+from radiant_core.train.needs import PIXELS_OF_FEW, fit_to_views
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -123,7 +124,7 @@ class TestChoice:
 
     def test_trials_are_as_long_as_the_training_that_they_stand_for(self) -> None:
         table = {("always", 40): 20.0, ("always", 20): 19.0, ("always", 80): 19.0, ("none", 40): 19.0}
-        for num_views in (FEWEST, 20, FEW - 1):
+        for num_views in (FEWEST, 20, FEW_PHOTOGRAPHS - 1):
             whole = fit_to_views(replace(ASKED, cross_validate="none"), photographs(num_views))[0].num_steps
             assert chosen(table, num_views=num_views)[1].lengths == {whole}
 
@@ -173,14 +174,15 @@ class TestAsked:
         always = replace(ASKED, cross_validate="always")
         table = {("always", 40): 20.0, ("always", 20): 19.0, ("always", 80): 19.0, ("none", 40): 19.0}
         # Of six photographs growth may reach 4,000 Gaussians with 40 pixels each as with 80.
-        for config, num_views, num_trials in ((ASKED, FEW - 1, 8), (ASKED, FEWEST, 6), (always, FEW, 8), (always, FEW_PHOTOGRAPHS - 1, 8)):
+        most = FEW_PHOTOGRAPHS - 1
+        for config, num_views, num_trials in ((ASKED, most, 8), (ASKED, FEWEST, 6), (always, 25, 8), (always, most, 8)):
             assert len(chosen(table, config, num_views)[1].asked) == num_trials, num_views
         assert choose_for_few(replace(ASKED, cross_validate="none"), photographs(20), refuse).decisions == ()
 
     @pytest.mark.parametrize(
         ("change", "num_views", "said"),
         [
-            ({}, FEW, "from 25 photographs on their number decides"),
+            ({}, FEW_PHOTOGRAPHS, "from 36 photographs on their number decides"),
             ({"budget_s": 9.0}, 20, "a budget of time"),
             ({"cross_validate": "always"}, FEWEST - 1, "fewer than 6 photographs"),
             ({"cross_validate": "always", "drop_gaussians": "none", "density": NoDensification()}, 20, "nothing is open"),
@@ -215,7 +217,7 @@ class TestAsked:
             (decision,) = choose_for_few(ASKED, few, refuse).decisions
             assert "that show something" in decision.reason
 
-    @pytest.mark.parametrize("num_views", [FEWEST, 7, 8, 13, 20, FEW - 1])
+    @pytest.mark.parametrize("num_views", [FEWEST, 7, 8, 13, 20, FEW_PHOTOGRAPHS - 1])
     def test_each_part_leaves_something_to_train_on_and_no_photograph_is_in_two(self, num_views: int) -> None:
         _, trainings = chosen({("always", 40): 20.0, ("always", 20): 19.0, ("always", 80): 19.0, ("none", 40): 19.0}, num_views=num_views)
         first, second = trainings.apart[:2]

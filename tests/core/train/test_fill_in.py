@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.fill_in import fill_in_points
+from radiant_core.train.fill_in import NO_POINTS, contradicted_share, fill_in_points
 from radiant_core.train.initialize import first_splats
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above
@@ -144,3 +146,15 @@ def test_no_point_hangs_before_what_another_photograph_shows() -> None:
 
 def test_over_flat_ground_nothing_is_seen_through() -> None:
     assert fill_in_points(*flat_scene(half_side_m=0.7)).seen_through_share == 0.0
+
+
+def test_points_are_contradicted_where_photographs_show_another_colour_there() -> None:
+    """Photographs of one colour agree; of a colour each, most differ from any one of them."""
+    scene, views = ball_before_a_wall()
+    assert contradicted_share(fill_in_points(scene, views), views) == 0.0 == contradicted_share(NO_POINTS, views)
+    colors = np.random.default_rng(0).integers(0, 255, (len(views), 3))
+    each = replace(views, images=tuple(np.broadcast_to(color, (60, 80, 3)).astype(np.uint8) for color in colors))
+    assert contradicted_share(fill_in_points(scene, each), each) > 0.6
+    # Behind masks nothing contradicts them.
+    masked = replace(each, weights=tuple(np.zeros((60, 80), np.uint8) for _ in each.images))
+    assert contradicted_share(fill_in_points(scene, each), masked) == 0.0

@@ -11,10 +11,11 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
+from radiant_core.regimes import FEW_PHOTOGRAPHS
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
-from radiant_core.train.needs import FEW_PHOTOGRAPHS, MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_views, pixels_per_splat
+from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, fit_to_backend, fit_to_views, pixels_per_splat
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above
 

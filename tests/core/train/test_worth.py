@@ -12,11 +12,11 @@ import pytest
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
+from radiant_core.regimes import SHARPNESS
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.views import TrainingViews
 from radiant_core.train.worth import (
-    MIN_SHARPNESS,
     Worth,
     _medians_of_others,
     find_repeats,
@@ -84,7 +84,7 @@ def test_a_streaked_photograph_is_found_and_left_out_with_its_figure() -> None:
     scene, views = flat_scene()
     blurred = with_image(views, 2, streaked(views.images[2], 9))
     sharpness = relative_sharpness(scene, blurred)
-    assert sharpness.argmin() == 2 and sharpness[2] < MIN_SHARPNESS and np.delete(sharpness, 2).min() > 0.9
+    assert sharpness.argmin() == 2 and sharpness[2] < SHARPNESS and np.delete(sharpness, 2).min() > 0.9
     restricted, left, decisions = worth_training(scene, blurred, AUTO)
     assert left.cameras.names == restricted.cameras.names == tuple(np.delete(CAMERAS.names, 2))
     assert decisions[1].choice == "1 of 6 photographs are left out" and decisions[1].figure == pytest.approx(100 * sharpness[2])
@@ -125,7 +125,7 @@ def test_a_blurred_photograph_that_alone_shows_a_place_stays() -> None:
     lonely = replace(lonely, observations=everything)
     lonely = replace(lonely, observations=everything[lonely.observed_pixels(far)[0]])
     blurred = with_image(views, 3, streaked(views.images[3], 9))
-    assert relative_sharpness(lonely, blurred)[3] < MIN_SHARPNESS
+    assert relative_sharpness(lonely, blurred)[3] < SHARPNESS
     assert images_worth(lonely, blurred).kept.all()
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from radiant_core.io.photos.folders import MASK_FOLDERS, SUFFIXES, UNREAD_SUFFIXES, in_short, read_folder
 
 CONTROL_LIST = "gcp_list.txt"
+OPENING = "beside the photographs there are"
 _PROJECT_FILES = {
     "transforms.json": "poses of nerfstudio or instant-ngp",
     **dict.fromkeys(("transforms_train.json", "transforms_val.json", "transforms_test.json"), "poses of NeRF"),
@@ -62,12 +63,14 @@ _XML_HEAD_BYTES = 4096
 _XML_KINDS = ((b"<document", b"<chunk", "poses of Metashape"), (b"<BlocksExchange", b"<", "poses of BlocksExchange"))
 
 
-def beside_warning(folder: Path, masks: Path | None = None, *, control: str | None = None, named: bool = True) -> tuple[str, ...]:
+def beside_warning(
+    folder: Path, masks: Path | None = None, *, control: str | None = None, named: bool = True, used: frozenset[Path] = frozenset()
+) -> tuple[str, ...]:
     """One line about what lies in a folder of photographs, or beside one that is called images, and
-    is not used; `masks` are, and a list with the text `control`. Kinds alone where names are
-    private."""
+    is not used; `masks`, files `used` and a list with the text `control` are. Kinds alone where
+    names are private."""
     places = (folder, folder.parent) if folder.name == "images" else (folder,)
-    there = [each for place in places for each in _projects_in(place, masks, control, above=place != folder)]
+    there = [each for place in places for each in _projects_in(place, masks, control, used, above=place != folder)]
     if len(places) > 1:
         there += [
             (f"{count} {suffix}", "films or pictures that are not read") for suffix, count in sorted(unread_in(folder.parent).items())
@@ -75,7 +78,7 @@ def beside_warning(folder: Path, masks: Path | None = None, *, control: str | No
     if not there:
         return ()
     told = [f"{name} ({kind})" for name, kind in there] if named else sorted({kind for _, kind in there})
-    return (f"beside the photographs there are {in_short(told)}: they are not used.",)
+    return (f"{OPENING} {in_short(told)}: they are not used.",)
 
 
 def unread_in(folder: Path) -> dict[str, int]:
@@ -85,7 +88,7 @@ def unread_in(folder: Path) -> dict[str, int]:
     return dict(Counter(suffixes))
 
 
-def _projects_in(folder: Path, masks: Path | None, control: str | None, *, above: bool) -> list[tuple[str, str]]:
+def _projects_in(folder: Path, masks: Path | None, control: str | None, used: frozenset[Path], *, above: bool) -> list[tuple[str, str]]:
     """Name and kind of each thing; `above`: photographs too, which only the folder below gives."""
     told: list[tuple[str, str]] = []
     suffixes: Counter[str] = Counter()
@@ -93,13 +96,14 @@ def _projects_in(folder: Path, masks: Path | None, control: str | None, *, above
         entries = sorted(folder.iterdir())
     except OSError:
         return []
-    used = None if masks is None else masks.resolve()
+    used_masks = None if masks is None else masks.resolve()
     for path in entries:
         name, suffix = path.name.lower(), path.suffix.lower()
         if path.is_dir():
-            is_used = path.resolve() == used or (used is not None and name in MASK_FOLDERS)
+            is_used_mask = path.resolve() == used_masks or (used_masks is not None and name in MASK_FOLDERS)
+            is_used = is_used_mask or any(path in file.parents for file in used)
             told += [] if is_used else _folder_kind(path, above=above)
-        elif control is not None and name == CONTROL_LIST and _has_text(path, control):
+        elif path in used or (control is not None and name == CONTROL_LIST and _has_text(path, control)):
             continue
         elif kind := _kind_of_file(name):
             told.append((path.name, kind))

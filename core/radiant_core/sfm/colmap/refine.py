@@ -36,15 +36,16 @@ def refine(model: pycolmap.Reconstruction, config: SfmConfig, report: Report) ->
     """`model` with all poses and points adjusted, and the lenses where its photographs fix them."""
     total = int(model.num_reg_images())
     report(SfmProgress(phase="refining", done=0, total=total))
-    refined = _adjust(model, config, refine_lenses=True)
+    refined = adjust(model, config, refine_lenses=True)
     if not _same_lenses(model, refined):
-        refined = _adjust(model, config, refine_lenses=False)
+        refined = adjust(model, config, refine_lenses=False)
     refined.update_point_3d_errors()
     report(SfmProgress(phase="refining", done=total, total=total))
     return refined
 
 
-def _adjust(model: pycolmap.Reconstruction, config: SfmConfig, *, refine_lenses: bool) -> pycolmap.Reconstruction:
+def adjust(model: pycolmap.Reconstruction, config: SfmConfig, *, refine_lenses: bool) -> pycolmap.Reconstruction:
+    """A copy of `model` with poses and points adjusted, and its lenses where asked for."""
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_focal_length = options.refine_extra_params = refine_lenses

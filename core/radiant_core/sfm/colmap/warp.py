@@ -10,6 +10,7 @@ photograph is held twice and nothing else of its size. EXIF goes along.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.photos.jpeg import kept_segments
 from radiant_core.io.photos.listing import MAX_FILE_BYTES, decode_image
 from radiant_core.io.run_store import read_bounded
+from radiant_core.numerics import FloatArray
 from radiant_core.sfm.colmap.calls import pycolmap
 
 ROWS_PER_BLOCK = 64
@@ -28,6 +30,14 @@ JPEG_SUFFIXES = (".jpg", ".jpeg")
 MOST_SIDE_PX = 2**15 - 1
 """OpenCV's `remap` reads no larger pictures."""
 _START = b"\xff\xd8"
+
+
+class Projects(Protocol):
+    """A lens: pixels (N,2) of points (N,3) in its frame, not finite where it shows none."""
+
+    def img_from_cam(self, rays: FloatArray, /) -> FloatArray:
+        """Pixels, the first one's middle at (0.5, 0.5)."""
+        ...
 
 
 def can_warp(name: str, camera: pycolmap.Camera, pinhole: pycolmap.Camera) -> bool:
@@ -49,7 +59,7 @@ def warp_jpeg(source: Path, camera: pycolmap.Camera, pinhole: pycolmap.Camera, q
     return _START + kept_segments(data) + jpeg[len(_START) :]
 
 
-def warp(pixels: NDArray[np.uint8], camera: pycolmap.Camera, pinhole: pycolmap.Camera) -> NDArray[np.uint8]:
+def warp(pixels: NDArray[np.uint8], camera: Projects, pinhole: pycolmap.Camera) -> NDArray[np.uint8]:
     """The pixels (H,W) or (H,W,3) of `camera` as `pinhole` would see them."""
     warped = np.empty((pinhole.height, pinhole.width, *pixels.shape[2:]), np.uint8)
     for top in range(0, pinhole.height, ROWS_PER_BLOCK):
@@ -59,7 +69,7 @@ def warp(pixels: NDArray[np.uint8], camera: pycolmap.Camera, pinhole: pycolmap.C
     return warped
 
 
-def _source_px(camera: pycolmap.Camera, pinhole: pycolmap.Camera, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+def _source_px(camera: Projects, pinhole: pycolmap.Camera, rows: NDArray[np.int64]) -> NDArray[np.float32]:
     """Where (2,R,W) the pixels of R rows of `pinhole` lie in `camera`, counted from the middle of
     the first; outside of the picture where the lens shows nothing."""
     rays = np.ones((len(rows), pinhole.width, 3))

@@ -133,6 +133,21 @@ def scene_in_world(
     )
 
 
+def scene_as_given(model: ColmapModel, frame: Frame) -> PlacedScene:
+    """The scene of a pinhole model whose coordinates are those of `frame` already."""
+    decision = Decision(
+        stage="sfm",
+        topic="frame",
+        choice="metric, as the alignment has it" if frame.kind == "metric" else "metres without a place, as the alignment has them",
+        figure=None,
+        unit="",
+        reason="the alignment says what its coordinates are: neither GPS nor the scene changes place, scale or up",
+    )
+    identity = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
+    scene = move_scene(model, cameras_of(model), identity, frame)
+    return PlacedScene(scene=scene, world_from_model=identity, decisions=(decision,), warnings=())
+
+
 def _against_gps(
     placement: Placement, gps: _JudgedGps, scaled: tuple[Decision, ...], turned: tuple[Decision, ...]
 ) -> tuple[Contradiction, ...]:

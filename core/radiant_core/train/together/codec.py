@@ -1,6 +1,7 @@
 """Messages of a step as bytes: what a holder sends up, and what the root sends down.
 
-    up       head, shown Gaussians (a bit each), seen (a byte each), [radii], values
+    up       head, shown Gaussians (a bit each), seen (a byte each, of 256 views or more two),
+             [radii], values
     down     head of limits, their Gaussians (a bit each), log scales; then as up
 
 The values of R Gaussians in K columns are float32; bfloat16 (8 bits of fraction, the range of
@@ -38,7 +39,7 @@ def encode_gradients(gradients: StepGradients, step: int, num_splats: int, layou
     shown = np.zeros(num_splats, bool)
     shown[gradients.rows] = True
     head = _HEAD.pack(_MARK, _FORMATS.index(form), gradients.num_views, len(gradients.rows), num_splats, step, gradients.loss)
-    parts = [head, np.packbits(shown).tobytes(), gradients.seen.astype(np.uint8).tobytes()]
+    parts = [head, np.packbits(shown).tobytes(), gradients.seen.astype(_seen_type(gradients.num_views)).tobytes()]
     if layout.with_radii and gradients.radii_px is not None:
         parts.append(gradients.radii_px.astype(np.float32).tobytes())
     parts.append(_encode_values(gradients.values, layout, form))
@@ -71,14 +72,15 @@ def decode_gradients(
     form = _FORMATS[form_index]
     bits = -(-num_splats // 8)
     radii_bytes = 4 * num_rows if layout.with_radii else 0
-    expected = _HEAD.size + bits + num_rows + radii_bytes + num_rows * _bytes_per_row(layout, form)
+    seen_bytes = num_rows * _seen_type(num_views).itemsize
+    expected = _HEAD.size + bits + seen_bytes + radii_bytes + num_rows * _bytes_per_row(layout, form)
     if len(message) != expected:
         raise BadInput(f"the gradients of a step are {len(message)} bytes, expected {expected}.")
     at = _HEAD.size
     rows = _rows_of(message, at, num_splats, num_rows)
     at += bits
-    seen = np.frombuffer(message, np.uint8, num_rows, at).astype(np.uint16)
-    at += num_rows
+    seen = np.frombuffer(message, _seen_type(num_views), num_rows, at).astype(np.uint16)
+    at += seen_bytes
     if num_rows and seen.max() > num_views:
         raise BadInput(f"a Gaussian is seen in {seen.max()} of {num_views} views: the gradients of a step are damaged.")
     radii = np.frombuffer(message, np.float32, num_rows, at).copy() if layout.with_radii else None
@@ -87,6 +89,11 @@ def decode_gradients(
     if checks and not gradients.is_finite:
         raise BadInput(f"gradients of step {step + 1} are not finite.")
     return gradients
+
+
+def _seen_type(num_views: int) -> np.dtype:
+    """Of how often a Gaussian is seen in so many views."""
+    return np.dtype(np.uint8 if num_views < 256 else "<u2")
 
 
 def encode_limits(limits: Limits | None, num_splats: int) -> bytes:

@@ -1,0 +1,1 @@
+"""Alignments of other programs, one reader per format, all ending in the same `PoseFile`."""

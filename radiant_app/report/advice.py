@@ -1,0 +1,83 @@
+"""What to try where a scene is poor: choices of its run that could be forced the other way, with
+what that gained where it was tried, or the most likely cause by figures at hand. Once per run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from radiant_app.report.verdict import MANY_UNPLACED, verdict_of
+from radiant_core.regimes import FEW_PHOTOGRAPHS, HARDLY_SHOWN
+
+MOST_TRIED_LOSS_DB = 0.3
+"""A choice that lost no more in short trials may be the better one in the whole training: so much
+do trials of a few photographs leave open."""
+CORRECTED_GAIN_DB = 1.5
+"""A correction of colours that gains more says that light differs."""
+LOW_OVERLAP = 3.0
+"""Photographs that see a point, in the mean, below which depth hangs on pairs."""
+UNSHARP_PERCENT = 80.0
+"""Of the others' sharpness; sharp sets have 80 to 120 % (docs/experiments/training.md)."""
+MOST_LINES = 3
+
+
+def what_to_try(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """What could make a poor scene better, likeliest first.
+
+    Args:
+        metrics: the content of metrics.json.
+        decisions: those of the manifest, as mappings.
+
+    Returns:
+        At most `MOST_LINES` sentences; none unless the verdict is "poor".
+    """
+    if verdict_of(metrics).word != "poor":
+        return ()
+    found = list(dict.fromkeys([*_tried(decisions), *_causes(metrics, decisions)]))
+    return tuple((found or [*_untried(decisions), NOTHING_SEEN])[:MOST_LINES])
+
+
+NOTHING_SEEN = "nothing in the figures says why: compare the worst photographs with their renders (`radiant inspect`)"
+
+
+def _tried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The other choice of each trial that lost little, the best first."""
+    tried = [each for each in decisions if each.get("otherwise_db") is not None and each["otherwise_db"] > -MOST_TRIED_LOSS_DB]
+    for each in sorted(tried, key=lambda each: -each["otherwise_db"]):
+        decided = f"{each['topic']} ({each['choice']}) was decided by short trials"
+        yield f"`{each['otherwise']}`: {decided}, where this had {each['otherwise_db']:+.2f} dB"
+
+
+def _untried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    for each in decisions:
+        if each.get("otherwise") and each.get("otherwise_db") is None and not each["forced"] and not each.get("changes_nothing"):
+            yield f"`{each['otherwise']}`: {each['topic']} ({each['choice']}) was not tried here"
+
+
+def _causes(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """What the figures at hand say, the gravest first."""
+    placed, unplaced = metrics.get("num_photographs"), metrics.get("num_unplaced", 0)
+    if placed and unplaced > MANY_UNPLACED * (placed + unplaced):
+        yield f"{unplaced} of {placed + unplaced} photographs have no place: photographs that overlap their neighbours by two thirds would"
+    overlap = metrics.get("views_per_point")
+    if overlap is not None and overlap < LOW_OVERLAP:
+        yield f"a point is seen by {overlap:.1f} photographs in the mean: photographs from places between would show each by 5 and more"
+    if placed and placed < FEW_PHOTOGRAPHS:
+        yield f"{placed} photographs are few: from {FEW_PHOTOGRAPHS} on, from other places too, views between them are shown better"
+    corrected_db = metrics.get("psnr_cc_db")
+    if corrected_db is not None and corrected_db - metrics["psnr_db"] > CORRECTED_GAIN_DB:
+        gain = corrected_db - metrics["psnr_db"]
+        models = "`--set train.light=always` models it, one fixed exposure avoids it"
+        yield f"a correction of colours alone gains {gain:.1f} dB: light differs; {models}"
+    for each in decisions:
+        if each["topic"] == "blurred photographs" and each["figure"] is not None and each["figure"] < UNSHARP_PERCENT:
+            yield f"a photograph has {each['figure']:.0f} % of the others' sharpness: leave blurred ones out, or take them again"
+    shown = _times_shown(metrics)
+    if shown is not None and shown < HARDLY_SHOWN:
+        yield f"a training showed each photograph {shown:.0f} times: more --steps, or more time"
+
+
+def _times_shown(metrics: Mapping[str, Any]) -> float | None:
+    training = metrics.get("training") or {}
+    count = training.get("num_photographs")
+    return training["num_steps"] / count if count else None

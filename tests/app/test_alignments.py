@@ -1,0 +1,180 @@
+"""An alignment beside photographs is found by itself, named in one line, and used; two are not chosen between."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiant_app.commands.export import export
+from radiant_app.commands.export_request import ExportRequest
+from radiant_app.commands.train import TrainRequest, train
+from radiant_app.config.run_config import RunConfig, SfmOptions
+from radiant_app.events import Warned
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.source_key import used_files
+from radiant_app.workers.sources import NO_POSES, detect_source, reconstruct_source, sfm_task
+from radiant_core.errors import BadInput
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.photos.masks import save_mask
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.train.needs import Overrides
+from tests.colmap_projects import center_of, hamlet_model, write_model
+from tests.core.io.poses import writers
+from tests.core.io.poses.bent_hamlet import Truth, bent_hamlet
+from tests.core.io.poses.test_readers import ECEF
+
+
+@pytest.fixture(scope="module")
+def bent(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
+    folder = tmp_path_factory.mktemp("bent")
+    return folder, bent_hamlet(folder)
+
+
+@pytest.fixture
+def project(tmp_path: Path, bent) -> tuple[Path, Truth]:
+    """A folder with images/ and no alignment yet."""
+    folder, truth = bent
+    shutil.copytree(folder / "images", tmp_path / "project" / "images")
+    return tmp_path / "project", truth
+
+
+WRITERS = {
+    "transforms.json": writers.transforms,
+    "reconstruction.json": writers.opensfm,
+    "cameras.xml": writers.metashape,
+    "alignment.csv": writers.realityscan,
+    "p_calibrated_camera_parameters.txt": writers.pix4d,
+    "sfm_data.json": writers.openmvg,
+    "bundle.out": writers.bundler,
+    "project.opf": writers.opf,
+    "keyframes/corrected_cameras/drone_0000.json": writers.polycam,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_an_alignment_is_found_by_itself_with_all_its_files(name: str, project) -> None:
+    folder, truth = project
+    path = WRITERS[name](folder, truth)
+    assert detect_source(folder) == ("alignment", folder / "images", path) and path == folder / name
+    used = used_files(folder, None)
+    assert name in used and len(used) > len(truth.names)
+    assert detect_source(folder, NO_POSES)[0] == "photographs"
+
+
+def test_opensfm_is_found_where_odm_leaves_it(project) -> None:
+    folder, truth = project
+    (folder / "opensfm").mkdir()
+    writers.opensfm(folder / "opensfm", truth)
+    assert detect_source(folder)[2] == folder / "opensfm" / "reconstruction.json"
+
+
+def test_polycam_has_its_photographs_beside_its_cameras(tmp_path: Path, bent) -> None:
+    folder, truth = bent
+    writers.polycam(tmp_path, truth)
+    for name in ("images", "corrected_images"):
+        shutil.copytree(folder / "images", tmp_path / "keyframes" / name)
+    assert detect_source(tmp_path)[1] == tmp_path / "keyframes" / "corrected_images"
+
+
+def test_older_odm_leaves_bundle_files_beside_the_same_alignment(project) -> None:
+    folder, truth = project
+    (folder / "opensfm").mkdir()
+    writers.bundler(folder / "opensfm", truth)
+    path = writers.opensfm(folder / "opensfm", truth)
+    assert detect_source(folder)[2] == path
+
+
+def test_a_file_that_is_no_alignment_can_be_left_aside(project, tmp_path: Path) -> None:
+    folder, _ = project
+    (folder / "transforms.json").write_text("{}")
+    task = sfm_task(folder, SfmConfig(), None, Placement())
+    with pytest.raises(BadInput, match=r"transforms.json has no 'frames'.*--poses none leaves it aside"):
+        reconstruct_source(task, tmp_path / "work", lambda progress: None)
+    named = sfm_task(folder, SfmConfig(), None, Placement(), folder / "transforms.json")
+    with pytest.raises(BadInput, match=r"export the file again.$"):
+        reconstruct_source(named, tmp_path / "work", lambda progress: None)
+    with pytest.raises(BadInput, match="photographs without an alignment: leave out --refine-poses"):
+        reconstruct_source(
+            sfm_task(folder, SfmConfig(), None, Placement(), NO_POSES, refine_poses=True), tmp_path / "w", lambda progress: None
+        )
+
+
+def test_poses_of_a_colmap_model_are_adjusted_too(project, tmp_path: Path) -> None:
+    from tests.stress.pose_formats import true_model
+
+    folder, truth = project
+    write_model(tmp_path / "model", true_model(truth))
+    task = sfm_task(folder, SfmConfig(), None, Placement(), tmp_path / "model", refine_poses=True)
+    result = reconstruct_source(task, tmp_path / "work", lambda progress: None)
+    assert len(result.scene.cameras) == 12 and any(decision.topic == "refined poses" for decision in result.decisions)
+
+
+def test_of_two_alignments_none_is_taken_unless_it_is_named(project) -> None:
+    folder, truth = project
+    one, other = writers.transforms(folder, truth), writers.metashape(folder, truth)
+    with pytest.raises(BadInput, match=r"2 alignments \(cameras.xml, transforms.json\): name the one to use with --poses"):
+        detect_source(folder)
+    assert detect_source(folder, other)[2] == other and detect_source(folder, one)[2] == one
+    write_model(folder / "sparse" / "0", hamlet_model())
+    assert detect_source(folder)[0] == "colmap" and detect_source(folder, one)[0] == "alignment"
+
+
+def test_devices_that_place_their_own_photographs_take_no_poses(project) -> None:
+    folder, _ = project
+    with pytest.raises(BadInput, match="whose devices place their photographs"):
+        RunConfig(source=folder, out=folder / "run", frames="gps", sfm=SfmOptions(poses=folder / "transforms.json"))
+
+
+@pytest.mark.parametrize("place", ["local", "utm", "ecef"])
+def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file(place: str, project, tmp_path: Path) -> None:
+    """The camera's place is a known point: in every export it is the file's within 1 mm."""
+    folder, truth = project
+    if place == "utm":
+        writers.pix4d(folder, truth, prj="EPSG:25832")
+    else:
+        writers.metashape(folder, truth, ecef=ECEF if place == "ecef" else None)
+    (folder / "scene.nvm").write_text("NVM_V3")
+    told: list[str] = []
+    request = TrainRequest(source=folder, out=tmp_path / "out", overrides=Overrides(num_steps=4, long_side_px=64))
+    train(request, lambda event: told.append(event.message) if isinstance(event, Warned) else None)
+    first = next(message for message in told if "gives the poses of" in message)
+    assert "12 photographs" in first and first.endswith("beside the photographs there are 1 .nvm (poses of VisualSfM): they are not used.")
+    assert sum("are not used" in message for message in told) == 1
+    centers = truth.C @ ECEF[:3, :3].T + ECEF[:3, 3] if place == "ecef" else truth.C + (writers.UTM if place == "utm" else 0)
+    for crs in (None, "given", *(("EPSG:25832",) if place == "utm" else ())):
+        out = tmp_path / f"colmap_{crs}".replace(":", "_")
+        figures = export(ExportRequest(model=tmp_path / "out", out=out, crs=crs), quiet_display())
+        offset = np.array([float(number) for number in str(figures["offset"]).partition(" (")[0].split(", ")])
+        given = {image.name: center_of(image) + offset for image in read_model(out / "sparse" / "0").images}
+        assert len(given) == 12
+        assert max(np.abs(given[name] - centers[number]).max() for number, name in enumerate(truth.names)) < 1e-3
+        assert (tmp_path / f"{out.name}.prj").is_file() == (place == "utm")
+
+
+def quiet_display() -> ProgressDisplay:
+    import io
+
+    from rich.console import Console
+
+    return ProgressDisplay(Console(file=io.StringIO()))
+
+
+@pytest.mark.parametrize("refine_poses", [False, True])
+def test_masks_beside_an_alignments_photographs_apply_to_them(project, tmp_path: Path, refine_poses: bool) -> None:
+    folder, truth = project
+    writers.transforms(folder, truth)
+    used_px = np.ones((240, 320), bool)
+    used_px[:80, :160] = False
+    for name in truth.names[:3]:
+        save_mask(folder / "masks" / f"{Path(name).stem}.png", used_px)
+    task = sfm_task(folder, SfmConfig(), None, Placement(), refine_poses=refine_poses)
+    assert task.masks == str((folder / "masks").resolve())
+    assert sum(name.startswith("mask of ") for name in used_files(folder, folder / "masks")) == 3
+    result = reconstruct_source(task, tmp_path / "work", lambda progress: None)
+    assert result.masks_folder is not None and len(list(result.masks_folder.iterdir())) == 3
+    assert "masks/: masks of 3 of 12 photographs are used, black is left out." in result.warnings
+    assert not any("masks, which --masks takes" in message for message in result.warnings)

@@ -1,0 +1,143 @@
+"""What machines of a group do in a step with messages that do not fit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.densify.policies import Adc, Densification, NoDensification
+from radiant_core.train.together.codec import encode_gradients
+from radiant_core.train.together.gradients import Layout, StepGradients
+from radiant_core.train.together.replica import Group, Replica, Share
+from radiant_core.train.together.roles import Holder, Root
+from radiant_core.train.trainer import FitOptions
+from radiant_core.train.views import TrainingViews
+from tests.core.scenes import cameras_above, ground_splats
+
+CONFIG = TrainConfig(num_steps=48, density=NoDensification(), long_side_px=48)
+GROUP = Group(config=CONFIG, num_photographs=4, views_per_step=4, extent=4.0, overlaps=False, form="float32")
+INITIAL = ground_splats(20)
+COUNT = len(INITIAL)
+
+
+def root_of(*names: str) -> Root:
+    replica = Replica(INITIAL, GROUP, FitOptions(backend="native"))
+    return Root(replica, dict.fromkeys(names, 1), cameras_above([(0.0, 0.0)]).centers, GROUP)
+
+
+def gradients(layout: Layout, size: float = 1e-3) -> StepGradients:
+    values = np.full((COUNT, layout.num_columns), size, np.float32)
+    return StepGradients(num_views=1, loss=0.1, rows=np.arange(COUNT), values=values, seen=np.ones(COUNT, np.uint16))
+
+
+def message(root: Root, own: StepGradients) -> bytes:
+    return encode_gradients(own, root.replica.step, COUNT, root.replica.layout, "float32")
+
+
+def test_parts_that_add_up_to_no_number_count_for_nothing_and_the_training_goes_on() -> None:
+    root = root_of("a", "b")
+    layout = root.replica.layout
+    long = gradients(layout)
+    values = long.values.copy()
+    values[:, layout.columns["means"]] = 3e38
+    both = message(root, replace(long, values=values))
+    root.take(root.total({"a": both, "b": both})[1])
+    assert root.inbox.refused == {"all": ["step 1: the sum is not finite"]}
+    honest = message(root, gradients(layout))
+    root.take(root.total({"a": honest, "b": honest})[1])
+    result = root.replica.outcome()
+    assert (result.num_steps, result.num_rolled_back) == (2, 1)
+    assert np.isfinite(result.splats.means).all()
+
+
+def test_a_root_that_was_restored_knows_who_was_left_out_and_takes_the_same_steps() -> None:
+    names = ("a", "b", "c", "liar")
+
+    def step(root: Root) -> None:
+        own = {name: message(root, gradients(root.replica.layout, 5e-3 if name == "liar" else 1e-3)) for name in names}
+        root.take(root.total(own)[1])
+
+    whole, early = root_of(*names), root_of(*names)
+    while not whole.replica.is_done:
+        step(whole)
+    for _ in range(10):
+        step(early)
+    kept = early.state()
+    late = root_of(*names)
+    late.restore(replace(kept, numbers=json.loads(json.dumps(kept.numbers))))
+    while not late.replica.is_done:
+        step(late)
+    assert late.inbox.refused == whole.inbox.refused and "step 8: left out" in whole.inbox.refused["liar"][0]
+    for name, array in whole.result().splats.arrays().items():
+        np.testing.assert_array_equal(late.result().splats.arrays()[name], array)
+
+
+class Member:
+    """A holder with what is on its way to it, as a device's process has it."""
+
+    def __init__(self, number: int, root: Root, views: TrainingViews, group: Group, initial: Splats) -> None:
+        state, last_total = root.standing()
+        share = Share(views=views.select([number]), num_views=1, first=number)
+        replica = Replica(initial, group, FitOptions(backend="native"), share)
+        replica.restore(state)
+        self.holder, self.arrived = Holder(replica, group), list[bytes]()
+        if last_total:
+            self.holder.skip_message()
+            self.arrived.append(last_total)
+
+    def next_message(self) -> bytes:
+        """As the loop of `radiant_app.together.holding`: a total is taken where it is waited for."""
+        while self.holder.waits_for_total:
+            self.holder.take(self.arrived.pop(0))
+        return self.holder.message()
+
+
+@pytest.mark.parametrize("overlaps", [False, True])
+@pytest.mark.parametrize(
+    "density",
+    [NoDensification(), Adc(from_step=0, until_step=40, every=12, min_gradient=0.0, reset_opacity_every=10**9)],
+    ids=["fixed", "growing"],
+)
+def test_members_and_a_root_that_begin_anew_in_the_middle_end_in_the_same_bits(overlaps: bool, density: Densification) -> None:
+    truth, cameras = ground_splats(60), cameras_above([(x, y) for x in (-1.5, 1.5) for y in (-1.0, 1.0)])
+    images = tuple(np.uint8(255 * np.clip(view.image, 0, 1)) for view in render_views(truth, cameras))
+    views = TrainingViews(cameras=cameras, images=images)
+    config = TrainConfig(num_steps=48, density=density, long_side_px=48, schedule_steps=48, max_num_splats=200)
+    group = Group(config=config, num_photographs=4, views_per_step=4, extent=4.0, overlaps=overlaps, form="blocks")
+    initial = replace(truth, sh0=np.zeros_like(truth.sh0))
+
+    def new_root() -> Root:
+        replica, before = (Replica(initial, group, FitOptions(backend="native")) for _ in range(2))
+        return Root(replica, {str(number): 1 for number in range(4)}, cameras.centers, group, before=before)
+
+    def trained(restarts: Mapping[int, Sequence[int]]) -> Root:
+        """All steps; before those of `restarts` the root and these members begin anew."""
+        root = new_root()
+        members = [Member(number, root, views, group, initial) for number in range(4)]
+        while not root.replica.is_done:
+            step = root.replica.step
+            if step in restarts:
+                saved = root.state()
+                root = new_root()
+                root.restore(replace(saved, numbers=json.loads(json.dumps(saved.numbers))))
+                for number in restarts[step]:
+                    members[number] = Member(number, root, views, group, initial)
+            message, total = root.total({str(number): member.next_message() for number, member in enumerate(members)})
+            root.take(total)
+            for member in members:
+                member.arrived.append(message)
+        return root
+
+    whole = trained({})
+    assert density.kind == "none" or whole.replica.num_splats != len(initial)
+    # Each of them alone, all at once, before and after what adds Gaussians, and after the first step.
+    again = trained({1: (0, 1, 2, 3), 2: (0,), 3: (1, 2), 4: (3,), 7: (0, 1, 2, 3), 11: (2,)})
+    for name, array in whole.result().splats.arrays().items():
+        np.testing.assert_array_equal(again.result().splats.arrays()[name], array)
