@@ -107,7 +107,8 @@ def reconstruct(
             Mill 19 folder.
         out: a new or empty folder, which gets the scene.
         listen: hears progress and warnings, such as `progress()`.
-        masks: a folder of masks, photograph.jpg.png or photograph.png, 0 is ignored.
+        masks: a folder of masks, photograph.jpg.png or photograph.png, 0 is ignored; without it
+            masks/ beside the photographs, if its names are theirs.
         poses: the alignment to use: a COLMAP model's folder or another program's file.
 
     Returns:

@@ -14,6 +14,8 @@ can. stop: nothing is made; warn: what the user says is taken."""
 Matching = Literal["auto", "spatial", "exhaustive"]
 """auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each
 with its GPS neighbours; exhaustive: every pair."""
+MaskIgnores = Literal["black", "white", "nothing"]
+"""Which colour of a mask leaves pixels out; nothing: no mask is used."""
 PlanMethod = Literal["exact", "paper", "paper-literal", "even", "voronoi", "kd"]
 """exact: least makespan; paper: the paper's Alg. 1 on power cells; paper-literal: Alg. 1 as
 written, with half-planes; even: equal counts per device; voronoi: nearest edge; kd: halves of equal
@@ -37,12 +39,14 @@ UploadFormat = Literal["float32", "float16", "spz"]
 LpipsNetwork = Literal["vgg", "alex"]
 """Backbone of LPIPS: VGG16 or AlexNet."""
 ExportFormat = Literal[
-    "ply", "spz", "sog", "lod", "tiles", "viewer", "geojson", "colmap", "mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb"
-]
-"""ply, spz, sog: a model; lod, tiles: with levels of detail (streamed SOG, 3D Tiles); viewer: with
-a page to fly through it; geojson, colmap: regions and cameras; mesh: the surface; dsm: heights of
-the surface, dtm: without buildings and trees; ortho: the scene from straight above; contours: lines
-of equal height; laz: points of the surface; glb: a textured mesh."""
+    "ply", "spz", "sog", "usd", "lod", "tiles", "viewer", "geojson", "colmap", "nerfstudio",
+    "mesh", "dsm", "dtm", "ortho", "contours", "laz", "glb",
+]  # fmt: skip
+"""ply, spz, sog, usd: a model; lod, tiles: with levels of detail (streamed SOG, 3D Tiles); viewer:
+with a page to fly through it; geojson: regions and cameras; colmap, nerfstudio: a project for other
+trainers; mesh: the surface; dsm: heights of the surface, dtm: without buildings and trees; ortho:
+the scene from straight above; contours: lines of equal height; laz: points of the surface; glb: a
+textured mesh."""
 TileContent = Literal["spz", "plain"]
 """Of 3D Tiles. spz: compressed, as CesiumJS draws them; plain: attributes of float32, as glTF's
 extension for Gaussians alone has them."""

@@ -31,6 +31,7 @@ EXTRAS = {
     "desktop": Extra(modules=("PySide6", "pyvistaqt"), purpose="the window of `radiant inspect`"),
     "web": Extra(modules=("trame", "trame_vtk", "trame_vuetify"), purpose="the page of `radiant inspect --web`"),
     "survey": Extra(modules=("laspy", "lazrs", "trimesh"), purpose="LAZ and GLB of `radiant export`"),
+    "usd": Extra(modules=("pxr",), purpose="OpenUSD of `radiant export`"),
     "network": Extra(modules=("httpx", "starlette", "uvicorn"), purpose="`radiant node` and --executor network"),
     "cluster": Extra(modules=("ray",), purpose="--executor ray"),
     "cuda": Extra(modules=("gsplat",), purpose="training on a CUDA device"),

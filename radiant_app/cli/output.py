@@ -57,11 +57,11 @@ def render(
 
 def export(
     model: Annotated[Path, typer.Argument(help="Folder of `radiant run`, `train` or `sfm`, or a model alone.", show_default=False)],
-    out: Annotated[Path, typer.Argument(help="File to write; a folder for COLMAP. Its ending says what.", show_default=False)],
+    out: Annotated[Path, typer.Argument(help="File to write; a folder for projects. Its ending says what.", show_default=False)],
     format: Annotated[  # noqa: A002
         ExportFormat | None,
         typer.Option(
-            help="Model: ply, spz, sog, lod, tiles, viewer. Scene: geojson, colmap. TIFF: ortho, dsm, dtm. Else: contours, laz, glb, mesh.",
+            help="Model: ply, spz, sog, usd, lod, tiles, viewer. Project: colmap, nerfstudio. TIFF: ortho, dsm, dtm. Else as named."
         ),
     ] = None,
     resolution: Annotated[

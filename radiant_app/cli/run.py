@@ -28,7 +28,11 @@ _SET_HELP = "Any field of a run's configuration: PATH=VALUE, such as plan.method
 def run(
     context: typer.Context,
     source: Annotated[
-        Path, typer.Argument(help="Photographs, an alignment beside them, a COLMAP project, a RUN.toml or a JOBS.toml.", show_default=False)
+        Path,
+        typer.Argument(
+            help="Photographs, an alignment beside them, a film, a COLMAP project, a Mill 19 folder, a RUN.toml or a JOBS.toml.",
+            show_default=False,
+        ),
     ],
     settings: Annotated[list[str] | None, typer.Option("--set", help=_SET_HELP)] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,

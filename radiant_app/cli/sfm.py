@@ -13,13 +13,18 @@ from radiant_app.report.tables import finish, print_scene
 
 
 def sfm(
-    source: Annotated[Path, typer.Argument(help="Photographs, an alignment beside them, a COLMAP project.", show_default=False)],
+    source: Annotated[
+        Path,
+        typer.Argument(help="Photographs, an alignment beside them, a film, a COLMAP project, a Mill 19 folder.", show_default=False),
+    ],
     out: Out,
     matching: MatchingOption = "auto",
     effort: options.EffortOption = "auto",
     masks: MaskFolder = None,
     poses: options.PosesOption = None,
     refine_poses: options.RefinePosesOption = False,
+    mask_ignores: options.MaskIgnoresOption = None,
+    film_frames: options.FilmFramesOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -41,6 +46,8 @@ def sfm(
         from radiant_core.sfm.config import SfmConfig
 
     placed = SfmOptions(
+        mask_ignores=mask_ignores,
+        film_frames=film_frames,
         up=up,
         distance=distance,
         height_m=height,
@@ -52,7 +59,18 @@ def sfm(
         contradictions=contradictions,
     )
     config = SfmConfig(matching=matching, effort=effort)
-    result = commands.sfm(source, out, config, terminal_display(), masks, placed.placement, poses, refine_poses=refine_poses, resume=resume)
+    result = commands.sfm(
+        source,
+        out,
+        config,
+        terminal_display(),
+        masks,
+        placed.placement,
+        poses,
+        refine_poses=refine_poses,
+        intake=placed.intake,
+        resume=resume,
+    )
     if as_json:
         finish(result, as_json)
     else:

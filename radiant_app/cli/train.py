@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,9 +14,11 @@ from radiant_app.cli.option_types import (
     AsJson,
     ContradictionsOption,
     DistanceOption,
+    FilmFramesOption,
     HeightOption,
     LongSide,
     MaskFolder,
+    MaskIgnoresOption,
     PosesOption,
     RefinePosesOption,
     Seed,
@@ -25,14 +27,16 @@ from radiant_app.cli.option_types import (
     Verbose,
 )
 from radiant_app.config.fields import train_options, with_settings
-from radiant_app.config.run_config import TrainOptions
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.report.tables import finish, print_model
-from radiant_core.train.config import Preset
+
+if TYPE_CHECKING:
+    from radiant_app.config.run_config import TrainOptions
+    from radiant_core.train.config import Preset
 
 
 def train(
-    scene: Annotated[Path, typer.Argument(help="A run, a folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)],
+    scene: Annotated[Path, typer.Argument(help="A run, a folder of `radiant sfm`, a COLMAP project, photographs, a film.")],
     out: Annotated[
         Path, typer.Option("--out", help="Folder of model, figures, pictures; or MODEL.ply, of a run or scene.", show_default=False)
     ],
@@ -43,11 +47,7 @@ def train(
         int | None, option("train.max_num_splats", "--gaussians", "--max-splats", help="Upper limit of Gaussians.")
     ] = None,
     memory: Annotated[
-        str | None,
-        typer.Option(
-            help="What the process may hold: 600MB, 2GB; sets the upper limit of Gaussians, and bounds finding features.",
-            show_default=False,
-        ),
+        str | None, typer.Option(help="What it may hold: 600MB, 2GB; limits Gaussians, and bounds finding features.", show_default=False)
     ] = None,
     validate: Annotated[
         bool | None, typer.Option(help="An eighth of the training photographs only picks the best model.", show_default="from 100 on")
@@ -56,6 +56,8 @@ def train(
     masks: MaskFolder = None,
     poses: PosesOption = None,
     refine_poses: RefinePosesOption = False,
+    mask_ignores: MaskIgnoresOption = None,
+    film_frames: FilmFramesOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -74,6 +76,7 @@ def train(
 
     with show_starting():
         from radiant_app.commands import train as commands
+        from radiant_core.sfm.intake import Intake
 
     options = _options_of(train_preset, {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}, settings or [])
     request = commands.TrainRequest(
@@ -85,6 +88,7 @@ def train(
         masks=masks,
         poses=poses,
         refine_poses=refine_poses,
+        intake=Intake(mask_ignores=mask_ignores, film_frames=film_frames),
         up=up,
         distance=distance,
         height_m=height,

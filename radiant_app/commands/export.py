@@ -27,17 +27,17 @@ from radiant_core.io.ply import save_ply
 
 if TYPE_CHECKING:
     from radiant_core.geometry.surface import Surface
-    from radiant_core.scene import SfmScene
     from radiant_viewer.runs.run_view import RunView
 
 ENDINGS: dict[str, ExportFormat] = {
     ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".laz": "laz", ".glb": "glb", ".html": "viewer",
-    "": "colmap",
+    ".usd": "usd", ".usdc": "usd", ".usda": "usd", ".usdz": "usd", "": "colmap",
 }  # fmt: skip
 _WANTED = {
     "ply": (".ply",),
     "spz": (".spz",),
     "sog": (".sog",),
+    "usd": (".usdc", ".usd", ".usda", ".usdz"),
     "geojson": (".geojson", ".json"),
     "mesh": (".ply",),
     "dsm": (".tif", ".tiff"),
@@ -47,6 +47,7 @@ _WANTED = {
     "glb": (".glb",),
     "ortho": (".tif", ".tiff"),
 }
+_SHARING_A_SIDECAR = (*_WANTED["ply"], *_WANTED["spz"], *_WANTED["sog"], *_WANTED["usd"])
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -75,7 +76,7 @@ def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 def _require_alone(out: Path) -> None:
     """Raise BadInput where the file that says the place of `out` would speak of another one too."""
-    others = sorted(path.name for path in out.parent.glob(f"{glob_escape(out.stem)}.*") if path.suffix.lower() in (".ply", ".spz", ".sog"))
+    others = sorted(path.name for path in out.parent.glob(f"{glob_escape(out.stem)}.*") if path.suffix.lower() in _SHARING_A_SIDECAR)
     if others:
         raise BadInput(f"{others[0]} stands beside it, whose place {out.stem}.georef.json would seem to be: choose another name.")
 
@@ -129,6 +130,17 @@ def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     return {"gaussians": len(splats), **figures, **cleaned, **place.write(request.out)}
 
 
+def _usd(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.extras import require_extra
+    from radiant_core.io.export.usd import save_usd
+
+    require_extra("usd", "no USD can be written", "write PLY, SPZ or SOG, which need nothing more")
+    splats, cleaned = exported_model(request, display)
+    splats, place = placed(request, splats)
+    save_usd(request.out, splats, place.unit_m, place.comments)
+    return {"gaussians": len(splats), **cleaned, **place.write(request.out)}
+
+
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.export.scene import save_scene_geojson
 
@@ -149,45 +161,15 @@ def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]
     return {"regions": sum(len(border) >= 3 for border in run.cloud_plan.borders), "cameras": len(run.scene.cameras)}
 
 
-def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_app.files.run_folder import create_folder
-    from radiant_core.io.export.scene import save_colmap
+def _project(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
+    """The function `name` of `export_project`, which imports what it needs when it is called."""
 
-    scene = _scene_without_repeats(run_of(request), display)
-    place = place_of(request.model, request.crs)
-    if place.move is not None:
-        scene = place.move.move_scene(scene)
-    with create_folder(request.out):
-        save_colmap(request.out, scene)
-    figures = {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
-    return {**figures, **_photographs_of(request.model), **place.write(request.out)}
+    def write(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+        from radiant_app.commands import export_project
 
+        return getattr(export_project, name)(request, display)
 
-def _photographs_of(model: Path) -> dict[str, str]:
-    """Where the photographs are that an exported model is of: undistorted, not as taken."""
-    from radiant_app.workers.sources import has_scene, images_folder_of
-
-    if not has_scene(model):
-        return {}
-    try:
-        photographs = images_folder_of(model)
-    except BadInput:
-        return {}  # nothing there names them, and the export needs none
-    return {"photographs": f"{photographs} (those that the model is of; not others of the same names)"}
-
-
-def _scene_without_repeats(run: RunView, display: ProgressDisplay) -> SfmScene:
-    """The scene; without copies of photographs unless it is a run's, as training takes it."""
-    from radiant_core.sfm.copies import without_repeats
-    from radiant_viewer.runs.unplanned import unplanned_photographs
-
-    photographs = None if run.kind == "run" else unplanned_photographs(run.folder)
-    if photographs is None or not photographs.is_dir():
-        return run.scene
-    scene, warnings = without_repeats(run.scene, photographs)
-    for message in warnings:
-        display(Warned(stage="export", message=message))
-    return scene
+    return write
 
 
 def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -296,8 +278,10 @@ _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] 
     "ply": _ply,
     "spz": _spz,
     "sog": _sog,
+    "usd": _usd,
     "geojson": _geojson,
-    "colmap": _colmap,
+    "colmap": _project("export_colmap"),
+    "nerfstudio": _project("export_nerfstudio"),
     "mesh": _mesh,
     "ortho": _ortho,
     **{kind: _levels(f"export_{kind}") for kind in LEVELLED},

@@ -149,7 +149,13 @@ def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
 
 def _save_heights(request: SurfaceExport, found: _Found, heights: HeightMap) -> dict[str, Any]:
     raster = TiledRaster(
-        place=heights.grid, shape=heights.grid.shape, bands=BANDS, tile_px=request.tile_px, dtype=np.float32, no_data=NO_DATA
+        place=heights.grid,
+        shape=heights.grid.shape,
+        bands=BANDS,
+        tile_px=request.tile_px,
+        dtype=np.float32,
+        no_data=NO_DATA,
+        classes=(2,),
     )
     save_tiles(request.out, raster, cut_tiles(heights.bands(NO_DATA), request.tile_px, NO_DATA))
     return {**found.figures(heights), "no_data": NO_DATA, "bands": ", ".join(BANDS)}

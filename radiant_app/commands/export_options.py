@@ -13,8 +13,8 @@ from radiant_core.georef.given_frame import GIVEN
 OF_HEIGHTS: tuple[ExportFormat, ...] = ("dsm", "dtm", "contours", "laz", "glb")
 OF_CELLS: tuple[ExportFormat, ...] = ("mesh", "ortho", *OF_HEIGHTS)
 RASTERS: tuple[ExportFormat, ...] = ("dsm", "dtm", "ortho")
-CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "lod", "tiles")
-PLACED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "mesh", "colmap")
+CLEANED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "usd", "lod", "tiles")
+PLACED: tuple[ExportFormat, ...] = ("ply", "spz", "sog", "usd", "mesh", "colmap", "nerfstudio")
 """What a file beside it says the place of."""
 LEVELLED: tuple[ExportFormat, ...] = ("lod", "tiles", "viewer")
 

@@ -28,7 +28,7 @@ def export_ortho(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
     survey, tile_px = load_survey(request.model, request.crs, as_trained=request.as_trained), request.tiles_px
     ground = survey.ground
     grid = grid_over(ground.low, ground.high, cell_of(survey, request.resolution, 1.0), survey.map_frame)
-    raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=tile_px, dtype=np.uint8, colors=True)
+    raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=tile_px, dtype=np.uint8, colors=True, classes=(4,))
     seen = from_above(survey.splats, support_of_survey(survey, display, 640), survey.run.scene.cameras)
     counts = {"seen": 0, "weak": 0}
     with stage_bar(display, "orthophoto") as report:

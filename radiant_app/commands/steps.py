@@ -26,6 +26,7 @@ from radiant_core.io.records import save_scene
 from radiant_core.io.run_store import write_json
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig, SfmResult
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
 
@@ -39,11 +40,12 @@ def sfm(  # noqa: PLR0913
     poses: Path | None = None,
     *,
     refine_poses: bool = False,
+    intake: Intake = AS_FOUND,
     resume: bool = False,
 ) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`, where `resume` goes on;
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`."""
-    task = sfm_task(source, config, masks, Placement(**(placement or {})), poses, refine_poses=refine_poses)
+    task = sfm_task(source, config, masks, Placement(**(placement or {})), poses, refine_poses=refine_poses, intake=intake)
     with display:
         result = reconstruct_into(out, task, display, resume=resume)
     return {

@@ -52,6 +52,7 @@ from radiant_core.light.captures import Captures
 from radiant_core.light.solve import COMPARED_PX
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import AUTO, Placement
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import CheckpointFolder
@@ -90,6 +91,8 @@ class TrainRequest:
     """Alignment to use, as `SfmOptions.poses`; not with a scene, which has its poses."""
     refine_poses: bool = False
     """As `SfmOptions.refine_poses`; not with a scene either."""
+    intake: Intake = AS_FOUND
+    """Not with a scene either."""
     up: str | None = None
     """Which way is up; like the next two a field of `Placement`, and not with a scene."""
     distance: str | None = None
@@ -206,6 +209,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
             poses=request.poses,
             refine_poses=request.refine_poses,
             masks=request.masks,
+            **asdict(request.intake),
             up=request.up,
             distance=request.distance,
             height_m=request.height_m,
@@ -226,7 +230,7 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
         raise BadInput(
             f"{request.source} is a scene, which has its poses: leave out --poses and --refine-poses, or train from the photographs."
         )
-    if request.masks is not None:
+    if request.masks is not None or request.intake != AS_FOUND:
         raise BadInput(
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
             "`radiant run` when it is made, or train from the photographs."
@@ -376,7 +380,7 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)
     if not has_scene(request.source):
-        detect_source(request.source)
+        detect_source(request.source, request.poses)
         raise BadInput(
             f"{request.source} holds no scene yet, which a training into the single file {request.out.name} needs: give a folder as --out, "
             "which gets scene and model, or the folder that 'radiant sfm' made of it."

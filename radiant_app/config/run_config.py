@@ -24,6 +24,7 @@ from radiant_core.choices import (
     DevicesUsed,
     Effort,
     LpipsNetwork,
+    MaskIgnores,
     Matching,
     PlanMethod,
     StepPolicy,
@@ -32,6 +33,7 @@ from radiant_core.choices import (
 )
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
 
 if TYPE_CHECKING:
@@ -119,7 +121,13 @@ class SfmOptions:
     refine_poses: Annotated[bool, Option(name="--refine-poses")] = False
     """Adjust rough poses of an alignment to its photographs, in the frame that it has."""
     masks: Path | None = None
-    """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored."""
+    """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, black is ignored. Without
+    it masks/ beside the photographs, if its names are theirs."""
+    mask_ignores: Annotated[MaskIgnores | None, Option(shown="black, asked where that is most")] = None
+    """Colour of a mask that is left out of a photograph; nothing: masks/ is not used."""
+    film_frames: Annotated[int | None, Option(shown="by motion, 400 at most")] = None
+    """About how many frames of a film become photographs: the sharpest of stretches in which the
+    picture moves equally far."""
     up: Annotated[str | None, Option(shown="auto")] = None
     """auto: by GPS, else by what ground and cameras show. Or: ground (the plane through most points
     is level), level (photographs were held level), down (they look straight down), a photograph's
@@ -147,6 +155,11 @@ class SfmOptions:
     contradictions: Contradictions = "stop"
     """Where --gcp, --distance, --height, --north or --up and the photographs' GPS differ by more
     than GPS can be off: stop, or warn and go by what is given here."""
+
+    @property
+    def intake(self) -> Intake:
+        """What is made of the source's files before structure from motion."""
+        return Intake(mask_ignores=self.mask_ignores, film_frames=self.film_frames)
 
     @property
     def placed_by_hand(self) -> bool:
@@ -420,8 +433,9 @@ class RunConfig:
             raise BadInput(f"{reason}, and {where} their models are joined: leave --within-edge, --between-edges and --mask-gradients out.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
-        if self.frames != "shared" and self.sfm.masks is not None:
-            raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
+        if self.frames != "shared" and (self.sfm.masks is not None or self.sfm.intake != AS_FOUND):
+            asked = "--masks, --mask-ignores and --film-frames are of photographs in one place"
+            raise BadInput(f"{asked}, and with --frames {self.frames} devices keep theirs: leave them out, or use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
             reason = "--up, --north, --distance, --height and --gcp place one scene"
             raise BadInput(f"{reason}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")

@@ -172,8 +172,8 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
     sfm = SfmConfig(matching=config.sfm.matching, effort=config.sfm.effort, seed=config.seed, memory_bytes=memory_bytes)
-    placement, poses = Placement(**config.sfm.placement), config.sfm.poses
-    task = sfm_task(config.source, sfm, config.sfm.masks, placement, poses, refine_poses=config.sfm.refine_poses)
+    asked, placement = config.sfm, Placement(**config.sfm.placement)
+    task = sfm_task(config.source, sfm, asked.masks, placement, asked.poses, refine_poses=asked.refine_poses, intake=asked.intake)
     save_task(folder, task)
     key = source_key(config, task, folder, progress.listen)
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)

@@ -25,6 +25,7 @@ from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap.image_files import match_images
 from radiant_core.io.colmap.model import image_names, model_files
 from radiant_core.io.colmap.records import is_image_name
+from radiant_core.io.film.formats import films_in, srt_beside
 from radiant_core.io.messages import message_record
 from radiant_core.io.photos.folders import SUFFIXES, photograph_names
 from radiant_core.io.photos.masks import find_masks
@@ -45,9 +46,11 @@ Files = dict[str, list[Any]]
 def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
     """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
     known = _read_record(folder)
-    files = _describe_files(used_files(config.source, config.sfm.masks, config.sfm.poses), known or {})
-    settings = [message_record(task.sfm), message_record(task.placement), *(["refine_poses"] if task.refine_poses else [])]
-    key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, config.sfm.masks is None)
+    masks = None if task.masks is None else Path(task.masks)
+    files = _describe_files(used_files(config.source, masks, config.sfm.poses), known or {})
+    refined = ["refine_poses"] if task.refine_poses else []
+    settings = [message_record(task.sfm), message_record(task.placement), message_record(task.intake), *refined]
+    key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, masks is None)
     if (folder / SEAL_NAME).is_file():
         reason = OLDER if known is None else _change(known, files)
         if reason is not None:
@@ -61,6 +64,10 @@ def used_files(source: Path, masks: Path | None, asked: Path | None = None) -> d
     """Name → file that structure from motion uses; of a COLMAP project its model and images;
     `asked`: what --poses names."""
     kind, images, model = detect_source(source, asked)
+    if kind == "film":
+        films = films_in(images)
+        beside = [srt for film in films if (srt := srt_beside(film)) is not None]
+        return {path.name: path for path in (*films, *beside)}
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
         posed = {(path.parts[-3], path.stem) for path in poses}

@@ -106,7 +106,7 @@ def _import_work(kind: str) -> Work:
 
 def run_sfm(folder: Path, task: SfmTask, reporter: EventReporter) -> Sequence[str]:
     """Structure from motion on the source that the task names."""
-    from radiant_app.workers.sources import detect_source, poses_of, reconstruct_source, save_given_frames, sfm_record
+    from radiant_app.workers.sources import photographs_of_task, reconstruct_source, save_given_frames, sfm_record
     from radiant_core.light.captures import read_captures, save_captures
 
     result = reconstruct_source(task, folder, reporter.sfm_progress)
@@ -118,7 +118,7 @@ def run_sfm(folder: Path, task: SfmTask, reporter: EventReporter) -> Sequence[st
     write_json(folder / "result.json", sfm_record(result, folder))
     given = save_given_frames(folder, result)
     # What is undistorted has lost its EXIF.
-    captures = save_captures(folder, read_captures(detect_source(Path(task.source), poses_of(task))[1], result.scene.cameras.names))
+    captures = save_captures(folder, read_captures(photographs_of_task(task, folder), result.scene.cameras.names))
     # Images that were pinhole already stay outside this folder and are not sealed.
     own = [path for name in ("undistorted", "readable", MASKS) for path in sorted((folder / name).rglob("*")) if path.is_file()]
     return ["scene.safetensors", "result.json", *given, captures, *(str(path.relative_to(folder)) for path in own)]

@@ -1,23 +1,28 @@
-"""Sources of a run: photographs, a COLMAP project or another alignment, or a Mill 19 folder."""
+"""Sources of a run: photographs, a film, a COLMAP project or another alignment, or a Mill 19
+folder."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from radiant_app.workers.folder_kinds import require_photographs
 from radiant_app.workers.tasks import SfmTask
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.georef.given_frame import NAME as GIVEN_FRAME
 from radiant_core.georef.given_frame import save_given_frame
 from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
-from radiant_core.io.poses.recognise import photographs_beside, the_alignment
+from radiant_core.io.photos.folders import photograph_names
+from radiant_core.io.photos.mask_folders import find_mask_folder
+from radiant_core.io.poses.recognise import find_alignments, photographs_beside, the_alignment
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
 if TYPE_CHECKING:
@@ -27,41 +32,65 @@ SURVEY = "ground_control"
 """What result.json and metrics.json name the fit to surveyed points and positions by."""
 POSITIONS, DOUBTS = "gps_positions", "doubts"
 """What they name the count of GPS positions that place the scene by, and doubts about that."""
-SourceKind = Literal["photographs", "colmap", "alignment", "mill19"]
+SourceKind = Literal["photographs", "colmap", "alignment", "mill19", "film"]
 NO_POSES = Path("none")
 """What `--poses` is given to place photographs anew, whatever lies beside them."""
+FRAMES = "frames"
+"""Folder of structure from motion with the frames of films."""
 
 
 def detect_source(source: Path, poses: Path | None = None) -> tuple[SourceKind, Path, Path | None]:
     """Kind, folder of photographs, and the COLMAP model's folder or the alignment's file if there
     is one: `images/` beside `sparse/` is a COLMAP project, of whose models `find_models` chooses;
-    `train/metadata` is Mill 19; `recognise.py` knows other alignments. `poses` goes before them
-    all. BadInput when it is no folder, one of another kind, or one with several alignments."""
-    require_photographs(source)
+    `train/metadata` is Mill 19; a film, or a folder with films and no photographs, is one;
+    `recognise.py` knows other alignments. `poses` goes before them all. BadInput when it is of
+    another kind, one with several alignments, or a film with poses."""
+    if not is_film(source):
+        require_photographs(source)
     return locate_source(source, poses)
 
 
 def locate_source(source: Path, poses: Path | None = None) -> tuple[SourceKind, Path, Path | None]:
     """`detect_source` of a folder that may be of another kind."""
     pictures = picture_folder(source)
+    images = source / "images" if (source / "images").is_dir() else source
     if poses is not None and poses != NO_POSES:
+        if is_film(images):
+            raise BadInput(f"{images} is a film or holds films alone, whose frames are taken and placed by the run: leave out --poses.")
         if poses.is_dir():
             return "colmap", pictures or source, poses
         return "alignment", photographs_beside(poses, pictures or source), poses
+    if source.is_file():
+        return "film", source, None
     if poses is None and (source / "train" / "metadata").is_dir():
         return "mill19", source, None
     models = find_models(source)
     if poses is None and models and pictures is not None:
         return "colmap", pictures, models[0].folder
+    if is_film(images):
+        return "film", images, None
     alignment = the_alignment(source) if poses is None else None
     if alignment is not None:
         return "alignment", photographs_beside(alignment, pictures or source), alignment
-    return "photographs", source / "images" if (source / "images").is_dir() else source, None
+    return "photographs", images, None
+
+
+def is_film(source: Path) -> bool:
+    """Whether this is a film, or a folder with films and without photographs to read."""
+    from radiant_core.io.film.formats import films_in
+
+    if not source.exists() or not films_in(source):
+        return False
+    return source.is_file() or not photograph_names(source)
 
 
 def notes_on_source(source: Path, poses: Path | None = None) -> tuple[str, ...]:
     """What a source holds that is not used although it could be; names no photograph."""
     kind = detect_source(source, poses)[0]
+    if kind == "film":
+        left = find_alignments(source) if source.is_dir() else ()
+        listed = ", ".join(path.relative_to(source).as_posix() for path in left)
+        return (f"not used: {listed}, since the frames of a film are placed by themselves.",) if left else ()
     if kind != "mill19":
         return notes_on_project(source) if poses is None and kind != "alignment" else ()
     unused = [path.name for path in (source / "images", source / "sparse") if path.is_dir()]
@@ -75,7 +104,7 @@ def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
-def sfm_task(
+def sfm_task(  # noqa: PLR0913
     source: Path,
     sfm: SfmConfig,
     masks: Path | None,
@@ -83,9 +112,15 @@ def sfm_task(
     poses: Path | None = None,
     *,
     refine_poses: bool = False,
+    intake: Intake = AS_FOUND,
 ) -> SfmTask:
-    """Structure from motion of a source within a folder of masks and by `poses`, if there are
-    any."""
+    """Structure from motion of a source within a folder of masks, given or beside the photographs,
+    and by `poses`, if there are any. BadInput where several masks or alignments would do."""
+    if intake.mask_ignores == "nothing" and masks is not None:
+        raise BadInput(f"--masks {masks} is given and --mask-ignores is nothing: leave one of them out.")
+    if masks is None and intake.mask_ignores != "nothing" and source.is_dir():
+        kind, images, _ = locate_source(source, poses)
+        masks = None if kind == "film" else find_mask_folder(images, photograph_names(images))[0]
     return SfmTask(
         source=str(source.resolve()),
         sfm=sfm,
@@ -93,6 +128,7 @@ def sfm_task(
         placement=placement,
         poses=None if poses is None else str(poses) if poses == NO_POSES else str(poses.resolve()),
         refine_poses=refine_poses,
+        intake=intake,
     )
 
 
@@ -103,18 +139,66 @@ def poses_of(task: SfmTask) -> Path | None:
 
 def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     """Run structure from motion in `folder` on the source that the task names."""
-    result = _reconstruct(task, folder, report)
-    notes = notes_on_source(Path(task.source), poses_of(task))
-    return replace(result, warnings=(*notes, *result.warnings), unnamed_warnings=(*notes, *result.unnamed_warnings))
+    from radiant_core.sfm.masks_in_use import masks_in_use
+
+    prepared = prepare_photographs(task, folder, report)
+    given = None if task.masks is None else Path(task.masks)
+    names = photograph_names(prepared.images)
+    with masks_in_use(given, task.intake.mask_ignores, prepared.images, names, folder) as masks:
+        result = _reconstruct(task, prepared, masks.folder, folder, report)
+    notes = (*notes_on_source(Path(task.source), poses_of(task)), *prepared.warnings)
+    return replace(
+        result,
+        decisions=(*prepared.decisions, *masks.decisions, *result.decisions),
+        warnings=(*notes, *masks.warnings, *result.warnings),
+        unnamed_warnings=(*notes, *masks.unnamed_warnings, *result.unnamed_warnings),
+    )
 
 
-def _reconstruct(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
+@dataclass(frozen=True, kw_only=True)
+class PreparedPhotographs:
+    """Photographs as structure from motion reads them: as they lie there, or made of films."""
+
+    kind: SourceKind
+    images: Path
+    model: Path | None
+    decisions: tuple[Decision, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def prepare_photographs(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> PreparedPhotographs:
+    """What is made of the source in `folder` before structure from motion, and where it lies."""
+    kind, images, model = detect_source(Path(task.source), poses_of(task))
+    if kind != "film":
+        return PreparedPhotographs(kind=kind, images=images, model=model)
+    if task.refine_poses:
+        raise BadInput(f"{images} is a film or holds films alone, whose frames have no poses to adjust: leave out --refine-poses.")
+    from radiant_core.io.film.formats import films_in
+    from radiant_core.io.film.frames import take_frames
+
+    taken = take_frames(
+        films_in(images),
+        folder / FRAMES,
+        task.intake.film_frames,
+        lambda phase, done, total: report(SfmProgress(phase=phase, done=done, total=total)),
+    )
+    return PreparedPhotographs(kind="photographs", images=taken.folder, model=None, decisions=(taken.decision,), warnings=taken.warnings)
+
+
+def photographs_of_task(task: SfmTask, folder: Path) -> Path:
+    """Where the photographs lie, as taken, that structure from motion in `folder` has used."""
+    kind, images, _ = detect_source(Path(task.source), poses_of(task))
+    return folder / FRAMES if kind == "film" else images
+
+
+def _reconstruct(
+    task: SfmTask, prepared: PreparedPhotographs, masks: Path | None, folder: Path, report: Callable[[SfmProgress], None]
+) -> SfmResult:
     from radiant_core.sfm.known_poses import scene_from_mill19
     from radiant_core.sfm.pose_project import Alignment, NoAlignment, scene_from_alignment, scene_from_rough_colmap
     from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
-    kind, images, model = detect_source(Path(task.source), poses_of(task))
-    masks = None if task.masks is None else Path(task.masks)
+    kind, images, model = prepared.kind, prepared.images, prepared.model
     if kind == "colmap":
         assert model is not None
         if task.refine_poses:

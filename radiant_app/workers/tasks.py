@@ -45,6 +45,7 @@ from radiant_core.io.transport.delivery import Kind
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
 Triple = tuple[float, float, float]
@@ -75,6 +76,7 @@ class SfmTask:
     """A COLMAP model's folder or an alignment's file, or none; else what lies there."""
     refine_poses: bool = False
     """Whether given poses are adjusted to their photographs."""
+    intake: Intake = AS_FOUND
 
 
 @dataclass(frozen=True, kw_only=True)

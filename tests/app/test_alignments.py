@@ -18,6 +18,7 @@ from radiant_app.run.source_key import used_files
 from radiant_app.workers.sources import NO_POSES, detect_source, reconstruct_source, sfm_task
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
+from radiant_core.io.photos.masks import save_mask
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.needs import Overrides
@@ -148,7 +149,7 @@ def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file
         out = tmp_path / f"colmap_{crs}".replace(":", "_")
         figures = export(ExportRequest(model=tmp_path / "out", out=out, crs=crs), quiet_display())
         offset = np.array([float(number) for number in str(figures["offset"]).partition(" (")[0].split(", ")])
-        given = {image.name: center_of(image) + offset for image in read_model(out).images}
+        given = {image.name: center_of(image) + offset for image in read_model(out / "sparse" / "0").images}
         assert len(given) == 12
         assert max(np.abs(given[name] - centers[number]).max() for number, name in enumerate(truth.names)) < 1e-3
         assert (tmp_path / f"{out.name}.prj").is_file() == (place == "utm")
@@ -160,3 +161,20 @@ def quiet_display() -> ProgressDisplay:
     from rich.console import Console
 
     return ProgressDisplay(Console(file=io.StringIO()))
+
+
+@pytest.mark.parametrize("refine_poses", [False, True])
+def test_masks_beside_an_alignments_photographs_apply_to_them(project, tmp_path: Path, refine_poses: bool) -> None:
+    folder, truth = project
+    writers.transforms(folder, truth)
+    used_px = np.ones((240, 320), bool)
+    used_px[:80, :160] = False
+    for name in truth.names[:3]:
+        save_mask(folder / "masks" / f"{Path(name).stem}.png", used_px)
+    task = sfm_task(folder, SfmConfig(), None, Placement(), refine_poses=refine_poses)
+    assert task.masks == str((folder / "masks").resolve())
+    assert sum(name.startswith("mask of ") for name in used_files(folder, folder / "masks")) == 3
+    result = reconstruct_source(task, tmp_path / "work", lambda progress: None)
+    assert result.masks_folder is not None and len(list(result.masks_folder.iterdir())) == 3
+    assert "masks/: masks of 3 of 12 photographs are used, black is left out." in result.warnings
+    assert not any("masks, which --masks takes" in message for message in result.warnings)

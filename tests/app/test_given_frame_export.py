@@ -44,7 +44,7 @@ def written(trained: Path, out: Path) -> tuple[dict[str, object], np.ndarray]:
 def test_the_cameras_of_an_export_are_those_of_the_given_model(trained: Path, tmp_path: Path) -> None:
     figures, offset = written(trained, tmp_path / "colmap")
     assert figures["crs"] == "that of the COLMAP model" and figures["offset"] == "465300, 5246300, 400 (add it to the file's coordinates)"
-    exported, given = read_model(tmp_path / "colmap"), moved(hamlet_model(), UTM)
+    exported, given = read_model(tmp_path / "colmap" / "sparse" / "0"), moved(hamlet_model(), UTM)
     for image, known in zip(exported.images, given.images, strict=True):
         # 1e-8 m: float64 at 5e6.
         assert np.allclose(center_of(image) + offset, center_of(known), rtol=0, atol=1e-8)
@@ -79,8 +79,8 @@ def test_a_training_from_a_finished_scene_keeps_the_way_back(trained: Path, tmp_
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"out": "ortho.tif", "format": "ortho"}, "--crs given is of ply, spz, sog, mesh, colmap files"),
-        ({"out": "cameras.geojson"}, "--crs given is of ply, spz, sog, mesh, colmap files"),
+        ({"out": "ortho.tif", "format": "ortho"}, "--crs given is of ply, spz, sog, usd, mesh, colmap, nerfstudio files"),
+        ({"out": "cameras.geojson"}, "--crs given is of ply, spz, sog, usd, mesh, colmap, nerfstudio files"),
         ({"out": "tiles", "format": "tiles"}, "--crs given is of"),
         ({"model": "scene.ply", "out": "b.ply"}, "was made from no given model: --crs given needs the folder of a run or scene"),
     ],

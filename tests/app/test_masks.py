@@ -15,11 +15,13 @@ from radiant_app.config.run_config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.dealing import count_received, deal_masks
 from radiant_app.workers.evaluation import select_scored
-from radiant_app.workers.sources import masks_folder_of
+from radiant_app.workers.sources import masks_folder_of, reconstruct_source, sfm_task
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import write_json
 from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.intake import Intake
+from radiant_core.sfm.world_frame.placement import Placement
 from tests.core.scenes import cameras_above
 
 TINY = TrainOptions(long_side_px=96, num_steps=40, max_num_splats=1500)
@@ -98,3 +100,37 @@ def test_a_photograph_of_which_nothing_can_be_scored_is_left_out_and_named(tmp_p
     save_mask(tmp_path / mask_name(cameras.names[1]), sliver)
     with pytest.raises(BadInput, match="nothing of any held-out photograph"):
         select_scored(cameras, tmp_path, told.append)
+
+
+def test_masks_beside_the_photographs_are_used_without_being_asked_for(project: Path, tmp_path: Path) -> None:
+    """The hamlet's masks leave a sixth out, so that black is taken; the same masks turned are asked about."""
+    task = sfm_task(project, SfmConfig(), None, Placement())
+    assert task.masks == str((project / "masks").resolve())
+    assert sfm_task(project, SfmConfig(), None, Placement(), intake=Intake(mask_ignores="nothing")).masks is None
+    with pytest.raises(BadInput, match="leave one of them out"):
+        sfm_task(project, SfmConfig(), project / "masks", Placement(), intake=Intake(mask_ignores="nothing"))
+    result = reconstruct_source(task, tmp_path / "work", lambda progress: None)
+    chosen = {decision.topic: decision for decision in result.decisions}
+    assert chosen["colour of masks"].figure == pytest.approx(100 / 6, abs=0.1) and not chosen["colour of masks"].forced
+    assert result.masks_folder is not None and len(list(result.masks_folder.iterdir())) == 11
+    assert not any("not used" in message for message in result.warnings)
+
+
+def test_white_is_left_out_when_asked_for_to_the_same_scene(project: Path, tmp_path: Path) -> None:
+    turned = tmp_path / "turned"
+    turned.mkdir()
+    for name in ("images", "sparse"):
+        (turned / name).symlink_to(project / name)
+    for path in (project / "masks").iterdir():
+        save_mask(turned / "masks" / path.name, ~USED)
+    task = sfm_task(turned, SfmConfig(), None, Placement())
+    with pytest.raises(BadInput, match="--mask-ignores white"):
+        reconstruct_source(task, tmp_path / "asked", lambda progress: None)
+    white = reconstruct_source(
+        sfm_task(turned, SfmConfig(), None, Placement(), intake=Intake(mask_ignores="white")), tmp_path / "white", lambda progress: None
+    )
+    black = reconstruct_source(sfm_task(project, SfmConfig(), None, Placement()), tmp_path / "black", lambda progress: None)
+    np.testing.assert_array_equal(white.scene.observations, black.scene.observations)
+    assert [message for message in white.warnings if "mask" in message] == [
+        "masks/: masks of 11 of 12 photographs are used, white is left out."
+    ]

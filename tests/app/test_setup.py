@@ -78,7 +78,7 @@ def test_the_demo_brings_what_inspect_needs_and_is_not_set_up_twice(checkout: Pa
 def test_the_tests_bring_the_everyday_extras_too(checkout: Path) -> None:
     assert setup(checkout, "check")[0] == "python -m pip install --editable .[test]"
     assert setup(checkout) == []
-    assert 'test = [\n    "radiant-splats[cluster,desktop,flip,geo,network,sfm,survey,web]"' in (ROOT / "pyproject.toml").read_text()
+    assert 'test = [\n    "radiant-splats[cluster,desktop,flip,geo,network,sfm,survey,usd,web]"' in (ROOT / "pyproject.toml").read_text()
 
 
 def test_a_missing_extra_names_the_command_that_installs_it_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

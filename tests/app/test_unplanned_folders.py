@@ -111,7 +111,7 @@ def test_a_training_shows_and_films_what_it_scored_where_its_scene_holds_copies(
     assert sorted(path.stem for path in (tmp_path / "held").iterdir()) == scored
     for folder in (trained, sfm):
         radiant("export", folder, tmp_path / f"{folder.name} colmap")
-        assert [image.name for image in read_model(tmp_path / f"{folder.name} colmap").images] == list(
+        assert [image.name for image in read_model(tmp_path / f"{folder.name} colmap" / "sparse" / "0").images] == list(
             load_scored_scene(sfm)[0].cameras.names
         )
 
@@ -121,7 +121,7 @@ def test_a_scene_shows_cameras_and_photographs_and_says_what_a_model_needs(folde
     radiant("inspect", sfm, "--screenshot", tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 5000
     radiant("export", sfm, tmp_path / "colmap")
-    assert len(read_model(tmp_path / "colmap").images) == 24
+    assert len(read_model(tmp_path / "colmap" / "sparse" / "0").images) == 24
     for folder in (sfm, trained):
         assert is_planned(folder)
         assert find_photograph(load_run_view(folder), 1).path == sfm / "undistorted/images" / "DJI_0001.JPG"

@@ -1,9 +1,10 @@
 """What SPZ cannot hold of a model, counted before it is written. Once per export.
 
 A centre has 24 bits, of which b are a fraction: steps of 2^−b within 2047 · 2^(12 − b) units. 12
-are what every writer takes; a larger scene gets fewer, as long as a step stays below a quarter of
-the median Gaussian, and what then lies farther out is left out. Sizes end at e^−10 and 379 units,
-colours at ±3.33 and harmonics at ±1.
+are what every writer takes. A scene whose Gaussians are so fine that a step would be more than a
+sixteenth of the median one gets more, as far as the farthest leaves room; a larger scene gets
+fewer, as long as a step stays below a quarter, and what then lies farther out is left out. Sizes
+end at e^−10 and 379 units, colours at ±3.33 and harmonics at ±1.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ from radiant_core.splats import Splats
 
 MIN_LOG_SCALE = -10.0
 MAX_SH0, MAX_SHN = 0.5 / 0.15, 1.0
-COARSEST_STEP = 0.25
+COARSEST_STEP, FINE_STEP = 0.25, 1 / 16
 """Of the median Gaussian's longest standard deviation."""
+MAX_FRACTION_BITS = 20
+"""Steps of 1e-6 within eight units, float32's own there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,13 +55,18 @@ class SpzCuts:
 
 
 def fraction_bits_of(splats: Splats) -> int:
-    """Bits of a fraction for a file: 12, fewer where Gaussians lie beyond 2,047 units, and no fewer
-    than leave steps of a quarter of the median Gaussian."""
-    farthest = float(np.abs(splats.means).max(initial=0.0))
-    # frexp: the least k with farthest < 2047 · 2^k.
-    room = SPZ_FRACTION_BITS - max(0, math.frexp(farthest / SPZ_MAX_MEAN)[1])
-    typical = float(np.median(splats.log_scales.max(axis=1))) if len(splats) else 0.0
-    needed = int(np.ceil(-np.log2(COARSEST_STEP) - typical / np.log(2)))
+    """Bits of a fraction for a file: 12; more where Gaussians are finer than 16 of its steps and
+    lie near enough; fewer where some lie beyond 2,047 units, and no fewer than leave steps of a
+    quarter of the median Gaussian."""
+    if not len(splats):
+        return SPZ_FRACTION_BITS
+    farthest = float(np.abs(splats.means).max())
+    # frexp: the least k with farthest < 2047 · 2^k; negative where there is room for more bits.
+    room = SPZ_FRACTION_BITS - math.frexp(farthest / SPZ_MAX_MEAN)[1] if farthest > 0 else MAX_FRACTION_BITS
+    typical = float(np.median(splats.log_scales.max(axis=1)))
+    needed, wanted = (int(np.ceil(-np.log2(step) - typical / np.log(2))) for step in (COARSEST_STEP, FINE_STEP))
+    if room > SPZ_FRACTION_BITS:
+        return int(np.clip(wanted, SPZ_FRACTION_BITS, min(room, MAX_FRACTION_BITS)))
     return int(np.clip(max(room, needed), 0, SPZ_FRACTION_BITS))
 
 

@@ -70,7 +70,10 @@ class SfmConfig:
         return self.num_threads or os.cpu_count() or 1
 
 
-Phase = Literal["checking photographs", "features", "pairs", "matching", "mapping", "triangulating", "refining", "undistorting"]
+Phase = Literal[
+    "watching films", "taking frames",
+    "checking photographs", "features", "pairs", "matching", "mapping", "triangulating", "refining", "undistorting",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -50,7 +50,7 @@ def test_a_mask_reads_back_as_it_was_saved(tmp_path: Path) -> None:
         (np.zeros((3, 4), np.uint8), "leaves nothing"),
         (np.full((3, 4), 65535, np.uint16), "1 channel.* of uint16"),
         (np.arange(36, dtype=np.uint8).reshape(3, 4, 3), "3 channel"),
-        (np.full((3, 4, 4), 255, np.uint8), "4 channel"),
+        (np.arange(48, dtype=np.uint8).reshape(3, 4, 4), "4 channel"),
     ],
 )
 def test_what_is_no_mask_of_the_photograph_is_refused(tmp_path: Path, image: np.ndarray, told: str) -> None:

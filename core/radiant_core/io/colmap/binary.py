@@ -13,10 +13,11 @@ from radiant_core.io.colmap.records import PARAM_COUNTS, ColmapCamera, ColmapIma
 SUFFIX = ".bin"
 _MAX_NAME_BYTES = 1024
 _MODELS = tuple(PARAM_COUNTS.items())
+MODEL_NUMBERS = {model: number for number, model in enumerate(PARAM_COUNTS)}
 _MIN_CAMERA_BYTES = 24 + 8 * min(PARAM_COUNTS.values())
-_POINT2D = np.dtype([("xy", "<f8", 2), ("point3d_id", "<i8")])
-_POINT3D = np.dtype([("id", "<u8"), ("xyz", "<f8", 3), ("color", "u1", 3), ("error_px", "<f8"), ("num_seen", "<u8")])
-_SEEN = np.dtype([("image_id", "<u4"), ("index", "<u4")])
+POINT2D = np.dtype([("xy", "<f8", 2), ("point3d_id", "<i8")])
+POINT3D = np.dtype([("id", "<u8"), ("xyz", "<f8", 3), ("color", "u1", 3), ("error_px", "<f8"), ("num_seen", "<u8")])
+SEEN = np.dtype([("image_id", "<u4"), ("index", "<u4")])
 
 
 @dataclass
@@ -90,8 +91,8 @@ def parse_images(data: bytes, path: str) -> list[ColmapImage]:
     for _ in range(cursor.count(73, "images")):
         image_id, *pose, camera_id = cursor.take("<I7dI")
         name = cursor.text()
-        num_points2d = cursor.count(_POINT2D.itemsize, "2D points")
-        rows = np.frombuffer(cursor.data, _POINT2D, num_points2d, cursor.offset)
+        num_points2d = cursor.count(POINT2D.itemsize, "2D points")
+        rows = np.frombuffer(cursor.data, POINT2D, num_points2d, cursor.offset)
         cursor.offset += rows.nbytes
         images.append(
             ColmapImage(
@@ -111,17 +112,17 @@ def parse_images(data: bytes, path: str) -> list[ColmapImage]:
 def parse_points(data: bytes, path: str) -> ColmapPoints:
     """The records of points3D.bin; BadInput with the byte offset. Numpy gathers the values."""
     cursor = _Cursor(data, path)
-    count = cursor.count(_POINT3D.itemsize, "points")
+    count = cursor.count(POINT3D.itemsize, "points")
     starts, num_seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for index in range(count):
         starts[index] = cursor.offset
-        cursor.offset += _POINT3D.itemsize - 8
-        num_seen[index] = length = cursor.count(_SEEN.itemsize, "track entries")
-        cursor.offset += length * _SEEN.itemsize
+        cursor.offset += POINT3D.itemsize - 8
+        num_seen[index] = length = cursor.count(SEEN.itemsize, "track entries")
+        cursor.offset += length * SEEN.itemsize
     cursor.require_end()
-    rows = _gather(data, starts, _POINT3D)
+    rows = _gather(data, starts, POINT3D)
     entry = np.arange(num_seen.sum()) - np.repeat(np.cumsum(num_seen) - num_seen, num_seen)
-    seen = _gather(data, np.repeat(starts + _POINT3D.itemsize, num_seen) + entry * _SEEN.itemsize, _SEEN)
+    seen = _gather(data, np.repeat(starts + POINT3D.itemsize, num_seen) + entry * SEEN.itemsize, SEEN)
     if count and rows["id"].max() > np.iinfo(np.int64).max:
         raise BadInput(f"{path}: a point id exceeds 2^63: export the model again.")
     return ColmapPoints(

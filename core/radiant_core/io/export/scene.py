@@ -20,7 +20,6 @@ from radiant_core.frames import geodetic_from_enu
 from radiant_core.georef.crs import Crs
 from radiant_core.georef.reference import require_heights
 from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
-from radiant_core.io.colmap.text import write_model
 from radiant_core.io.export.plan import land_features, point_feature, write_features
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, spz_bytes
 from radiant_core.io.run_store import write_atomic
@@ -66,13 +65,6 @@ def save_scene_geojson(
         require_heights(scene.frame, crs)
         crs = crs.at(*scene.frame.origin_lat_lon_alt[:2].tolist())
     write_features(path, _scene_features(scene, cloud_plan, edge_plans, about_camera), crs)
-
-
-def save_colmap(folder: Path, scene: SfmScene) -> None:
-    """Write a COLMAP model as text into `folder`, which is made; BadInput without cameras."""
-    if not len(scene.cameras):
-        raise BadInput(f"cannot write {folder}: the scene has no cameras.")
-    write_model(folder, colmap_model(scene))
 
 
 def colmap_model(scene: SfmScene) -> ColmapModel:

@@ -100,7 +100,9 @@ def _projects_in(folder: Path, masks: Path | None, control: str | None, used: fr
     for path in entries:
         name, suffix = path.name.lower(), path.suffix.lower()
         if path.is_dir():
-            told += [] if path.resolve() == used_masks or any(path in file.parents for file in used) else _folder_kind(path, above=above)
+            is_used_mask = path.resolve() == used_masks or (used_masks is not None and name in MASK_FOLDERS)
+            is_used = is_used_mask or any(path in file.parents for file in used)
+            told += [] if is_used else _folder_kind(path, above=above)
         elif path in used or (control is not None and name == CONTROL_LIST and _has_text(path, control)):
             continue
         elif kind := _kind_of_file(name):
