@@ -69,7 +69,7 @@ def test_a_training_is_looked_at_filmed_and_exported(folders: tuple[Path, Path],
     subject = load_subject(trained)
     assert subject.summary == "24 cameras, 9,000 points, 9,000 Gaussians"
     # Points without observations are called what they came from.
-    assert [layer.name for layer in subject.layers] == ["Gaussians", "Cameras by split", "Cameras by PSNR"]
+    assert [layer.name for layer in subject.layers] == ["Gaussians", "Surroundings", "Cameras by split", "Cameras by PSNR"]
     assert "made without one" in run_setting(trained).reason
     said = json.loads(radiant("render", trained, "--out", tmp_path / "held", "--long-side-px", 48, "--json"))
     assert said["pictures"] == 3, "the held-out cameras"
