@@ -137,8 +137,7 @@ class PlanRequest:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PlanInput:
-    """What is planned: positions (C,2) m about `origin`, names (C), content (C,) where known, and
-    the scene, if it is one."""
+    """Positions (C,2) m about `origin`, names (C), content (C,) where known, the scene if any."""
 
     positions: FloatArray
     origin: FloatArray | None

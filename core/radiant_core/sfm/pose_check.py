@@ -3,7 +3,8 @@
     observations   |lens(R X + t) − pixel|  of what the file says that its photographs see
     points         share of them that fall into two photographs, in front; their colours there
     matches        without observations or colours: distance of SIFT matches of a few pairs from
-                   their epipolar lines, d = |x₂ᵀ E x₁| / √(‖(E x₁)₁₂‖² + ‖(Eᵀ x₂)₁₂‖²) · f (Sampson, 1982)
+                   their epipolar lines, d = |x₂ᵀ E x₁| / √(‖(E x₁)₁₂‖² + ‖(Eᵀ x₂)₁₂‖²) · f
+                   (Sampson, 1982)
 
 Each is compared with what another reading of the same numbers gives (radial coefficients of the
 other sign, p₁ and p₂ exchanged, poses the other way round, axes of another library): where one of
