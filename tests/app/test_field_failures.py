@@ -231,7 +231,5 @@ def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: 
 
 
 def test_options_that_contradict_are_refused(hamlet: Path, tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="--frames known"):
-        RunConfig(source=hamlet, out=tmp_path, sfm=SfmOptions(poses=hamlet))
     with pytest.raises(BadInput, match="one owner"):
         RunConfig(source=hamlet, out=tmp_path, single_owner=True)

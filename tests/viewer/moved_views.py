@@ -172,7 +172,8 @@ class Watcher:
                 in_front=True,
             )
         )
-        # They would cover marks or balls.
+        # Balls in the air are what lies around this scene; the other layers would cover marks or balls.
+        window.set_layer_visible("Surroundings", True)
         for name in ("Regions", "Edges", "Edge loads", "Seams"):
             window.set_layer_visible(name, False)
         self.num_seen, self.worst_px, self.moved = 0, 0.0, ""
