@@ -70,7 +70,7 @@ def test_cameras_are_where_proj_puts_them(tmp_path: Path) -> None:
     export(tmp_path / "project", "--crs", "EPSG:2056")
     offset = json.loads((tmp_path / "project.georef.json").read_text())["offset"]
     centers = {
-        image.name: -image.cam_from_world[:3, :3].T @ image.cam_from_world[:3, 3] for image in read_model(tmp_path / "project").images
+        image.name: -image.cam_from_world[:3, :3].T @ image.cam_from_world[:3, 3] for image in read_model(tmp_path / "project" / "sparse" / "0").images
     }
     cameras = load_scene_of(RUN).cameras
     expected = dict(zip(cameras.names, swiss(cameras.centers), strict=True))
