@@ -121,8 +121,8 @@ class TrainRequest:
         """All that decides the result, as the manifest keeps it."""
         masks = None if self.masks is None else str(self.masks.resolve())
         poses = None if self.poses is None else str(self.poses)
-        fields = {**asdict(self), "source": str(self.source.resolve()), "masks": masks, "poses": poses}
-        return {name: value for name, value in fields.items() if name not in ("out", "checkpoint_every_s")}
+        fields = {**asdict(self), **asdict(self.intake), "source": str(self.source.resolve()), "masks": masks, "poses": poses}
+        return {name: value for name, value in fields.items() if name not in ("out", "checkpoint_every_s", "intake")}
 
 
 def train(
