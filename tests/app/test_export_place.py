@@ -69,9 +69,8 @@ def test_levels_and_tiles_say_where_on_the_globe_their_metres_lie(tmp_path: Path
 def test_cameras_are_where_proj_puts_them(tmp_path: Path) -> None:
     export(tmp_path / "project", "--crs", "EPSG:2056")
     offset = json.loads((tmp_path / "project.georef.json").read_text())["offset"]
-    centers = {
-        image.name: -image.cam_from_world[:3, :3].T @ image.cam_from_world[:3, 3] for image in read_model(tmp_path / "project" / "sparse" / "0").images
-    }
+    images = read_model(tmp_path / "project" / "sparse" / "0").images
+    centers = {image.name: -image.cam_from_world[:3, :3].T @ image.cam_from_world[:3, 3] for image in images}
     cameras = load_scene_of(RUN).cameras
     expected = dict(zip(cameras.names, swiss(cameras.centers), strict=True))
     assert max(float(np.abs(centers[name] + offset - expected[name]).max()) for name in centers) < 1e-3
