@@ -1,1 +1,1 @@
-"""Benchmarks: run time beside error, as lists of metrics. They are run in the source and not installed."""
+"""Benchmarks: run time beside error, as lists of metrics. Run in the source, not installed."""

@@ -1,4 +1,4 @@
-"""The options of `radiant bench`, and what runs it: the command line finds this file in the source."""
+"""The options of `radiant bench`, which finds this file in the source, and what runs it."""
 
 from __future__ import annotations
 
