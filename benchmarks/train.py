@@ -35,7 +35,7 @@ from benchmarks.options import BenchOptions, HeldPart, HoldOut
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import terminal_display, track_items
-from radiant_app.workers.reporting import EventReporter
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.sources import captures_of, detect_source, load_scored_scene, masks_folder_of, reconstruct_source, sfm_task
 from radiant_core import __version__
 from radiant_core.cameras import Cameras

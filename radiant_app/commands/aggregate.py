@@ -11,14 +11,14 @@ from radiant_app.events import Warned
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.inbox import receive_device_models
-from radiant_app.workers.reporting import EventReporter
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.cloud import join_cloud
+from radiant_core.hierarchy.codec import load_task, passed_on
 from radiant_core.hierarchy.edge import join_edge
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, EdgeTask, SceneModel
-from radiant_core.io.messages import load_task, passed_on
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_plan
 from radiant_core.plan.plans import CloudPlan

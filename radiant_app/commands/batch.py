@@ -32,7 +32,7 @@ from radiant_app.workers.sources import list_files
 from radiant_app.workers.tasks import JobTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
-from radiant_core.io.messages import save_task
+from radiant_core.hierarchy.codec import save_task
 from radiant_core.io.run_store import SEAL_NAME, RunLock, content_key, read_json, write_atomic, write_json
 
 Status = Literal["done", "skipped", "failed", "interrupted", "running", "not started"]

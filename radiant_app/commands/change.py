@@ -20,9 +20,9 @@ from radiant_app.files.run_folder import create_folder
 from radiant_app.report.change_page import write_change_page
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
+from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.frames import Sim3
 from radiant_core.geometry.similarity import move_splats
-from radiant_core.io.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.io.run_store import write_json
 from radiant_core.survey.change import Change, DateRasters, find_change
 from radiant_core.survey.dates import fit_dates, levelled

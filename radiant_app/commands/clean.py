@@ -27,9 +27,9 @@ from radiant_core.geometry.cleaning import (
     Surroundings,
     describe,
 )
+from radiant_core.geometry.cleaning_file import cleaning_path, load_cleaning, save_cleaning, step_record
 from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS, Support, save_support
-from radiant_core.io.cleaning_file import cleaning_path, load_cleaning, save_cleaning, step_record
-from radiant_core.io.waypoints.region import load_region
+from radiant_core.waypoints.region import load_region
 from radiant_viewer.runs.cleaned_model import OWN_SUPPORT, CleanedModel, cleaned_model, find_support, surroundings
 from radiant_viewer.runs.run_view import RunView, load_run_view, require_splats
 from radiant_viewer.runs.sent_pages import older_sentence

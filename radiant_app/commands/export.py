@@ -104,7 +104,7 @@ def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.export.scene import DEFAULT_SPZ_VERSION, save_spz
+    from radiant_core.export.scene import DEFAULT_SPZ_VERSION, save_spz
 
     splats, cleaned = exported_model(request, display)
     splats, place = placed(request, splats)
@@ -117,7 +117,7 @@ def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.export.sog import moved_sentence, save_sog
+    from radiant_core.export.sog import moved_sentence, save_sog
 
     splats, cleaned = exported_model(request, display)
     splats, place = placed(request, splats)
@@ -131,8 +131,8 @@ def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _usd(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.export.usd import save_usd
     from radiant_core.extras import require_extra
-    from radiant_core.io.export.usd import save_usd
 
     require_extra("usd", "no USD can be written", "write PLY, SPZ or SOG, which need nothing more")
     splats, cleaned = exported_model(request, display)
@@ -142,7 +142,7 @@ def _usd(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.export.scene import save_scene_geojson
+    from radiant_core.export.scene import save_scene_geojson
 
     run = run_of(request)
     roles, psnr_db = run.roles, run.psnr_db or {}
@@ -173,7 +173,7 @@ def _project(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, 
 
 
 def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.export.mesh_ply import save_mesh
+    from radiant_core.export.mesh_ply import save_mesh
 
     surface, run = _surface(request, display)
     if surface.most_covered < MIN_KNOWN:

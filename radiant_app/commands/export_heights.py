@@ -13,9 +13,9 @@ from radiant_app.commands.steps import stage_bar
 from radiant_app.commands.survey_parts import Survey, cell_of, load_survey, support_of_survey
 from radiant_app.commands.survey_surface import PIXELS_PER_CELL, SurfacePoints, points_of_survey, surface_of_survey
 from radiant_app.report.progress import ProgressDisplay
+from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.extras import require_extra
 from radiant_core.georef.reference import map_offset
-from radiant_core.io.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.numerics import FloatArray
 from radiant_core.survey.heights import HeightMap
 from radiant_core.survey.map_grid import MapGrid, grid_over
@@ -114,7 +114,7 @@ def _at(line: Contour) -> FloatArray:
 def export_laz(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
     """Points of the surface with colours, ground told from the rest."""
     require_extra("survey", "LAZ cannot be written", "export --format dsm")
-    from radiant_core.io.export.point_cloud import save_laz
+    from radiant_core.export.point_cloud import save_laz
     from radiant_core.survey.terrain import terrain
 
     found = _find(request, display)
@@ -128,7 +128,7 @@ def export_laz(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
 def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
     """The surface with the orthophoto on it, for a browser or a modeller."""
     require_extra("survey", "GLB cannot be written", "export --format mesh")
-    from radiant_core.io.export.mesh_glb import save_glb
+    from radiant_core.export.mesh_glb import save_glb
     from radiant_core.survey.height_mesh import height_mesh
 
     found = _find(request, display)

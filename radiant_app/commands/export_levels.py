@@ -28,7 +28,7 @@ Gaussians."""
 
 def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """A folder of streamed SOG; its figures."""
-    from radiant_core.io.export.lod import META_NAME, save_lod
+    from radiant_core.export.lod import META_NAME, save_lod
 
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
@@ -54,7 +54,7 @@ def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, An
 
 def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """A folder of 3D Tiles, on the globe where the run has GPS; its figures."""
-    from radiant_core.io.export.tiles import TILE_LIMITS, TILESET_NAME, TileOptions, save_tiles
+    from radiant_core.export.tiles import TILE_LIMITS, TILESET_NAME, TileOptions, save_tiles
 
     splats, cleaned = exported_model(request, display)
     regions = lod_regions(request.model, splats, request.regions)
@@ -103,7 +103,7 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
     page = scene_page(request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained)
     shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs), **left_out_of(model)}
     if request.out.suffix.lower() == ".html":
-        from radiant_core.io.export.sog import moved_sentence
+        from radiant_core.export.sog import moved_sentence
 
         if lost := moved_sentence(page.splats):
             display(Warned(stage="export", message=lost))

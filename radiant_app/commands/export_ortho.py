@@ -14,7 +14,7 @@ from radiant_app.commands.survey_parts import cell_of, load_survey, support_of_s
 from radiant_app.events import Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
-from radiant_core.io.export.geotiff import TiledRaster, save_tiles
+from radiant_core.export.geotiff import TiledRaster, save_tiles
 from radiant_core.survey.map_grid import grid_over
 from radiant_core.survey.orthophoto import from_above, ortho_tiles
 

@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.photos.folders import in_short
 
 if TYPE_CHECKING:
-    from radiant_core.io.export.projects import ProjectPhotographs
+    from radiant_core.export.projects import ProjectPhotographs
     from radiant_core.scene import SfmScene
     from radiant_viewer.runs.run_view import RunView
 
@@ -31,7 +31,7 @@ def export_nerfstudio(request: ExportRequest, display: ProgressDisplay) -> dict[
 def _export_project(request: ExportRequest, display: ProgressDisplay, writer: str) -> dict[str, Any]:
     from radiant_app.commands.steps import stage_bar
     from radiant_app.files.run_folder import create_folder
-    from radiant_core.io.export import projects
+    from radiant_core.export import projects
 
     scene = _scene_without_repeats(run_of(request), display)
     place = place_of(request.model, request.crs)
@@ -53,7 +53,7 @@ def _export_project(request: ExportRequest, display: ProgressDisplay, writer: st
 def photographs_of(model: Path) -> ProjectPhotographs:
     """Where the photographs lie that a model is of: undistorted, not as taken."""
     from radiant_app.workers.sources import has_scene, images_folder_of, masks_folder_of
-    from radiant_core.io.export.projects import ProjectPhotographs
+    from radiant_core.export.projects import ProjectPhotographs
 
     if not has_scene(model):
         return ProjectPhotographs(images=None)

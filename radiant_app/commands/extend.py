@@ -18,23 +18,23 @@ from radiant_app.events import Warned
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.inbox import load_corrections
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import DELIVERED, has_scene, load_scene_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
 from radiant_core.geometry.similarity import move_cameras
+from radiant_core.hierarchy.codec import TASK_NAME, message_of
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
-from radiant_core.io.messages import TASK_NAME, message_of
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan_waypoints
 from radiant_core.io.run_store import read_json
-from radiant_core.io.waypoints.region import load_region
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.power_diagram import polygon_area_m2
 from radiant_core.splats import Splats
+from radiant_core.waypoints.region import load_region
 
 STAGE, STANDING, NEW = "extend", "standing", "new"
 MARGIN = 0.05

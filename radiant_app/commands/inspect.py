@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from radiant_app.commands.plan_pictures import SYSTEM, beside
 from radiant_app.files.constraints_file import dump_constraints
 from radiant_app.files.system_file import dump_system, load_system
-from radiant_app.run.prediction_error import SYSTEM_NAME
+from radiant_app.report.prediction_error import SYSTEM_NAME
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.model_reader import model_kind
 from radiant_core.io.records import PlanFile, load_plan, load_plan_file

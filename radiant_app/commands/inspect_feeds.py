@@ -14,7 +14,7 @@ from radiant_app.files.system_file import load_system
 from radiant_app.network.home import NODE_NAME
 from radiant_app.network.overview import read_rows
 from radiant_app.report.html import GANTT_TEXT
-from radiant_app.run.prediction_error import SYSTEM_NAME, gantt_rows
+from radiant_app.report.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
 from radiant_viewer.runs.run_view import plan_path

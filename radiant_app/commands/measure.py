@@ -19,8 +19,8 @@ from radiant_app.commands.survey_surface import PIXELS_PER_CELL, points_of_surve
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
+from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_core.io.array_file import load_arrays, stream_arrays
-from radiant_core.io.cleaning_file import cleaning_path
 from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.measures_file import FOLDER, load_measures, places_of, save_measures
 from radiant_core.io.run_store import file_sha256, write_atomic, write_json

@@ -61,12 +61,11 @@ from radiant_core.choices import CutBy, PlanMethod
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.export.plan import COLUMNS, save_device_waypoints, save_regions_geojson
 from radiant_core.georef.crs import grid_warnings, parse_crs
 from radiant_core.georef.features import crs_member
-from radiant_core.io.export.plan import COLUMNS, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
-from radiant_core.io.waypoints.reader import FoundWaypoints, exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
@@ -84,6 +83,7 @@ from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
+from radiant_core.waypoints.reader import FoundWaypoints, exif_waypoints, read_waypoints
 
 if TYPE_CHECKING:
     from radiant_viewer.pictures.images import Image

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from radiant_app.run.prediction_error import curves_note, gantt_rows
+from radiant_app.report.prediction_error import curves_note, gantt_rows
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.baselines import ComparedPlan
 from radiant_core.plan.counts.slack_curve import SlackPoint

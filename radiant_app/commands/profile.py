@@ -34,7 +34,7 @@ from radiant_app.run.predictions import planned_training, share_of_epochs, train
 from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of, sfm_task
 from radiant_core.aggregate.config import JOINING_EPOCHS
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.messages import save_task, task_setting
+from radiant_core.hierarchy.codec import save_task, task_setting
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.plan.profiles.curve_fit import FittedCurve, falls, fit_curve

@@ -38,9 +38,9 @@ from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import FrameUncertainty
+from radiant_core.hierarchy.codec import save_frame, save_task
 from radiant_core.hierarchy.messages import CloudTask, DeviceTask, EdgeTask, Renderer
 from radiant_core.hierarchy.recipe import training_among
-from radiant_core.io.messages import save_frame, save_task
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json
 from radiant_core.plan.devices.device_split import long_axis

@@ -26,19 +26,18 @@ from radiant_app.commands.steps import require_file_to_be, stage_bar, training_p
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import Manifest, read_manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
+from radiant_app.report.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
 from radiant_app.run.predictions import depends_on_training, planned_training, with_camera_limits, with_short_joins, with_step_law
 from radiant_app.run.training_costs import scaled_to_training
 from radiant_app.workers.sources import DELIVERED, load_scene_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
+from radiant_core.export.plan import save_device_waypoints, save_regions_geojson
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.csv_cells import cell_of_text
-from radiant_core.io.export.plan import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
-from radiant_core.io.waypoints.reader import exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.regions.edge_sites import place_edges
@@ -50,6 +49,7 @@ from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
+from radiant_core.waypoints.reader import exif_waypoints, read_waypoints
 
 MOVED = "_moved.csv"
 ENDINGS = (MAP, GANTT, MOVED, SYSTEM, LISTS, REGIONS)

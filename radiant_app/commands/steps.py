@@ -15,13 +15,13 @@ from radiant_app.events import Listener, StageProgress, StageStarted
 from radiant_app.files.out_folder import require_folder_for
 from radiant_app.files.run_folder import sfm_folder
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.folder_kinds import named_folder
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import POSITIONS, SURVEY, reconstruct_source, save_given_frames, sfm_record, sfm_task
 from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.messages import message_record
+from radiant_core.hierarchy.codec import message_record
 from radiant_core.io.records import save_scene
 from radiant_core.io.run_store import write_json
 from radiant_core.scene import SfmScene

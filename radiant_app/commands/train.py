@@ -28,11 +28,11 @@ from radiant_app.files.out_folder import folder_made_for
 from radiant_app.files.run_folder import Manifest, open_folder
 from radiant_app.files.score_file import SCORES, ScoreFile
 from radiant_app.report.ground_control import placing_of_run
+from radiant_app.reporting import EventReporter
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import captures_of, detect_source, has_scene, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras

@@ -15,7 +15,7 @@ from radiant_app.commands.steps import require_model, stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, RadiantError
-from radiant_core.io.cleaning_file import cleaning_path
+from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.lod.levels import LodLimits
 from radiant_core.splats import Splats

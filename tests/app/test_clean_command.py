@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from radiant_app.cli.app import app
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, SupportStep
-from radiant_core.io.cleaning_file import save_cleaning
+from radiant_core.geometry.cleaning_file import save_cleaning
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.splats import concatenate_splats
 from radiant_viewer.pictures.images import load_image

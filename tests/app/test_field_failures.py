@@ -30,7 +30,7 @@ from radiant_app.workers.tasks import FieldTask, PositionsTask
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.messages import save_task
+from radiant_core.hierarchy.codec import save_task
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json

@@ -22,14 +22,14 @@ from radiant_app.commands.inspect import Picture, plan_file_of, save_picture
 from radiant_app.commands.measure import export_measures
 from radiant_app.commands.render import RenderRequest, render
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.workers.reporting import EventReporter
+from radiant_app.reporting import EventReporter
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
+from radiant_core.export.scene import save_spz
+from radiant_core.export.sog import save_sog
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
-from radiant_core.io.export.scene import save_spz
-from radiant_core.io.export.sog import save_sog
 from radiant_core.io.measures_file import load_measures
 from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import save_ply

@@ -22,7 +22,7 @@ from radiant_app.network.store import HubStore
 from radiant_core import __version__
 from radiant_core.aggregate.averaging import Refinement
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import FRAME_NAME, MODEL_NAME, load_refinement, load_uncertainty, save_refinement
+from radiant_core.hierarchy.codec import FRAME_NAME, MODEL_NAME, load_refinement, load_uncertainty, save_refinement
 from radiant_core.io.transport.delivery import SentFile, describe_files
 from radiant_core.io.transport.envelope import open_envelope, sign_envelope
 from tests.app.test_network_packs import Road

@@ -29,7 +29,7 @@ from radiant_app.network.home import Listening, make_home, open_home
 from radiant_app.network.hub import open_hub
 from radiant_app.network.line import Line
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import MODEL_NAME
+from radiant_core.hierarchy.codec import MODEL_NAME
 from tests.app.network_nodes import free_port, listening
 from tests.app.network_transfer import deliver, offer, write_model
 

@@ -26,9 +26,9 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene
-from radiant_core.io.waypoints.reader import exif_waypoints, read_waypoints
 from radiant_core.plan.baselines import compare
 from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.waypoints.reader import exif_waypoints, read_waypoints
 from tests.core.sfm.test_gps_of_photographs import hamlet_with, without_altitude
 from tests.forked import run_module
 

@@ -18,7 +18,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan_waypoints
-from radiant_core.io.waypoints.reader import read_waypoints
+from radiant_core.waypoints.reader import read_waypoints
 
 
 def flight(folder: Path, alt_m: float = 60.0, more: str = "", cells: str = "") -> Path:

@@ -34,8 +34,8 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame, Sim3
+from radiant_core.hierarchy.codec import load_uncertainty, save_task
 from radiant_core.hierarchy.messages import DeviceTask
-from radiant_core.io.messages import load_uncertainty, save_task
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.devices.device_split import split_edges

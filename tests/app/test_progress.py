@@ -32,7 +32,7 @@ from radiant_app.events import (
     encode,
 )
 from radiant_app.files.event_file import EventFile, read_progress
-from radiant_app.report.pace import Pace, clock_text
+from radiant_app.pace import Pace, clock_text
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.report.tables import print_figures
 from radiant_app.report.verdict import verdict_of

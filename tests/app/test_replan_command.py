@@ -17,9 +17,9 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan, load_plan_waypoints
-from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.plan.revision.captured import require_same_system
 from radiant_core.plan.revision.replan import FleetChange
+from radiant_core.waypoints.reader import read_waypoints
 
 SYSTEM = """
 [[edge]]

@@ -20,7 +20,7 @@ from radiant_app.commands.survey_parts import load_survey
 from radiant_app.report.progress import terminal_display
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, PolygonStep
-from radiant_core.io.cleaning_file import save_cleaning
+from radiant_core.geometry.cleaning_file import save_cleaning
 from radiant_core.io.measures_file import load_measures, save_measures
 from radiant_core.io.run_store import atomic_path
 from radiant_core.survey.map_grid import map_frame_of

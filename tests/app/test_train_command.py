@@ -28,10 +28,10 @@ from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy import device
+from radiant_core.hierarchy.codec import save_task
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model
-from radiant_core.io.messages import save_task
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
 from radiant_core.io.run_store import read_json, write_json

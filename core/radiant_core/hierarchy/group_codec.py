@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from radiant_core.errors import BadInput
+from radiant_core.hierarchy.codec import message_of, message_record
 from radiant_core.hierarchy.together import Begun, ShareStart
 from radiant_core.io.array_file import load_arrays, name_file_in_errors, save_arrays
-from radiant_core.io.messages import message_of, message_record
 from radiant_core.io.records import CAMERAS_DTYPES, cameras_of_arrays
 from radiant_core.light.offsets import PointLogs
 from radiant_core.train.results import TrainState

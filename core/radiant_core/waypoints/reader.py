@@ -26,12 +26,12 @@ from radiant_core.io.photos.copies import copies_warning, file_copies
 from radiant_core.io.photos.folders import folders_warning, read_folder, unread_warning
 from radiant_core.io.photos.listing import doubts_warning, photograph_heads
 from radiant_core.io.run_store import open_without_waiting
-from radiant_core.io.waypoints.csv_reader import csv_rows
-from radiant_core.io.waypoints.geojson_reader import geojson_rows
-from radiant_core.io.waypoints.kml_reader import kml_rows
-from radiant_core.io.waypoints.rows import WaypointRows
 from radiant_core.plan.heights import HEIGHT_KINDS, height_codes
 from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints, clean_waypoints
+from radiant_core.waypoints.csv_reader import csv_rows
+from radiant_core.waypoints.geojson_reader import geojson_rows
+from radiant_core.waypoints.kml_reader import kml_rows
+from radiant_core.waypoints.rows import WaypointRows
 
 MAX_FILE_BYTES = 256 * 2**20
 WAYPOINT_SUFFIXES = (".csv", ".geojson", ".json", ".kml")

@@ -16,11 +16,11 @@ import numpy as np
 
 from radiant_core.choices import SpzVersion
 from radiant_core.errors import BadInput
+from radiant_core.export.plan import land_features, point_feature, write_features
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.georef.crs import Crs
 from radiant_core.georef.reference import require_heights
 from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
-from radiant_core.io.export.plan import land_features, point_feature, write_features
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, spz_bytes
 from radiant_core.io.run_store import write_atomic
 from radiant_core.io.spz import SPZ_FRACTION_BITS, gzip_spz_bytes

@@ -3,7 +3,7 @@ or plain. Once per export.
 
     tileset.json     root ─ far field, whole
                      └ per chunk: the coarsest level ─ … ─ the finest, each for the last
-    {level}_{n}.glb  as in `io.export.lod`, about the chunk's own middle
+    {level}_{n}.glb  as in `export.lod`, about the chunk's own middle
 
 The root's transform puts east, north and up of the scene's origin on the globe, in doubles; each
 tile's adds its middle, so that float32 has to hold no more than a chunk. A tile's error in metres
@@ -23,9 +23,9 @@ import numpy as np
 from radiant_core import __version__
 from radiant_core.choices import TileContent
 from radiant_core.errors import BadInput
+from radiant_core.export.glb import EXTENSIONS, glb_bytes
+from radiant_core.export.lod import FAR_NAME, MAX_REGIONS
 from radiant_core.frames import Frame, ecef_from_local
-from radiant_core.io.export.glb import EXTENSIONS, glb_bytes
-from radiant_core.io.export.lod import FAR_NAME, MAX_REGIONS
 from radiant_core.io.run_store import write_atomic
 from radiant_core.lod.cells import LodRegion, ellipsoid_box
 from radiant_core.lod.levels import DEVIATIONS, Chunk, LodLimits, chunks_of, far_field, lay_out

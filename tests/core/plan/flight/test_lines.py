@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.flight_lines import MIN_LINE, flight_lines, held_out_line
+from radiant_core.plan.flight.lines import MIN_LINE, flight_lines, held_out_line
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "sample_scenes"))
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from radiant_core.choices import HeightFrom
-from radiant_core.io.waypoints.rows import WaypointRows, number
+from radiant_core.waypoints.rows import WaypointRows, number
 
 EXECUTED: dict[str, HeightFrom] = {"WGS84": "ellipsoid", "relativeToStartPoint": "takeoff", "realTimeFollowSurface": "ground"}
 EDITED: dict[str, HeightFrom] = {

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite
-from radiant_core.io.export.cog import write_cog
+from radiant_core.export.cog import write_cog
 from radiant_core.numerics import FloatArray
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ import numpy as np
 
 from radiant_core import __version__
 from radiant_core.errors import BadInput
-from radiant_core.io.export.sog import SogErrors, save_sog_folder
+from radiant_core.export.sog import SogErrors, save_sog_folder
 from radiant_core.io.run_store import write_json
 from radiant_core.lod.cells import LodRegion
 from radiant_core.lod.levels import Chunk, LeafTree, LodLimits, chunks_of, far_field, lay_out

@@ -33,12 +33,12 @@ from radiant_core.georef.crs import Crs
 from radiant_core.georef.features import crs_member, in_crs
 from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.run_store import atomic_writer, write_atomic
-from radiant_core.io.waypoints.geojson_reader import HEIGHT_FROM, HEIGHT_M
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.buffers import EdgeBuffer
 from radiant_core.plan.heights import HEIGHT_KINDS
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.waypoints import Waypoints
+from radiant_core.waypoints.geojson_reader import HEIGHT_FROM, HEIGHT_M
 
 HEIGHT, ABSOLUTE = "altitude(m)", "altitude_absolute(m)"
 COLUMNS: dict[HeightFrom, str] = {

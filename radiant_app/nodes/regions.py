@@ -25,11 +25,11 @@ from radiant_app.config.run_config import EvaluateOptions, RunConfig
 from radiant_app.events import Event, Warned
 from radiant_app.executors.fold import Deadlines, RetryPolicy
 from radiant_app.executors.local import worker_command
-from radiant_app.executors.network import NetworkExecutor
 from radiant_app.executors.protocol import NodeTask, NodeTime
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.network.contents import MAX_REASON_CHARS, check_count, check_frame, check_raster, check_summary
+from radiant_app.network.executor import NetworkExecutor
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME
 from radiant_app.network.messages import (
@@ -62,10 +62,7 @@ from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.choosing import JOINED
-from radiant_core.hierarchy.messages import DeviceSettings
-from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.hierarchy.refining_plan import RefiningPlan
-from radiant_core.io.messages import (
+from radiant_core.hierarchy.codec import (
     FRAME_NAME,
     MODEL_NAME,
     REFINED_NAME,
@@ -77,6 +74,9 @@ from radiant_core.io.messages import (
     sent_files,
     task_key,
 )
+from radiant_core.hierarchy.messages import DeviceSettings
+from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.hierarchy.refining_plan import RefiningPlan
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_json, write_json

@@ -24,8 +24,8 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput, CannotWrite
+from radiant_core.export.scene import colmap_model
 from radiant_core.io.colmap.binary_writer import write_binary_model
-from radiant_core.io.export.scene import colmap_model
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import atomic_writer, require_room, write_atomic
 from radiant_core.numerics import FloatArray

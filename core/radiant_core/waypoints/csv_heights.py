@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
-from radiant_core.io.waypoints.rows import WaypointRows, number
 from radiant_core.plan.waypoints import HIGHEST_FLIGHT_M
+from radiant_core.waypoints.rows import WaypointRows, number
 
 COLUMNS: tuple[tuple[str, HeightFrom, tuple[str, ...]], ...] = (
     (

@@ -10,9 +10,9 @@ from scipy.spatial import KDTree
 from benchmarks.methods.cells import Cell
 from benchmarks.methods.emulated_latency import NodeWork
 from radiant_core.aggregate.tree import scored_at
-from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.hierarchy.in_process import InProcessRun
 from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.light.held_out import held_out_psnr_db
 
 COMPARISON_BYTES = 4_000
 """About what a device sends: scores.json of a run with some photographs."""

@@ -23,8 +23,8 @@ import numpy as np
 from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.georef.crs import Crs, parse_crs
-from radiant_core.io.waypoints.rows import WaypointRows
 from radiant_core.plan.heights import HEIGHT_KINDS
+from radiant_core.waypoints.rows import WaypointRows
 
 HEIGHT_M, HEIGHT_FROM = "height_m", "height_from"
 """Properties of points that say a height which is none above the ellipsoid."""

@@ -16,8 +16,8 @@ from typing import IO
 
 from radiant_core.errors import BadInput
 from radiant_core.io.csv_cells import text_of_cell
-from radiant_core.io.waypoints.csv_heights import UNIT, CsvHeights
-from radiant_core.io.waypoints.rows import WaypointRows, number
+from radiant_core.waypoints.csv_heights import UNIT, CsvHeights
+from radiant_core.waypoints.rows import WaypointRows, number
 
 _COLUMNS = {
     "latitude": ("lat", "latitude"),

@@ -29,7 +29,7 @@ from radiant_app.network.kinds import RESULT_FILES
 from radiant_app.workers.delivering import identify_owned, identify_part, use_run_number
 from radiant_app.workers.own_photographs import save_own_source
 from radiant_core.aggregate.tree import Tree
-from radiant_core.io.messages import FRAME_NAME, sent_files
+from radiant_core.hierarchy.codec import FRAME_NAME, sent_files
 from radiant_core.io.run_store import is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.transport.envelope import Envelope

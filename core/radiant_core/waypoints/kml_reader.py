@@ -19,8 +19,8 @@ from xml.etree.ElementTree import Element, ParseError, iterparse
 
 from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
-from radiant_core.io.waypoints.rows import WaypointRows, number
-from radiant_core.io.waypoints.wpml_heights import WpmlHeights
+from radiant_core.waypoints.rows import WaypointRows, number
+from radiant_core.waypoints.wpml_heights import WpmlHeights
 
 MODES: dict[str, HeightFrom] = {
     "clampToGround": "unknown",

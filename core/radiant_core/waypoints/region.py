@@ -13,8 +13,8 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.georef.crs import Crs
 from radiant_core.io.array_file import name_file_in_errors
-from radiant_core.io.waypoints.geojson_reader import geojson_geometries
 from radiant_core.numerics import FloatArray, check_array
+from radiant_core.waypoints.geojson_reader import geojson_geometries
 
 MAX_REGION_BYTES = 16_000_000
 
