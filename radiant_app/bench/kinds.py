@@ -30,7 +30,7 @@ import numpy as np
 from radiant_app.bench.kind_scenes import KINDS, make_scene
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.train import Source, Split, TrainBench, score_model, split_source
-from radiant_app.commands.steps import stage_bar
+from radiant_app.commands.run.steps import stage_bar
 from radiant_app.events import StageProgress
 from radiant_app.report.progress import terminal_display
 from radiant_core import __version__

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import typer
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.report.progress import track_items
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
