@@ -11,8 +11,7 @@ from glob import escape as glob_escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from radiant_app.commands.export.options import LEVELLED, OF_HEIGHTS, PLACED, require_options
-from radiant_app.commands.export.request import ExportRequest, exported_model, placed, run_of
+from radiant_app.commands.export.request import LEVELLED, OF_HEIGHTS, PLACED, ExportRequest, exported_model, placed, require_options, run_of
 from radiant_app.commands.model.place import crs_warnings, place_of
 from radiant_app.events import Decided, Warned
 from radiant_app.files.out_folder import folder_made_for

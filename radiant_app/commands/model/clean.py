@@ -15,6 +15,7 @@ import numpy as np
 from radiant_app.commands.model.given_model import given_model
 from radiant_app.commands.run.steps import require_model, stage_bar
 from radiant_app.events import Warned
+from radiant_app.files.run_folder import read_manifest
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import (
@@ -29,10 +30,12 @@ from radiant_core.geometry.cleaning import (
 )
 from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS, Support, save_support
 from radiant_core.io.cleaning_file import cleaning_path, load_cleaning, save_cleaning, step_record
+from radiant_core.io.run_store import RunLock, read_json
 from radiant_core.io.waypoints.region import load_region
 from radiant_viewer.runs.cleaned_model import OWN_SUPPORT, CleanedModel, cleaned_model, find_support, surroundings
-from radiant_viewer.runs.run_view import RunView, load_run_view, require_splats
+from radiant_viewer.runs.run_view import METRICS_NAME, RunView, load_run_view, require_splats
 from radiant_viewer.runs.sent_pages import older_sentence
+from radiant_viewer.runs.unplanned import finish_command, folder_kind
 
 MEASURED_LONG_SIDE_PX = 640
 Warn = Callable[[str], None]
@@ -80,12 +83,23 @@ def clean(request: CleanRequest, display: ProgressDisplay) -> dict[str, Any]:
         save_cleaning(path, after)
     figures = _figures(result, path, "units" if run is None else run.unit)
     if request.pages:
-        from radiant_app.commands.model.pages import rewrite_pages
-
         return {**figures, **rewrite_pages(request.model, display)}
     if sentence := older_sentence(request.model):
         display(Warned(stage="clean", message=f"{sentence}: 'radiant clean {request.model} --pages' makes them anew."))
     return figures
+
+
+def rewrite_pages(run: Path, display: ProgressDisplay) -> dict[str, Any]:
+    """Write report.html and scene.html of a finished run as its model is cleaned now; BadInput
+    where the folder holds none, or the run is at work."""
+    from radiant_app.report.html import write_report
+
+    if not run.is_dir() or folder_kind(run) != "run":
+        raise BadInput(f"{run} has no pages that are sent: give the folder that 'radiant run --out' made, or leave --pages out.")
+    if not (run / METRICS_NAME).is_file():
+        raise BadInput(f"{run} has no {METRICS_NAME}, of which its report tells: {finish_command(run)}.")
+    with RunLock(run):
+        return {"pages": str(write_report(run, read_manifest(run), read_json(run / METRICS_NAME), display))}
 
 
 def require_cleaned_model(run: RunView) -> CleanedModel:
