@@ -27,7 +27,7 @@ import numpy as np
 import typer
 
 from benchmarks.metric import Metric
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.report.progress import track_items
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput

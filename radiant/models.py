@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from rich.console import Console
 
 from radiant.scenes import Scene
-from radiant_app.commands.export import export as export_by_request
-from radiant_app.commands.export_request import ExportRequest
+from radiant_app.commands.export.export import export as export_by_request
+from radiant_app.commands.export.request import ExportRequest
 from radiant_app.events import Listener, StageDone, StageProgress, StageStarted, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.reporting import EventReporter

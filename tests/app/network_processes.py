@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 import pytest
 
-from radiant_app.commands import node as commands
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.network import node as commands
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import encode
 from radiant_app.executors import local

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from radiant_app.commands import node as commands
+from radiant_app.commands.network import node as commands
 from radiant_app.network.home import Listening, make_home, open_home
 from radiant_app.network.hub import Hub, open_hub
 from radiant_app.network.kinds import RESULT_FILES

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.extend import _virtual_cameras
+from radiant_app.commands.model.extend import _virtual_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.codec import VIRTUAL_CAMERAS, sim3_record

@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.executors.fork_server import SWITCH

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.extend import ExtendRequest, extend
-from radiant_app.commands.replan import ReplanRequest, replan_files
+from radiant_app.commands.model.extend import ExtendRequest, extend
+from radiant_app.commands.plan.replan import ReplanRequest, replan_files
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, Failed, StageProgress, Warned, encode
 from radiant_app.files.event_file import read_progress

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.inspect import plan_file_of, plan_setting, run_setting, save_picture
-from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.plan_content import ContentRequest
+from radiant_app.commands.inspect.window import plan_file_of, plan_setting, run_setting, save_picture
+from radiant_app.commands.plan.content import ContentRequest
+from radiant_app.commands.plan.plan import PlanRequest, plan
 from radiant_app.files.constraints_file import dump_constraints, load_constraints
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import ProgressDisplay

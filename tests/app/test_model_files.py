@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.clean import CleanRequest, clean
-from radiant_app.commands.evaluate import EvaluateRequest, evaluate
-from radiant_app.commands.export import export
-from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.inspect import Picture, plan_file_of, save_picture
-from radiant_app.commands.measure import export_measures
-from radiant_app.commands.render import RenderRequest, render
+from radiant_app.commands.export.export import export
+from radiant_app.commands.export.request import ExportRequest
+from radiant_app.commands.inspect.window import Picture, plan_file_of, save_picture
+from radiant_app.commands.model.clean import CleanRequest, clean
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.model.render import RenderRequest, render
+from radiant_app.commands.survey.measure import export_measures
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.reporting import EventReporter
 from radiant_core.aggregate.config import AggregateConfig

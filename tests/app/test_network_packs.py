@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands import node as commands
-from radiant_app.commands import node_packs
+from radiant_app.commands.network import node as commands
+from radiant_app.commands.network import packs as node_packs
 from radiant_app.network import carrying, packs
 from radiant_app.network.arrivals import INCOMING, SPARE_BYTES, Arrivals
 from radiant_app.network.carrying import CarriedWay

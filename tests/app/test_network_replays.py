@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands import node_packs
+from radiant_app.commands.network import packs as node_packs
 from radiant_app.network.contents import MAX_REASON_CHARS, check_frame
 from radiant_app.network.home import Listening, open_home
 from radiant_app.network.packs import LIST_NAME, SIGNATURE_NAME

@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from radiant_app.commands import node as commands
+from radiant_app.commands.network import node as commands
 from radiant_app.network import line as lines
 from radiant_app.network.home import Listening, make_home, open_home
 from radiant_app.network.hub import open_hub

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.export import export
-from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.extend import ExtendRequest, extend
+from radiant_app.commands.export.export import export
+from radiant_app.commands.export.request import ExportRequest
+from radiant_app.commands.model.extend import ExtendRequest, extend
 from radiant_app.config.run_config import RunConfig
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import run

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.workers.sources import reconstruct_source, sfm_task
 from radiant_app.workers.tasks import SfmTask

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands.replan import ReplanRequest, replan_files
+from radiant_app.commands.plan.replan import ReplanRequest, replan_files
 from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.profile_file import save_profile
 from radiant_app.files.system_file import dump_system, load_system

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.commands.plan.plan import PlanRequest, plan
 from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay

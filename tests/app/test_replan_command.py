@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.replan import ReplanRequest, parse_values, replan_files, replan_table
+from radiant_app.commands.plan.plan import PlanRequest, plan
+from radiant_app.commands.plan.replan import ReplanRequest, parse_values, replan_files, replan_table
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput

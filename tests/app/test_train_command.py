@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.evaluate import EvaluateRequest, evaluate
-from radiant_app.commands.steps import sfm
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.steps import sfm
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.files.score_file import SCORES
 from radiant_app.quantities import bytes_of, seconds_of

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.hierarchy.codec import FRAME_NAME, MODEL_NAME, VIRTUAL_CAMERAS
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model

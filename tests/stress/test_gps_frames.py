@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
-from radiant_app.commands.demo import DEMO_TRAINING, sample_scenes_folder
+from radiant_app.commands.run.demo import DEMO_TRAINING, sample_scenes_folder
 from radiant_app.config.run_config import RunConfig
 from radiant_app.run.pipeline import run
 from radiant_core.cameras import Cameras

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.commands.plan.plan import PlanRequest, plan
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan_waypoints

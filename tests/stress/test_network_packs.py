@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands import node_packs
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.network import packs as node_packs
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from tests.app.network_processes import ROOT, Fleet, run_here
 

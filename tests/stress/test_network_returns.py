@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions
 from radiant_app.events import Event, StageDone
 from radiant_app.executors import local
