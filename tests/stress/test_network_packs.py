@@ -18,7 +18,7 @@ from tests.app.network_processes import ROOT, Fleet, run_here
 pytestmark = pytest.mark.stress
 LONGEST_S = 1500.0
 WORK = (
-    "import sys; from pathlib import Path; from radiant_app.commands import node; from tests.app.network_processes import command; "
+    "import sys; from pathlib import Path; from radiant_app.commands.network import node; from tests.app.network_processes import command; "
     "home, photos, poses = map(Path, sys.argv[1:]); "
     "node.Running(command=command).work(home, photos, poses, lambda text: True, offline=True)"
 )
