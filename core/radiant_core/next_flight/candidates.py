@@ -31,7 +31,7 @@ from radiant_core.survey.map_grid import MapFrame
 PITCHES_DEG = (-90.0, -60.0, -40.0)
 DISTANCES = (1.0, 0.6)
 NUM_HEADINGS = 8
-AIMS = 48
+AIMS = 32
 """About so many aims, unless the cells are fewer."""
 TAKE_OFF_SHARE = 0.2
 """Take-off is as high as this share of the ground's cells, unless it is given."""
