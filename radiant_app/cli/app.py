@@ -17,7 +17,7 @@ from radiant_app.cli.clean import clean
 from radiant_app.cli.node import node
 from radiant_app.cli.option_types import AggregatePresetOption, AsJson, LpipsNet, LpipsWeights, SizeOption
 from radiant_app.cli.output import export, render, view
-from radiant_app.cli.plan import plan
+from radiant_app.cli.plan import next_flight, plan
 from radiant_app.cli.profile import profile
 from radiant_app.cli.replan import replan_plan
 from radiant_app.cli.run import demo, run
@@ -66,6 +66,7 @@ app.command()(run)
 app.command()(demo)
 app.command()(sfm)
 app.command()(plan)
+app.command("next-flight")(next_flight)
 app.command()(profile)
 app.command("replan")(replan_plan)
 app.command()(train)

@@ -23,6 +23,10 @@ from radiant_core.next_flight.sightings import Known, Sighting, log_det
 from radiant_core.numerics import FloatArray
 
 
+LEAST_SHARE = 0.05
+"""A smaller share of the gain is no reason."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Chosen:
     """A view of a proposal and why: row of the candidate, gain, and the part of the gain, in shares
@@ -49,8 +53,9 @@ class Chosen:
             (self.from_weak, f"{self.weak_area:.0f} {unit}² of fewer than {MIN_VIEWS} views or {MIN_PARALLAX_DEG:g}° parallax"),
             (self.from_finer, "surface known already, from another side or finer"),
         ]
-        said = [f"{100 * share:.0f} %: {what}" for share, what in sorted(parts, key=lambda part: -part[0]) if share >= 0.05]
-        on_walls = f"; {100 * self.walls:.0f} % of it walls" if self.unseen_area + self.weak_area > 0 else ""
+        said = [f"{100 * share:.0f} %: {what}" for share, what in sorted(parts, key=lambda part: -part[0]) if share >= LEAST_SHARE]
+        needed = self.from_unseen + self.from_weak >= LEAST_SHARE
+        on_walls = f"; {100 * self.walls:.0f} % of the unseen or weak surface is walls" if needed else ""
         return f"gain {self.gain:.0f}, {', '.join(said)}{on_walls}"
 
 

@@ -21,12 +21,12 @@ from radiant_core.errors import BadInput
 from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.geometry.cleaning import keeps_places
 from radiant_core.io.run_store import write_json
-from radiant_core.next_flight.facets import Facets, facets_of
+from radiant_core.next_flight.facets import Facets
 from radiant_core.next_flight.layers import BANDS, CLASSES, HOLE, WEAK, KnownMap, support_raster, weak_features
+from radiant_core.next_flight.model_surface import MapView, facets_of_model
 from radiant_core.next_flight.sightings import Sights, known_by
 from radiant_core.numerics import FloatArray
 from radiant_core.survey.geojson import to_geojson
-from radiant_core.survey.heights import RENDERING, filled, height_map
 from radiant_core.survey.map_grid import grid_over
 
 if TYPE_CHECKING:
@@ -127,28 +127,20 @@ def _cell(survey: Survey, resolution: float | None, display: ProgressDisplay) ->
 
 
 def _facets(survey: Survey, cell: float, display: ProgressDisplay) -> Facets:
-    """The surface that views of the model agree on; what is open between is filled from around."""
-    from radiant_core.survey.surface_points import points_of_model
-
     ground, scene = survey.ground, survey.run.scene
-    grid = grid_over(ground.low, ground.high, cell, survey.map_frame)
     with stage_bar(display, "surface") as report:
-        parts = [
-            survey.map_frame.from_world(part.points[keeps_places(survey.cleaning, part.points, survey.regions)])
-            for part in points_of_model(
-                survey.splats, scene, LONG_SIDE_PX, ground.reach, lambda done, total: report(done, total, "views")
-            )
-            if len(part)
-        ]
-    if not any(len(part) for part in parts):
-        raise BadInput("no three views of the model agree on any point of the surface: train it further, or add photographs that overlap.")
-    widest = float(np.median(scene.cameras.sizes_wh.max(axis=1)))
-    gsd = ground.gsd * max(1.0, widest / LONG_SIDE_PX)
-    inside = ground.mask(grid)
-    surface = filled(height_map(np.concatenate(parts), grid, gsd, RENDERING), inside, reach_cells=max(grid.shape))
-    outside = ~inside & (surface.source != 1)
-    surface.heights[outside], surface.source[outside] = np.nan, 0
-    return facets_of(surface)
+        return facets_of_model(
+            survey.splats,
+            scene,
+            ground,
+            grid_over(ground.low, ground.high, cell, survey.map_frame),
+            MapView(
+                map_frame=survey.map_frame,
+                long_side_px=LONG_SIDE_PX,
+                keeps=lambda points: keeps_places(survey.cleaning, points, survey.regions),
+                report=lambda done, total: report(done, total, "views"),
+            ),
+        )
 
 
 def _errors(survey: Survey, sights: Sights, score: FloatArray, display: ProgressDisplay) -> tuple[FloatArray, ErrorModel | None]:
