@@ -236,9 +236,7 @@ def _map_row(
     both = np.isfinite(predicted_db) & np.isfinite(true_db)
     good = None if model.margin_db is None else float((true_db[both] >= predicted_db[both] - model.margin_db).mean())
     rank = float(spearmanr(predicted_db[both], true_db[both]).statistic)
-    return MapRow(
-        seed=town.seed, rank_true=rank, rank_held_out=model.rank, good_true=good, facets=count, map_s=0.0, proposal_s=0.0
-    )
+    return MapRow(seed=town.seed, rank_true=rank, rank_held_out=model.rank, good_true=good, facets=count, map_s=0.0, proposal_s=0.0)
 
 
 def measure_seed(seed: int, out: Path, width_px: int, num_steps: int) -> tuple[list[ArmRow], MapRow]:

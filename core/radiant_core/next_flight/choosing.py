@@ -15,13 +15,10 @@ import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS
 from radiant_core.next_flight.facets import Facets
 from radiant_core.next_flight.sightings import Known, Sighting, log_det
 from radiant_core.numerics import FloatArray
-
 
 LEAST_SHARE = 0.05
 """A smaller share of the gain is no reason."""

@@ -12,7 +12,7 @@ exceed, `rank` the correlation of ranks. M samples: a facet in a held-out photog
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2

@@ -77,9 +77,7 @@ def find_known(survey: Survey, resolution: float | None, display: ProgressDispla
 def write_known(found: FoundMap, folder: Path) -> dict[str, Any]:
     """Write known.tif and known.geojson into the existing folder, and return the figures."""
     grid, survey = found.layers.facets.surface.grid, found.survey
-    raster = TiledRaster(
-        place=grid, shape=grid.shape, bands=BANDS, tile_px=TILE_PX, dtype=np.float32, no_data=NO_DATA, classes=CLASSES
-    )
+    raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=TILE_PX, dtype=np.float32, no_data=NO_DATA, classes=CLASSES)
     save_tiles(folder / "known.tif", raster, cut_tiles(found.layers.bands(NO_DATA), TILE_PX, NO_DATA))
     about = {"unit": survey.run.unit, **_error_figures(found.errors)}
     write_json(folder / "known.geojson", to_geojson(survey.map_frame, weak_features(found.layers, survey.map_frame), about))

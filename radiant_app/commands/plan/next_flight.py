@@ -48,6 +48,7 @@ from radiant_core.waypoints.region import load_region
 if TYPE_CHECKING:
     from radiant_viewer.charts.known_chart import FlownLine
 
+NO_LISTS = "the scene has no place on the globe: the views are in next.geojson alone, without flight lists."
 SAFE_M, MOST_VIEWS = 5.0, 500
 """Distance to every surface unless another is asked for; views that batteries are filled with."""
 
@@ -255,7 +256,7 @@ def _write_flights(request: NextFlightRequest, proposal: _Proposal, display: Pro
         _write_lists(request, proposal)
         lists = str(request.out / "flight")
     else:
-        display(Warned(stage=STAGE, message="the scene has no place on the globe: the views are in next.geojson alone, without flight lists."))
+        display(Warned(stage=STAGE, message=NO_LISTS))
         lists = "none"
     rows = [
         {"device": flight.device, "views": len(flight.views), "flight_s": round(flight.flight_s), "batteries": flight.batteries}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import shapely
@@ -75,7 +77,7 @@ def test_a_way_keeps_its_distance_and_goes_around_forbidden_land() -> None:
     assert np.array_equal(way[owner >= 0], places)
     # Over the block, which is between the first two, and around the land before the third.
     assert way[:, 2].max() >= 8.0 + 3.0
-    for start, end in zip(way[:-1], way[1:], strict=True):
+    for start, end in pairwise(way):
         points = start + np.linspace(0, 1, 200)[:, None] * (end - start)
         away = np.linalg.norm(points[:, None] - facets.places[None], axis=2)
         assert away.min() >= 3.0

@@ -39,9 +39,7 @@ def known_picture(found: KnownMap, unit: str, flights: Sequence[FlownLine] = ())
     bands[bands == NO_DATA] = np.nan
     height_px = int(np.clip((PANEL_PX - LEFT_PX - BAR_PX) * grid.rows / grid.columns, 180, 900))
     figure = titled_figure((3 * PANEL_PX, height_px + TOP_PX + FOOT_PX), "What is known of the surface")
-    panels = [
-        axes_at(figure, (LEFT_PX + index * PANEL_PX, FOOT_PX, PANEL_PX - LEFT_PX - BAR_PX, height_px)) for index in range(3)
-    ]
+    panels = [axes_at(figure, (LEFT_PX + index * PANEL_PX, FOOT_PX, PANEL_PX - LEFT_PX - BAR_PX, height_px)) for index in range(3)]
     corner = grid.north_west
     extent = (corner[0], corner[0] + grid.columns * grid.cell, corner[1] - grid.rows * grid.cell, corner[1])
     bars = (("Photographs", bands[..., 0], "viridis", (0, MOST_VIEWS)), ("Predicted PSNR (dB)", bands[..., 4], "magma", None))
