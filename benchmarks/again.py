@@ -97,9 +97,16 @@ class Town:
     def __init__(self, seed: int, width_px: int, num_steps: int) -> None:
         size = {"width_px": width_px, "height_px": round(0.75 * width_px)}
         self.config = SceneConfig(
-            num_cameras=NUM_FLOWN, extent_m=EXTENT_M, oblique_fraction=0.0, gps_error_m=0.0, seed=seed, off_path=NUM_OFF_PATH, textured_points=True,
-            num_known_points=6000, **size,
-        )  # fmt: skip
+            num_cameras=NUM_FLOWN,
+            extent_m=EXTENT_M,
+            oblique_fraction=0.0,
+            gps_error_m=0.0,
+            seed=seed,
+            off_path=NUM_OFF_PATH,
+            textured_points=True,
+            num_known_points=6000,
+            **size,
+        )
         self.seed, self.num_steps = seed, num_steps
         self.photographer = Photographer(self.config)
         self.flown = plan_flight(self.config)
@@ -203,9 +210,15 @@ def propose(town: Town) -> Proposals:
 
 def _shots(cameras: Cameras, rows: Sequence[int]) -> list[Shot]:
     return [
-        Shot(name=f"more_{number:04d}.jpg", cam_from_world=cameras.cam_from_world[row], gps_position_m=cameras.centers[row], time_s=0.0, exposure_ev=0.0)
+        Shot(
+            name=f"more_{number:04d}.jpg",
+            cam_from_world=cameras.cam_from_world[row],
+            gps_position_m=cameras.centers[row],
+            time_s=0.0,
+            exposure_ev=0.0,
+        )
         for number, row in enumerate(rows)
-    ]  # fmt: skip
+    ]
 
 
 def _map_row(
