@@ -11,15 +11,28 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import tifffile
+from rich.console import Console
 
 from radiant_app.commands.plan.next_flight import NextFlightRequest, plan_next_flight
 from radiant_app.events import Event, Warned
+from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.next_flight.layers import BANDS
 from radiant_core.waypoints.reader import read_waypoints
 from tests.viewer.made_up_run import made_up_town, save_run
 
 SAFE_M = 6.0
+
+
+class Hearing(ProgressDisplay):
+    """A display that shows nothing and remembers what it was told."""
+
+    def __init__(self) -> None:
+        super().__init__(Console(quiet=True))
+        self.heard: list[Event] = []
+
+    def __call__(self, event: Event) -> None:
+        self.heard.append(event)
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +44,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def flown(run: Path) -> tuple[Path, dict[str, Any], list[Event]]:
-    heard: list[Event] = []
+    display = Hearing()
     out = run.parent / "next"
     request = NextFlightRequest(run=run, out=out, photographs=6, resolution=3.0, safe_m=SAFE_M, highest_m=80.0)
-    return out, plan_next_flight(request, heard.append), heard
+    return out, plan_next_flight(request, display), display.heard
 
 
 def test_the_map_has_its_bands_and_place(flown: tuple[Path, dict[str, Any], list[Event]]) -> None:
@@ -91,7 +104,7 @@ def test_lists_are_read_back_alike(flown: tuple[Path, dict[str, Any], list[Event
 
 def test_the_map_alone_has_no_flight_and_bad_requests_leave_nothing(run: Path) -> None:
     out = run.parent / "map"
-    figures = plan_next_flight(NextFlightRequest(run=run, out=out, resolution=4.0), lambda event: None)
+    figures = plan_next_flight(NextFlightRequest(run=run, out=out, resolution=4.0), Hearing())
     assert "views" not in figures
     assert sorted(path.name for path in out.iterdir()) == ["known.geojson", "known.png", "known.tif"]
     nothing = run.parent / "nothing"
@@ -103,5 +116,5 @@ def test_the_map_alone_has_no_flight_and_bad_requests_leave_nothing(run: Path) -
         (NextFlightRequest(run=run, out=nothing, resolution=4.0, photographs=2, highest_m=6.0), "raise the upper limit|none of"),
     ):
         with pytest.raises(BadInput, match=said):
-            plan_next_flight(request, lambda event: None)
+            plan_next_flight(request, Hearing())
         assert not nothing.exists()
