@@ -20,7 +20,6 @@ from typing import Annotated
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -36,7 +35,7 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.next_flight.candidates import FlightRules, air_over, candidate_views, usual_take_off
 from radiant_core.next_flight.choosing import choose_views
 from radiant_core.next_flight.model_surface import MapView, facets_of_model
-from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, mean_errors_db
+from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, mean_errors_db, rank_correlation
 from radiant_core.next_flight.sightings import Known, Sighting, Sights, known_by
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rasterize import resolve_backend
@@ -95,7 +94,6 @@ class Town:
     """One seed's town, its flight and what all models are scored on."""
 
     def __init__(self, seed: int, width_px: int, num_steps: int) -> None:
-        size = {"width_px": width_px, "height_px": round(0.75 * width_px)}
         self.config = SceneConfig(
             num_cameras=NUM_FLOWN,
             extent_m=EXTENT_M,
@@ -105,7 +103,8 @@ class Town:
             off_path=NUM_OFF_PATH,
             textured_points=True,
             num_known_points=6000,
-            **size,
+            width_px=width_px,
+            height_px=round(0.75 * width_px),
         )
         self.seed, self.num_steps = seed, num_steps
         self.photographer = Photographer(self.config)
@@ -237,10 +236,12 @@ def _map_row(
         return list(errors_in_views(splats, cameras, pictures, seen, cell))
 
     train_rows, held_rows = np.flatnonzero(~held), np.flatnonzero(held)
-    train_db = mean_errors_db(count, sightings, errors(scene.cameras.select(train_rows), [images[row] for row in train_rows], sightings))
+    train_db = mean_errors_db(
+        count, sightings, errors(scene.cameras.select(train_rows), [images[row] for row in train_rows.tolist()], sightings)
+    )
     held_cameras = scene.cameras.select(held_rows)
     held_seen = sights.all_of(held_cameras)
-    samples = error_samples(train_db, known.score, held_seen, errors(held_cameras, [images[row] for row in held_rows], held_seen))
+    samples = error_samples(train_db, known.score, held_seen, errors(held_cameras, [images[row] for row in held_rows.tolist()], held_seen))
     model = fit_errors(samples)
     predicted_db = model.predict(train_db, known.score)
     scored = town.scored_cameras()
@@ -248,7 +249,7 @@ def _map_row(
     true_db = mean_errors_db(count, seen, errors(scored, town.truths, seen))
     both = np.isfinite(predicted_db) & np.isfinite(true_db)
     good = None if model.margin_db is None else float((true_db[both] >= predicted_db[both] - model.margin_db).mean())
-    rank = float(spearmanr(predicted_db[both], true_db[both]).statistic)
+    rank = rank_correlation(predicted_db[both], true_db[both])
     return MapRow(seed=town.seed, rank_true=rank, rank_held_out=model.rank, good_true=good, facets=count, map_s=0.0, proposal_s=0.0)
 
 

@@ -1,12 +1,12 @@
 """Captures from which no good model can come, named while the drone is still there. Once per scene.
 
-    only rotation   cameras spread over less than `LEAST_BASELINE` of the usual depth: no parallax
-    one line        their spread across the line is below `LEAST_ACROSS` of that along it: with GPS
-                    alone the scene may turn about the line
-    only down       all look within `DOWN_DEG` of straight down: walls, and the focal length, are weak
-    no overlap      groups of photographs that share fewer than `LEAST_SHARED` points with each other
-    exposure hunts  brightness at shared points goes up and down by more than `HUNTING_EV` stops from
-                    one photograph to the next, in more than `HUNTING_SHARE` of them
+only rotation   cameras spread over less than `LEAST_BASELINE` of the usual depth: no parallax
+one line        their spread across the line is below `LEAST_ACROSS` of that along it: with GPS
+                alone the scene may turn about the line
+only down       all look within `DOWN_DEG` of straight down: walls, and the focal length, are weak
+no overlap      groups of photographs that share fewer than `LEAST_SHARED` points with each other
+exposure hunts  brightness at shared points goes up and down by more than `HUNTING_EV` stops from
+                one photograph to the next, in more than `HUNTING_SHARE` of them
 """
 
 from __future__ import annotations

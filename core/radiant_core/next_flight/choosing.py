@@ -15,11 +15,15 @@ import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS
 from radiant_core.next_flight.facets import Facets
 from radiant_core.next_flight.sightings import Known, Sighting, log_det
 from radiant_core.numerics import FloatArray
 
+Mask = NDArray[np.bool_]
 LEAST_SHARE = 0.05
 """A smaller share of the gain is no reason."""
 
@@ -92,7 +96,7 @@ def choose_views(
     return tuple(chosen)
 
 
-def _with_reason(facets: Facets, sighting: Sighting, row: int, gains: FloatArray, is_unseen: FloatArray, is_weak: FloatArray) -> Chosen:
+def _with_reason(facets: Facets, sighting: Sighting, row: int, gains: FloatArray, is_unseen: Mask, is_weak: Mask) -> Chosen:
     areas, is_wall = facets.areas[sighting.rows], facets.is_wall[sighting.rows]
     total = float(gains.sum())
     needed = is_unseen | is_weak

@@ -67,7 +67,7 @@ class Facets:
             going = going[ends[going] >= number]
             at[going] += step[going]
             found = np.floor(self.surface.grid.cells_of(at[going, :2])).astype(np.int64)
-            inside = ((found >= 0) & (found < heights.shape)).all(axis=1)
+            inside = np.asarray(((found >= 0) & (found < heights.shape)).all(axis=1))
             there = np.where(inside[:, None], found, 0)
             # NaN, where nothing is known, compares as false.
             is_hit = inside & (heights[there[:, 0], there[:, 1]] > at[going, 2] + TOLERANCE_CELLS * cell)
@@ -87,7 +87,8 @@ def facets_of(surface: HeightMap) -> Facets:
     smooth = _median(surface.heights, known)
     surface = HeightMap(grid=surface.grid, heights=smooth, sigma=surface.sigma, source=surface.source)
     parts = [_tops(surface, known), *(_walls(surface, known, axis) for axis in (0, 1))]
-    places, normals, areas, cells = (np.concatenate([part[index] for part in parts]) for index in range(4))
+    places, normals, areas = (np.concatenate([part[index] for part in parts]).astype(np.float64) for index in range(3))
+    cells = np.concatenate([part[3] for part in parts])
     is_wall = np.arange(len(places)) >= len(parts[0][0])
     return Facets(surface=surface, places=places, normals=normals, areas=areas, is_wall=is_wall, cells=cells)
 

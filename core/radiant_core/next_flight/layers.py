@@ -135,7 +135,7 @@ def _wall_features(found: KnownMap, map_frame: MapFrame, kind: int, name: str) -
     for number in np.unique(owner):
         own = np.flatnonzero(owner == number)
         edges = np.unique(np.sort(np.column_stack([first[own], second[own]]), axis=1), axis=0)
-        lines = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(corners[edges] * half)))
+        lines = shapely.line_merge(shapely.MultiLineString(list(corners[edges] * half)))
         parts = [coordinates_of(map_frame, np.array(part.coords)) for part in shapely.get_parts(lines)]
         heights = facets.places[rows[own], 2]
         about = {"kind": name, "on": "wall", "area": round(float(facets.areas[rows[own]].sum()), 3)}

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -123,6 +123,11 @@ def decibels(squared: FloatArray) -> FloatArray:
     return -10 * np.log10(np.maximum(squared, MIN_SQUARED_ERROR))
 
 
+def rank_correlation(a: FloatArray, b: FloatArray) -> float:
+    """Spearman's correlation of two lists (M,)."""
+    return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+
+
 def error_samples(train_db: FloatArray, score: FloatArray, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> ErrorSamples:
     """Samples of held-out photographs at facets that training photographs show too."""
     rows = np.concatenate([sighting.rows for sighting in sightings]) if sightings else np.zeros(0, np.int64)
@@ -157,7 +162,7 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
         num_cells=model.num_cells,
         num_photographs=model.num_photographs,
         margin_db=float(max(0.0, -np.quantile(excess, MARGIN))),
-        rank=float(spearmanr(predicted, samples.held_db).statistic),
+        rank=rank_correlation(predicted, samples.held_db),
         good=_good_share(excess, folds),
     )
 

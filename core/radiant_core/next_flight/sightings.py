@@ -45,7 +45,7 @@ class Sighting:
         """What it adds to J of its facets, the six numbers (R,6) of a symmetric matrix."""
         weight = self.facing / np.square(self.gsd)
         outer = np.stack([self.toward[:, i] * self.toward[:, j] for i, j in _UPPER], axis=1)
-        return weight[:, None] * (np.array([1, 1, 1, 0, 0, 0], np.float32) - outer)
+        return (weight[:, None] * (np.array([1, 1, 1, 0, 0, 0], np.float32) - outer)).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

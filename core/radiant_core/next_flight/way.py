@@ -115,11 +115,11 @@ def _around(air: Air, start: FloatArray, end: FloatArray) -> list[FloatArray]:
     if not shapely.intersects(air.land, shapely.LineString([start, end])):
         return []
     margin = CORNER_CELLS * air.facets.surface.grid.cell
-    wider = air.land.buffer(margin, join_style="mitre")
+    wider = shapely.buffer(air.land, margin, join_style="mitre")
     nodes = np.concatenate([[start, end], np.unique(shapely.get_coordinates(wider), axis=0)])
     nodes = nodes[np.concatenate([[True, True], ~shapely.intersects_xy(air.land, nodes[2:])])]
     first, second = np.triu_indices(len(nodes), 1)
-    lines = shapely.linestrings(np.stack([nodes[first], nodes[second]], axis=1))
+    lines = np.array([shapely.LineString(ends) for ends in np.stack([nodes[first], nodes[second]], axis=1)])
     is_free = ~shapely.intersects(air.land, lines)
     lengths = np.zeros((len(nodes), len(nodes)))
     lengths[first[is_free], second[is_free]] = shapely.length(lines[is_free])

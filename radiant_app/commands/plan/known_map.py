@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_app.commands.run.steps import stage_bar
 from radiant_app.commands.survey.parts import Survey, support_of_survey
@@ -21,6 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.geometry.cleaning import keeps_places
 from radiant_core.io.run_store import write_json
+from radiant_core.next_flight.capture_faults import CaptureFault, capture_faults
 from radiant_core.next_flight.facets import Facets
 from radiant_core.next_flight.layers import BANDS, CLASSES, HOLE, WEAK, KnownMap, support_raster, weak_features
 from radiant_core.next_flight.model_surface import MapView, facets_of_model
@@ -36,7 +38,7 @@ PIXELS_PER_CELL = 4.0
 MOST_CELLS = 20_000
 """Cells are wider than `PIXELS_PER_CELL` where they would be more: each is asked for of every
 candidate view."""
-LONG_SIDE_PX = 320
+LONG_SIDE_PX, THUMBNAIL_PX = 320, 160
 TILE_PX = 256
 STAGE = "known"
 
@@ -50,6 +52,7 @@ class FoundMap:
     sights: Sights
     layers: KnownMap
     errors: ErrorModel | None
+    faults: tuple[CaptureFault, ...] = ()
 
     @property
     def trained(self) -> Cameras:
@@ -67,11 +70,14 @@ def find_known(survey: Survey, resolution: float | None, display: ProgressDispla
     with stage_bar(display, "views") as report:
         sightings = sights.all_of(cameras, lambda done, total: report(done, total, "photographs"))
     known = known_by(sights, cameras, sightings)
+    faults = capture_faults(survey.run.scene, survey.ground.reach, _small_images(survey))
+    for fault in faults:
+        display(Warned(stage=STAGE, message=fault.sentence))
     error_db, model = _errors(survey, sights, known.score, display)
     support = support_raster(facets, survey.map_frame, survey.splats, support_of_survey(survey, display, LONG_SIDE_PX))
     margin_db = None if model is None else model.margin_db
     layers = KnownMap(facets=facets, known=known, support=support, error_db=error_db, margin_db=margin_db)
-    return FoundMap(survey=survey, sights=sights, layers=layers, errors=model)
+    return FoundMap(survey=survey, sights=sights, layers=layers, errors=model, faults=faults)
 
 
 def write_known(found: FoundMap, folder: Path) -> dict[str, Any]:
@@ -87,12 +93,13 @@ def write_known(found: FoundMap, folder: Path) -> dict[str, Any]:
 def figures_of(found: FoundMap) -> dict[str, Any]:
     """Areas of holes and weak surface, and how far the predicted error can be trusted."""
     layers = found.layers
-    areas = {
+    areas: dict[str, Any] = {
         f"{name}_{on}": round(layers.area_of(kind, walls=walls), 1)
         for kind, name in ((HOLE, "hole"), (WEAK, "weak"))
         for on, walls in (("ground", False), ("walls", True))
     }
     total = float(layers.facets.areas.sum())
+    areas["capture"] = " ".join(fault.sentence for fault in found.faults) or "no fault"
     return {"surface": round(total, 1), **areas, "unit": found.survey.run.unit, **_error_figures(found.errors)}
 
 
@@ -122,6 +129,16 @@ def _cell(survey: Survey, resolution: float | None, display: ProgressDisplay) ->
     )  # fmt: skip
     display(Decided(decision=decision))
     return cell
+
+
+def _small_images(survey: Survey) -> list[NDArray[np.uint8]] | None:
+    """Thumbnails in the order of the cameras; None where photographs are not at hand."""
+    from radiant_core.train.photographs import load_images
+
+    images, cameras = photographs_of_survey(survey), survey.run.scene.cameras
+    if images is None or not all((images / name).is_file() for name in cameras.names):
+        return None
+    return list(load_images(images, cameras.scaled(THUMBNAIL_PX)))
 
 
 def _facets(survey: Survey, cell: float, display: ProgressDisplay) -> Facets:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from radiant_app.commands.plan.flight import WRITERS
 from radiant_app.commands.plan.known_map import STAGE, FoundMap, find_known, write_known
@@ -86,7 +87,7 @@ class _Flight:
     device: str
     views: tuple[Chosen, ...]
     way: FloatArray
-    owner: FloatArray
+    owner: NDArray[np.int64]
     flight_s: float
     batteries: int
 

@@ -13,12 +13,12 @@ from matplotlib.patches import Patch
 from radiant_core.export.geotiff import NO_DATA
 from radiant_core.next_flight.layers import KnownMap
 from radiant_core.numerics import FloatArray
-from radiant_viewer.layers.palette import BLUE, GREY, VERMILLION, WHITE, YELLOW, tint, unit_rgb
+from radiant_viewer.layers.palette import GREY, VERMILLION, YELLOW, unit_rgb
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, style_axes, titled_figure
 
 PANEL_PX, TOP_PX, LEFT_PX, FOOT_PX, BAR_PX = 560, 78, 74, 110, 70
-KIND_COLORS = (tint(BLUE, WHITE, 0.55), YELLOW, VERMILLION)
+KIND_COLORS = tuple(unit_rgb(color) for color in ((165, 205, 232), YELLOW, VERMILLION))
 MOST_VIEWS = 12
 
 
@@ -66,12 +66,12 @@ def _span(ends: tuple[float, float], flights: Sequence[FlownLine], axis: int) ->
 
 
 def _draw_weak(axes: Axes, bands: FloatArray, extent: tuple[float, float, float, float]) -> None:
-    colors = ListedColormap([unit_rgb(color) for color in KIND_COLORS])
+    colors = ListedColormap(KIND_COLORS)
     axes.imshow(bands[..., 6], extent=extent, cmap=colors, norm=BoundaryNorm([0.5, 1.5, 2.5, 3.5], 3), interpolation="none", aspect="equal")
     walls = np.where(bands[..., 8] > 0, 1.0, np.nan)
     axes.imshow(walls, extent=extent, cmap=ListedColormap(["#000000"]), interpolation="none", aspect="equal")
     names = ("known", "fewer than 2 views or 2° parallax", "no photograph")
-    handles = [Patch(color=unit_rgb(color), label=name) for color, name in zip(KIND_COLORS, names, strict=True)]
+    handles = [Patch(color=color, label=name) for color, name in zip(KIND_COLORS, names, strict=True)]
     handles.append(Patch(color="#000000", label="wall that no photograph shows"))
     axes.legend(handles=handles, fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2, frameon=False)
     axes.set_title("What is weak, and the next flight", fontsize=10, color=INK_COLOR, loc="left")
