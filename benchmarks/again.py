@@ -1,4 +1,5 @@
-"""Does a second flight pay where it was proposed? `PYTHONPATH=sample_scenes python -m benchmarks.again --out OUT`.
+"""Does a second flight pay where it was proposed? Run as
+`PYTHONPATH=sample_scenes python -m benchmarks.again --out OUT`.
 
 For each seed a town of the generator, its truth known: 26 photographs of a cheap nadir flight, of
 which every eighth is held out, make a model; its map proposes 13 more views. Three trainings of all
@@ -65,8 +66,8 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRow:
-    """One training: PSNR per view, share of true surface that no photograph shows, least distance of
-    the new photographs to the true surface, CPU seconds."""
+    """One training: PSNR per view, share of true surface that no photograph shows, least distance
+    of the new photographs to the true surface, CPU seconds."""
 
     seed: int
     arm: str

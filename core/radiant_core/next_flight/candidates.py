@@ -6,8 +6,8 @@ distance at every pitch, from `NUM_HEADINGS` sides unless straight down. A place
     z ≥ safe + highest surface within `safe` around it          on the map: a vertical cylinder
     z − take-off ≥ lowest,   z − ground below ≤ highest,   outside of every no-fly polygon
 
-so that it is at least `safe` away from every facet. Where the surface within `safe` is not known the
-highest known height counts. C candidates.
+so that it is at least `safe` away from every facet. Where the surface within `safe` is not known
+the highest known height counts. C candidates.
 """
 
 from __future__ import annotations

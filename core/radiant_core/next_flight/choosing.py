@@ -1,11 +1,11 @@
 """Which views add most to what is known: greedily, by expected gain. Once per proposal.
 
-    gain of a view = Σ over facets that it sees of  area · (log det(J + A) − log det J) / 2     nats · area
+    gain of a view = Σ over facets that it sees of  area · (log det(J + A) − log det J) / 2
 
-J: what is known (`sightings`), A: what the view would add. The sum is submodular and rises with
-every view, so that the greedy choice has at least 1 − 1/e of the best gain of as many views
-(Nemhauser et al., Math. Programming 14, 1978), and a gain from an earlier round bounds today's: only
-views whose old gain could win are counted anew (Minoux 1978). It is the expected information about
+J: what is known (`sightings`), A: what the view would add; nats times area. The sum is submodular
+and rises with every view, so that the greedy choice has at least 1 − 1/e of the best gain of as
+many views (Nemhauser et al., Math. Programming 14, 1978), and a gain from an earlier round bounds
+today's: only views whose old gain could win are counted anew (Minoux 1978). It is the expected information about
 places of facets, as FisherRF's about parameters of Gaussians, in 3 numbers a facet.
 """
 

@@ -1,4 +1,4 @@
-"""The surface of a height map as facets, and which of them a place sees. Once per map of what is known.
+"""The surface of a height map as facets, and which of them a place sees. Once per map.
 
     top    a facet per known cell, facing up along its slope
     wall   where neighbours differ in height by more than `STEP_CELLS` cells: a stack of facets of a

@@ -23,7 +23,7 @@ from radiant_core.survey.surface_points import points_of_model
 
 @dataclass(frozen=True, kw_only=True)
 class MapView:
-    """On which map, by pictures of which size; keeps: which points (P,3) of the world count, (P,)."""
+    """On which map, by pictures of which size; keeps: which points (P,3) of the world count."""
 
     map_frame: MapFrame
     long_side_px: int

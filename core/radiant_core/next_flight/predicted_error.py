@@ -1,7 +1,7 @@
 """Which error a model has at each facet, predicted from what is known of it. Once per map.
 
-    y = −10 log10(mean squared error of a render about the facet's pixel)            dB, larger is better
-    y ≈ a + f(y in the training photographs) + g(log det J)                           f, g rising
+    y = −10 log10(mean squared error of a render about the facet's pixel)     dB, more is better
+    y ≈ a + f(y in the training photographs) + g(log det J)                   f, g rising
 
 The first term knows how hard a place is to show, the second how well it was photographed. f and g
 are fitted to held-out photographs by turns, each the closest rising function to what the other
@@ -38,8 +38,8 @@ MIN_SAMPLES = 100
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorSamples:
-    """rows (M,) of facets, photograph (M,) that saw it, held_db (M,): y there, train_db (M,): mean y
-    of the training photographs at that facet, score (M,): log det J."""
+    """rows (M,) of facets, photograph (M,) that saw it, held_db (M,): y there, train_db (M,): mean
+    y of the training photographs at that facet, score (M,): log det J."""
 
     rows: Rows
     photograph: NDArray[np.int64]
@@ -168,7 +168,7 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
 
 
 def _good_share(excess: FloatArray, folds: NDArray[np.int64]) -> float:
-    """Share of the samples (M,) at least as good as called, each fold by the margin of the others."""
+    """Share of the samples (M,) at least as good as called, a fold by the margin of the others."""
     is_good = np.zeros(len(excess), bool)
     for fold in range(int(folds.max()) + 1):
         margin_db = -np.quantile(excess[folds != fold], MARGIN)

@@ -1,9 +1,9 @@
-"""The line that a drone flies through chosen views: short, safe, with climbs where it must. Once per
-device, O(P²) a round of 2-opt; P places.
+"""The line that a drone flies through chosen views: short, safe, with climbs where it must. Once
+per device, O(P²) a round of 2-opt; P places.
 
 A leg is safe where every point of it is (`Air`), checked at every half cell. A leg that is not is
-flown higher: straight up, across, straight down. A leg across land that is not flown over goes along
-the corners around it, by the shortest way (Dijkstra over the corners that see each other).
+flown higher: straight up, across, straight down. A leg across land that is not flown over goes
+along the corners around it, by the shortest way (Dijkstra over the corners that see each other).
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ CORNER_CELLS = 1.0
 
 
 def shortest_order(places: FloatArray) -> NDArray[np.int64]:
-    """An order (P,) of places (P,3) to fly by, home again at its end: from each to its nearest, then
-    by turning parts round until none gets shorter (2-opt), the best of `NUM_STARTS` beginnings."""
+    """An order (P,) of places (P,3) to fly by, home again at its end: from each to its nearest,
+    then by turning parts round until none gets shorter (2-opt); the best of `NUM_STARTS`
+    beginnings."""
     count = len(places)
     if count < 4:
         return np.arange(count)
@@ -73,8 +74,8 @@ def _from_longest_leg(far: FloatArray, tour: NDArray[np.int64]) -> NDArray[np.in
 
 
 def safe_way(air: Air, places: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
-    """The way (Q,3) through places (P,3) in their order, and of each of its points the place that it
-    is, or −1 where it is only passed. BadInput where a leg would have to climb beyond the highest
+    """The way (Q,3) through places (P,3) in their order, and of each of its points the place that
+    it is, or −1 where it is only passed. BadInput where a leg would have to climb beyond the highest
     allowed, or no way leads around the land that is not flown over."""
     way, owner = [places[0]], [0]
     for index, (start, end) in enumerate(pairwise(places)):

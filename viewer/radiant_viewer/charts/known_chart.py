@@ -24,7 +24,7 @@ MOST_VIEWS = 12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlownLine:
-    """One device's way (Q,3) on the map, and its photographs: places (P,3), where they look (P,3)."""
+    """One device's way (Q,3) on the map, its photographs' places (P,3) and where they look."""
 
     name: str
     way: FloatArray
