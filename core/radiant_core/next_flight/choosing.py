@@ -5,8 +5,8 @@
 J: what is known (`sightings`), A: what the view would add; nats times area. The sum is submodular
 and rises with every view, so that the greedy choice has at least 1 − 1/e of the best gain of as
 many views (Nemhauser et al., Math. Programming 14, 1978), and a gain from an earlier round bounds
-today's: only views whose old gain could win are counted anew (Minoux 1978). It is the expected information about
-places of facets, as FisherRF's about parameters of Gaussians, in 3 numbers a facet.
+today's: only views whose old gain could win are counted anew (Minoux 1978). It is the expected
+information about places of facets, as FisherRF's (arXiv 2311.17874) about Gaussians.
 """
 
 from __future__ import annotations

@@ -75,8 +75,8 @@ def _from_longest_leg(far: FloatArray, tour: NDArray[np.int64]) -> NDArray[np.in
 
 def safe_way(air: Air, places: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
     """The way (Q,3) through places (P,3) in their order, and of each of its points the place that
-    it is, or −1 where it is only passed. BadInput where a leg would have to climb beyond the highest
-    allowed, or no way leads around the land that is not flown over."""
+    it is, or −1 where it is only passed. BadInput where a leg would have to climb beyond the
+    highest allowed, or no way leads around the land that is not flown over."""
     way, owner = [places[0]], [0]
     for index, (start, end) in enumerate(pairwise(places)):
         between = _between(air, start, end)

@@ -17,7 +17,7 @@ from radiant_viewer.layers.palette import GREY, VERMILLION, YELLOW, unit_rgb
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, style_axes, titled_figure
 
-PANEL_PX, TOP_PX, LEFT_PX, FOOT_PX, BAR_PX = 560, 78, 74, 110, 70
+PANEL_PX, TOP_PX, LEFT_PX, FOOT_PX, BAR_PX = 570, 78, 90, 110, 70
 KIND_COLORS = tuple(unit_rgb(color) for color in ((165, 205, 232), YELLOW, VERMILLION))
 MOST_VIEWS = 12
 
