@@ -83,9 +83,9 @@ def fit_in_process(
     def take_waiting() -> None:
         begun_s = clock()
         first, *others = holders.values()
-        total = first.take(waiting[0])
+        first.take(waiting[0])
         for holder in others:
-            holder.follow(first, total)
+            holder.follow(first)
         cost.take_s.append(clock() - begun_s)
         waiting.clear()
 

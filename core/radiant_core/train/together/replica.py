@@ -32,9 +32,12 @@ from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes
 from radiant_core.train.together.gradients import Layout, StepGradients
+from radiant_core.train.together.masking import first_magnitudes, next_magnitudes
 from radiant_core.train.trainer import STEPS_BETWEEN_LIMITS, FitOptions, ModelFit, settled_rate_share
 from radiant_core.train.view_loss import ViewLoss, view_of_step
 from radiant_core.train.views import TrainingViews
+
+_MAGNITUDES = "magnitudes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,6 +129,7 @@ class Replica(ModelFit):
         self._parts = self._parts_of_group()
         self._view_loss = None if share is None else ViewLoss(share.views, self._config, options.backend, options.statistics_bytes)
         self._gradients: dict[str, NDArray[np.float32]] = {}
+        self._magnitudes = first_magnitudes(self.layout)
         self.failed_views: list[str] = []
         """Why views of this machine could not be counted."""
 
@@ -148,6 +152,12 @@ class Replica(ModelFit):
         """The columns of this model's gradients."""
         density = self._density
         return Layout.of(self._splats, tuple(self._rates), with_radii=density is not None and density.measures_radii)
+
+    @property
+    def magnitudes(self) -> NDArray[np.int64]:
+        """Those of the totals before, (K,) by `next_magnitudes`: units of masked gradients follow
+        from them."""
+        return self._magnitudes
 
     def contribute(self, step: int | None = None) -> StepGradients:
         """The gradients of this machine's views of a step, by default the next one, by the model as
@@ -208,6 +218,7 @@ class Replica(ModelFit):
         one process one stands for all holders."""
         self._splats, self._optimizer, self._rates = other._splats, other._optimizer, other._rates
         self._parts, self._losses, self.step = other._parts, other._losses, other.step
+        self._magnitudes = other._magnitudes
 
     @property
     def next_step_edits(self) -> bool:
@@ -223,6 +234,8 @@ class Replica(ModelFit):
             with torch.no_grad():
                 rows = torch.from_numpy(limits.rows).to(self._splats.log_scales.device)
                 self._splats.log_scales[rows] = torch.from_numpy(limits.log_scales).to(self._splats.log_scales)
+        if self._group.masked:
+            self._magnitudes = next_magnitudes(self._magnitudes, total, self.layout)
         moment, views = self._moment(self.step), self._group.views_per_step
         settled = settled_rate_share(self.step * views, moment.progress, self._group.num_photographs, self._config.settle_epochs)
         self._set_rates(moment.progress, settled)
@@ -279,9 +292,16 @@ class Replica(ModelFit):
         """The model as this replica has it, and its figures."""
         return self._result(ShapeCounts())
 
+    def state(self) -> TrainState:
+        """A copy of all that changes from step to step."""
+        state = super().state()
+        return replace(state, arrays={**state.arrays, _MAGNITUDES: self._magnitudes}) if self._group.masked else state
+
     def restore(self, state: TrainState) -> None:
         """Go on from `state`; BadInput where it is of other inputs or configuration."""
         super().restore(state)
+        if self._group.masked:
+            self._magnitudes = _magnitudes_of(state, len(self._magnitudes))
         if self._view_loss is not None:
             self._view_loss.use_size(self._config.start_scale if self.progress < self._config.full_size_from else 1.0)
 
@@ -297,3 +317,10 @@ class Replica(ModelFit):
         """Where one of this machine's views stands: views of a step are numbered through."""
         view = view_of_step(step * share.num_views + number, len(share.views), self._config.seed)
         return replace(moment, step=step * self._group.views_per_step + share.first + number + 1, view=view)
+
+
+def _magnitudes_of(state: TrainState, count: int) -> NDArray[np.int64]:
+    magnitudes = state.arrays.get(_MAGNITUDES)
+    if magnitudes is None or magnitudes.shape != (count,):
+        raise BadInput("the state is of a training without masks: remove the checkpoint and train from the start.")
+    return magnitudes.astype(np.int64)

@@ -33,8 +33,6 @@ class Holder:
         if group.masked != (masks is not None):
             raise BadInput("a device of a masked group needs keys for its masks, and one of another has none.")
         self.replica, self._group, self.masks = replica, group, masks
-        self.unit = FixedPoint.first(replica.layout)
-        """That of the next masked message."""
         self.num_sent = replica.step
         """Steps that it has contributed to."""
 
@@ -54,34 +52,30 @@ class Holder:
         replica = self.replica
         gradients = replica.contribute(self.num_sent)
         if self.masks is not None:
-            message = encode_masked(gradients, self.num_sent, replica.num_splats, self.unit, self.masks)
+            message = encode_masked(gradients, self.num_sent, replica.num_splats, self.unit_of(self.masks), self.masks)
         else:
             message = encode_gradients(gradients, self.num_sent, replica.num_splats, replica.layout, self._group.form)
         self.num_sent += 1
         return message
 
+    def unit_of(self, masks: MaskKeys) -> FixedPoint:
+        """That of the next masked message."""
+        return FixedPoint.of(self.replica.magnitudes, len(masks.pairs) + 1)
+
     def skip_message(self) -> None:
         """Count the next message as sent: that of a step whose total is there already."""
         self.num_sent += 1
 
-    def take(self, total: bytes | memoryview) -> StepGradients:
-        """Take the next step by the message of the root; the gradients in it. BadInput where it is
-        damaged."""
+    def take(self, total: bytes | memoryview) -> None:
+        """Take the next step by the message of the root. BadInput where it is damaged."""
         replica, count = self.replica, self.replica.num_splats
         limits, at = decode_limits(total, count)
         gradients = decode_gradients(memoryview(total)[at:], replica.step, count, replica.layout, self._group.views_per_step, checks=False)
-        self._change_unit(gradients)
         replica.take(gradients, limits)
-        return gradients
 
-    def follow(self, other: Holder, total: StepGradients) -> None:
-        """Have the model of a holder in this process that took `total` as its last step."""
-        self._change_unit(total)
+    def follow(self, other: Holder) -> None:
+        """Have the model of a holder in this process that took a step."""
         self.replica.share_model(other.replica)
-
-    def _change_unit(self, total: StepGradients) -> None:
-        if self.masks is not None:
-            self.unit = self.unit.next(total, len(self.masks.pairs) + 1, self.replica.layout)
 
 
 @dataclass(kw_only=True)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
@@ -15,6 +16,7 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import Adc, Densification, NoDensification
 from radiant_core.train.together.codec import encode_gradients
 from radiant_core.train.together.gradients import Layout, StepGradients
+from radiant_core.train.together.masking import MaskKeys
 from radiant_core.train.together.replica import Group, Replica, Share
 from radiant_core.train.together.roles import Holder, Root
 from radiant_core.train.trainer import FitOptions
@@ -82,12 +84,12 @@ def test_a_root_that_was_restored_knows_who_was_left_out_and_takes_the_same_step
 class Member:
     """A holder with what is on its way to it, as a device's process has it."""
 
-    def __init__(self, number: int, root: Root, views: TrainingViews, group: Group, initial: Splats) -> None:
+    def __init__(self, number: int, root: Root, views: TrainingViews, group: Group, initial: Splats, masks: MaskKeys | None) -> None:
         state, last_total = root.standing()
         share = Share(views=views.select([number]), num_views=1, first=number)
         replica = Replica(initial, group, FitOptions(backend="native"), share)
         replica.restore(state)
-        self.holder, self.arrived = Holder(replica, group), list[bytes]()
+        self.holder, self.arrived = Holder(replica, group, masks), list[bytes]()
         if last_total:
             self.holder.skip_message()
             self.arrived.append(last_total)
@@ -99,18 +101,28 @@ class Member:
         return self.holder.message()
 
 
+def new_keys() -> list[MaskKeys]:
+    """Of four members: a member that comes back has another one."""
+    privates = {str(number): X25519PrivateKey.generate() for number in range(4)}
+    publics = {name: private.public_key().public_bytes_raw() for name, private in privates.items()}
+    return [MaskKeys.agree(name, private, publics, "run") for name, private in privates.items()]
+
+
+@pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("overlaps", [False, True])
 @pytest.mark.parametrize(
     "density",
     [NoDensification(), Adc(from_step=0, until_step=40, every=12, min_gradient=0.0, reset_opacity_every=10**9)],
     ids=["fixed", "growing"],
 )
-def test_members_and_a_root_that_begin_anew_in_the_middle_end_in_the_same_bits(overlaps: bool, density: Densification) -> None:
+def test_members_and_a_root_that_begin_anew_in_the_middle_end_in_the_same_bits(
+    overlaps: bool, density: Densification, masked: bool
+) -> None:
     truth, cameras = ground_splats(60), cameras_above([(x, y) for x in (-1.5, 1.5) for y in (-1.0, 1.0)])
     images = tuple(np.uint8(255 * np.clip(view.image, 0, 1)) for view in render_views(truth, cameras))
     views = TrainingViews(cameras=cameras, images=images)
     config = TrainConfig(num_steps=48, density=density, long_side_px=48, schedule_steps=48, max_num_splats=200)
-    group = Group(config=config, num_photographs=4, views_per_step=4, extent=4.0, overlaps=overlaps, form="blocks")
+    group = Group(config=config, num_photographs=4, views_per_step=4, extent=4.0, overlaps=overlaps, form="blocks", masked=masked)
     initial = replace(truth, sh0=np.zeros_like(truth.sh0))
 
     def new_root() -> Root:
@@ -120,15 +132,18 @@ def test_members_and_a_root_that_begin_anew_in_the_middle_end_in_the_same_bits(o
     def trained(restarts: Mapping[int, Sequence[int]]) -> Root:
         """All steps; before those of `restarts` the root and these members begin anew."""
         root = new_root()
-        members = [Member(number, root, views, group, initial) for number in range(4)]
+        keys = new_keys() if masked else [None] * 4
+        members = [Member(number, root, views, group, initial, keys[number]) for number in range(4)]
         while not root.replica.is_done:
             step = root.replica.step
             if step in restarts:
                 saved = root.state()
                 root = new_root()
                 root.restore(replace(saved, numbers=json.loads(json.dumps(saved.numbers))))
-                for number in restarts[step]:
-                    members[number] = Member(number, root, views, group, initial)
+                # Masks of old and new keys do not cancel: all begin anew.
+                keys = new_keys() if masked else keys
+                for number in range(4) if masked else restarts[step]:
+                    members[number] = Member(number, root, views, group, initial, keys[number])
             message, total = root.total({str(number): member.next_message() for number, member in enumerate(members)})
             root.take(total)
             for member in members:
@@ -138,6 +153,7 @@ def test_members_and_a_root_that_begin_anew_in_the_middle_end_in_the_same_bits(o
     whole = trained({})
     assert density.kind == "none" or whole.replica.num_splats != len(initial)
     # Each of them alone, all at once, before and after what adds Gaussians, and after the first step.
+    assert not whole.inbox.refused
     again = trained({1: (0, 1, 2, 3), 2: (0,), 3: (1, 2), 4: (3,), 7: (0, 1, 2, 3), 11: (2,)})
     for name, array in whole.result().splats.arrays().items():
         np.testing.assert_array_equal(again.result().splats.arrays()[name], array)
