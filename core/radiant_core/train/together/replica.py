@@ -66,13 +66,18 @@ class Group:
         old (docs/experiments/together.md)."""
         return float(np.clip(0.9 - 0.1 * (math.log2(self.views_per_step) - 2 + self.overlaps), 0.7, 0.9))
 
+    def edits(self, step: int) -> bool:
+        """Whether taking a step (from 0) may add or remove Gaussians."""
+        density, views = self.config.density, self.views_per_step
+        return not isinstance(density, NoDensification) and (step + 1) % _edits_every(density.every, views) == 0
+
     @property
     def stepping(self) -> TrainConfig:
         """The settings of steps of `views_per_step` views."""
         views, config = self.views_per_step, self.config
         factor, density = math.sqrt(views), config.density
         if not isinstance(density, NoDensification):
-            density = replace(density, every=max(1, round(density.every / views)))
+            density = replace(density, every=_edits_every(density.every, views))
         return replace(
             config,
             num_steps=group_steps(config.num_steps, views),
@@ -83,6 +88,10 @@ class Group:
             opacities_lr=factor * config.opacities_lr,
             sh0_lr=factor * config.sh0_lr,
         )
+
+
+def _edits_every(every: int, views_per_step: int) -> int:
+    return max(1, round(every / views_per_step))
 
 
 def group_steps(num_steps: int, views_per_step: int) -> int:
@@ -224,8 +233,7 @@ class Replica(ModelFit):
     def next_step_edits(self) -> bool:
         """Whether taking the next step may add or remove Gaussians, so that gradients of the model
         before it name other rows."""
-        density = self._config.density
-        return not isinstance(density, NoDensification) and (self.step + 1) % density.every == 0
+        return self._group.edits(self.step)
 
     def take(self, total: StepGradients, limits: Limits | None = None) -> None:
         """Take the next step by the sum of what all machines sent, after applying `limits`; a step

@@ -214,7 +214,7 @@ def test_holders_of_sums_of_other_sizes_have_units_of_their_own_where_one_takes_
     layout = holders["d0"].replica.layout
     values = np.full((1, layout.num_columns), 0.5, np.float32)
     total = StepGradients(num_views=5, loss=0.1, rows=np.array([3]), values=values, seen=np.array([2], np.uint16))
-    holders["d0"].take(encode_limits(None, len(truth)) + encode_gradients(total, 0, len(truth), layout, "float32"))
+    holders["d0"].take(encode_limits(None, 0, len(truth)) + encode_gradients(total, 0, len(truth), layout, "float32"))
     for name in ("d1", "d2"):
         holders[name].follow(holders["d0"])
     of_two, of_three = (holders[name].unit_of(keys[name]).exponents for name in ("d1", "d2"))
