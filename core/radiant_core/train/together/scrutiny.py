@@ -222,7 +222,7 @@ class Scrutiny:
     gaps: dict[str, Gap] = field(default_factory=dict)
     """By the names of two senders that were alone in steps."""
     ties: dict[str, str] = field(default_factory=dict)
-    """By the names of senders that contradict each other, where nobody can say who is right: how."""
+    """By the names of senders that contradict each other without a majority: how."""
     _unsaid: list[str] = field(default_factory=list)
 
     def take_warnings(self) -> list[str]:
