@@ -39,8 +39,8 @@ MIN_SHARE = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Agreement:
-    """agreement_db (M,M) of guest i and host j, NaN where they share too little; reasons; pairs that
-    contradict each other and both stay, with their agreement in dB."""
+    """agreement_db (M,M) of guest i and host j, NaN where they share too little; reasons; and pairs
+    that contradict each other and both stay, with their agreement in dB."""
 
     agreement_db: FloatArray
     refused: dict[int, str]
