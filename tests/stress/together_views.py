@@ -22,7 +22,7 @@ from unittest.mock import PropertyMock, patch
 
 import numpy as np
 
-from radiant_app.bench.cells import ModelCache, bench_settings, deal_cell, layout_of, load_bench_scene
+from benchmarks.methods.cells import ModelCache, bench_settings, deal_cell, layout_of, load_bench_scene
 from radiant_core.choices import StepFormat
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import psnr_db
