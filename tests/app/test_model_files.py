@@ -149,7 +149,7 @@ def extended(old: Splats, new: Splats) -> None:
         sites=(),
         weights=(),
         train=TrainConfig(),
-        aggregate=AggregateConfig(num_epochs=1, refine_epochs=0),
+        aggregate=AggregateConfig(cloud_epochs=1, refine_epochs=0),
         backend="native",
         extends=Extension(polygon=square, margin_m=0.3),
     )
