@@ -29,6 +29,7 @@ from radiant_app.events import Foreseen
 from radiant_app.run.grouping import VIEW_PX, costs_are_nobodys
 from radiant_app.run.predictions import KNOWN_POSES_SHARE, planned_training, refining_law_of
 from radiant_app.run.source import Plan
+from radiant_app.run.whole_run import UNIT_HERE, UNIT_PLANNED
 from radiant_app.workers.sources import locate_source
 from radiant_core.errors import RadiantError
 from radiant_core.hierarchy.recipe import Recipe, trainings_of
@@ -52,7 +53,6 @@ SCORED_CPU_S, REPORT_CPU_S = 0.35, 6.0
 """Of a held-out photograph at `VIEW_PX` with all of its figures, and of the report's pictures."""
 HELD_OUT = 8
 """Every so many-th photograph is held out."""
-UNIT_HERE, UNIT_PLANNED = 0, 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +68,15 @@ class _Work:
     num_edges: int
     joins: bool
     """Whether devices' models are joined and refined."""
+
+
+def slowdown() -> float:
+    """How many times as long as alone a process takes here now, by what else waits for a core."""
+    try:
+        waiting = os.getloadavg()[0]
+    except OSError:
+        return 1.0
+    return max(1.0, (waiting + 1) / (os.cpu_count() or 1))
 
 
 def foresee(config: RunConfig, system: System) -> Foreseen | None:

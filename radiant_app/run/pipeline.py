@@ -26,7 +26,7 @@ from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
 from radiant_app.report.ground_control import placing_of_run, survey_of_run
 from radiant_app.run.dealing import Dealer, deal_files
-from radiant_app.run.foreseen import foresee, foresee_planned
+from radiant_app.run.foreseen import foresee, foresee_planned, slowdown
 from radiant_app.run.groups import end_groups, prepare_meetings, tell_parents, with_groups
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
@@ -125,7 +125,7 @@ def run(
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
-        whole = WholeRun(listen=heard, clock=clock)
+        whole = WholeRun(listen=heard, clock=clock, slowdown=slowdown())
         progress = Progress(manifest=manifest, listener=whole, clock=clock, started_s=clock() - manifest.ended_s)
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))

@@ -4,7 +4,7 @@ over. At every event.
     left = Σ left of the phases that have begun + Σ v P of those to come
 
 P are predicted seconds of a phase (`foreseen.py`) and v = Σ measured / Σ P over the phases of its
-unit of which a tenth is done, else over all of them, else 1. A phase that took t for the share s of
+unit of which a tenth is done, else over all of them, else what else runs here says. A phase that took t for the share s of
 its stages has left
 
     s · t (1 − s) / s  +  (1 − s) · max(v P − t, (1 − s) v P / 2),
@@ -39,6 +39,10 @@ SECONDS_BETWEEN = 2.0
 SURE_SHARE = 0.1
 """From this share of a phase on, its pace corrects the others."""
 PLACING, TRAINING, JOINING, REFINING, SCORING, REPORT = range(len(PHASES))
+REPORT_SHARES = (0.65, 0.25, 0.1)
+"""Of the time of the report, what its steps take: 40 to 55, 12 to 15 and 5 to 9 s of two runs."""
+UNIT_HERE, UNIT_PLANNED = 0, 1
+"""Units of what runs on this machine, and of machines whose costs are known."""
 OFF_PERCENT = (60.0, 60.0, 50.0, 50.0, 50.0, 50.0)
 """By phase: nine of ten estimates made in it were off by less (docs/experiments/planner.md)."""
 
@@ -90,6 +94,8 @@ class WholeRun:
 
     listen: Listener
     clock: Callable[[], float] = time.monotonic
+    slowdown: float = 1.0
+    """Seconds of this machine for each one that is foreseen, before any phase was measured."""
     _phases: tuple[_Phase, ...] = field(default_factory=lambda: tuple(_Phase() for _ in PHASES))
     _foreseen: Foreseen | None = None
     _current: int = 0
@@ -196,7 +202,7 @@ class WholeRun:
             planned_s = sum(planned for planned, _ in pairs)
             if planned_s > 0:
                 return sum(measured for _, measured in pairs) / planned_s
-        return 1.0
+        return self.slowdown if units[index] == UNIT_HERE else 1.0
 
     def _measured(self) -> Iterator[tuple[int, tuple[float, float]]]:
         """(index, (predicted, measured seconds)) of every phase of which a tenth is done here."""
@@ -215,6 +221,7 @@ def _share_of(event: StageStarted | StageProgress | StageDone, before: float) ->
     if isinstance(event, StageStarted):
         return 0.0
     if event.num_steps > 1:
-        inner = event.done / event.total if event.total > 0 else 0.0
-        return max(before, min(1.0, (max(event.step, 1) - 1 + min(1.0, inner)) / event.num_steps) * 0.999)
+        inner, step = min(1.0, event.done / event.total) if event.total > 0 else 0.0, max(event.step, 1) - 1
+        shares = REPORT_SHARES if event.stage == "report" else (1 / event.num_steps,) * event.num_steps
+        return max(before, 0.999 * min(1.0, sum(shares[:step]) + inner * shares[min(step, len(shares) - 1)]))
     return min(0.999, event.done / event.total) if event.total > 0 else before
