@@ -85,7 +85,9 @@ def _layer_drawer() -> None:
     """Beside the views, or on a phone a sheet from below."""
     with v3.VNavigationDrawer(v_if=(f"!({NARROW})",), permanent=True, width=280):
         _layer_list()
-    with v3.VNavigationDrawer(v_if=(NARROW,), v_model=("drawer",), temporary=True, location="bottom"):
+    # What Vuetify calls the width of a drawer at the bottom is its height.
+    height = ("Math.round(0.62 * $vuetify.display.height)",)
+    with v3.VNavigationDrawer(v_if=(NARROW,), v_model=("drawer",), temporary=True, location="bottom", width=height):
         _layer_list()
 
 

@@ -60,7 +60,7 @@ html, body { overflow: hidden !important; }
   .rad-layer .v-btn { min-height: 36px; min-width: 56px; }
   .v-tab.v-btn { padding: 0 9px; min-width: 0; letter-spacing: normal; font-size: 13px; }
   .rad-tab img { max-width: none !important; width: 720px; }
-  .v-navigation-drawer--bottom { max-height: 62dvh !important; height: 62dvh !important; border-radius: 14px 14px 0 0; }
+  .v-navigation-drawer--bottom { border-radius: 14px 14px 0 0; }
 }
 """
 
