@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from radiant_app.cli.bench import bench
+from radiant_app.cli.bench import FORWARDED, bench
 from radiant_app.cli.clean import clean
 from radiant_app.cli.node import node
 from radiant_app.cli.option_types import AggregatePresetOption, AsJson, LpipsNet, LpipsWeights, SizeOption
@@ -190,7 +190,7 @@ app.command()(measure)
 app.command()(clean)
 
 
-app.command()(bench)
+app.command(context_settings=FORWARDED)(bench)
 
 
 @app.command()

@@ -19,6 +19,7 @@ PACKAGES = {
     "radiant_viewer": ROOT / "viewer/radiant_viewer",
     "radiant_app": ROOT / "radiant_app",
     "radiant": ROOT / "radiant",
+    "benchmarks": ROOT / "benchmarks",
 }
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.bench.arms import load_arms
-from radiant_app.bench.cells import Cell, Layout, bench_settings
+from benchmarks.methods.arms import load_arms
+from benchmarks.methods.cells import Cell, Layout, bench_settings
 from radiant_core.aggregate import averaging
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
 from radiant_core.evaluate.image_error import psnr_db
