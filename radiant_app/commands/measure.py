@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.commands.measure_scale import scale_of_run
 from radiant_app.commands.steps import require_file_to_be
 from radiant_app.commands.survey_parts import Survey, cell_of, load_survey
 from radiant_app.commands.survey_surface import PIXELS_PER_CELL, points_of_survey, surface_of_survey
 from radiant_app.files.out_folder import folder_made_for
+from radiant_app.report.known_scale import scale_of_run
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.io.array_file import load_arrays, stream_arrays
@@ -28,14 +28,11 @@ from radiant_core.numerics import FloatArray
 from radiant_core.survey.geojson import line_feature, polygon_feature, to_geojson
 from radiant_core.survey.heights import RENDERING, HeightMap
 from radiant_core.survey.map_grid import MapFrame, MapGrid
-from radiant_core.survey.measures import Accuracy, Measured, MeasureKind, measure, require_measure
+from radiant_core.survey.measures import PLACE_GSD, Accuracy, Measured, MeasureKind, measure, require_measure
 from radiant_core.survey.sight import first_hit
 
 HEIGHTS = "heights.safetensors"
 _SCHEMA, _DTYPES = "radiant.heights", {"heights": "F64", "sigma": "F32", "source": "U8"}
-PLACE_GSD = 0.5
-"""σ of a feature in the orthophoto along each axis, in GSD: half of the edges of the town's lie
-within 0.3 px of the truth, nine of ten within 1.3 px (docs/survey.md)."""
 MAX_NAME = 100
 SNAP_GSD = 5.0
 """Three σ of a rendered depth."""

@@ -1,4 +1,4 @@
-"""The time left of a whole run: there from the start, corrected by what ended, 0 at the end alone; its phases are as many from first to last."""
+"""The time left of a whole run: there from the start, corrected by what ended, 0 at the end alone; the number of phases stays."""
 
 from __future__ import annotations
 

@@ -9,8 +9,12 @@ from typing import Any
 import numpy as np
 
 from radiant_app.report.ground_control import survey_of_run
+from radiant_app.report.survey import sampling_distance
 from radiant_core.scene import SfmScene
+from radiant_core.survey.measures import PLACE_GSD
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
+from radiant_viewer.share.scene_page import PageScale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +30,14 @@ def scale_of_run(run: RunView) -> KnownScale:
     """The scale of a run by ground control, else by GPS; one that the user gave has no known σ, and
     where lengths have no unit there is nothing to know."""
     return known_scale(run.scene, survey_of_run(run.folder))
+
+
+def page_scale(run: RunView) -> PageScale:
+    """What the page of a run says of lengths that are measured on it."""
+    known, unit = scale_of_run(run), run.unit
+    gsd = sampling_distance(run.scene)
+    place = 0.0 if gsd is None else PLACE_GSD * gsd
+    return PageScale(unit=unit, scale_sigma=known.sigma, place_sigma=place, said=known.said, ground=ground_height(run.scene))
 
 
 def known_scale(scene: SfmScene, survey: Mapping[str, Any] | None) -> KnownScale:
