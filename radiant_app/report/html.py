@@ -17,7 +17,7 @@ from radiant_app.events import UPLINK, Listener, StageDone, StageProgress, Stage
 from radiant_app.files.run_folder import Manifest, software_versions
 from radiant_app.files.system_file import load_system
 from radiant_app.report.advice import what_to_try
-from radiant_app.report.gaps import gaps_of
+from radiant_app.report.gaps import gaps_of, notes_of
 from radiant_app.report.ground_control import survey_lines, survey_of_run, survey_rows
 from radiant_app.report.hero import NUM_SIDES, SIZE_WH
 from radiant_app.report.pace import clock_text
@@ -92,7 +92,9 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any], listen:
         survey=survey,
         verdict=verdict_of(metrics),
         advice=what_to_try(metrics, manifest.decisions),
-        gaps=gaps_of(metrics, manifest.warnings, survey.frame),
+        gaps=gaps_of(metrics, survey.frame),
+        notes=notes_of(metrics, manifest.warnings),
+        times=_times(manifest),
         sides=sides,
         flight=flight,
         duration=clock_text(manifest.ended_s) + (" min" if manifest.ended_s < 3600 else " h"),
@@ -156,6 +158,7 @@ def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borde
     from radiant_viewer.charts.charts import timeline_picture
     from radiant_viewer.charts.gantt_chart import gantt_picture
     from radiant_viewer.pictures.images import save_png
+    from radiant_viewer.pictures.page import PHONE_SIZE_WH
     from radiant_viewer.runs.run_pictures import screenshot
 
     folder = run / "pictures"
@@ -170,11 +173,20 @@ def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borde
     for number, view in enumerate(views):
         _tell(listen, 0, number, len(views))
         images[view] = screenshot(run, view)
+    images["regions_phone"] = screenshot(run, "regions", PHONE_SIZE_WH)
     _tell(listen, 0, len(views), len(views))
     folder.mkdir(exist_ok=True)
     for name, image in images.items():
         save_png(folder / f"{name}.png", image)
     return {name: folder / f"{name}.png" for name in images}
+
+
+def _times(manifest: Manifest) -> dict[str, dict[str, Any]]:
+    """The timelines as a phone shows them, by the name of their picture."""
+    from radiant_app.report.phone import timeline_lines
+
+    rows = {"timeline": _timeline_rows(manifest.stages), "timeline_emulated": timeline_of_emulation(manifest) if manifest.emulated else []}
+    return {name: timeline_lines(own) for name, own in rows.items()}
 
 
 def timeline_of_emulation(manifest: Manifest) -> list[Any]:
