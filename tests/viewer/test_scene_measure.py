@@ -20,7 +20,7 @@ from radiant_viewer.share.scene_page import PLACES, WEAK, PageScale, overview
 from tests.viewer.made_up_run import made_up_town, save_run
 
 DEADLINE_S = 120
-SIZE_WH = (560, 400)
+SIZE_WH = (760, 460)
 SCALE = PageScale(unit="m", scale_sigma=0.01, place_sigma=0.02, said="scale by GPS, σ 1 %", ground=0.0)
 ON_SCREEN = """(point) => {
   const camera = radiantViewer.app.root.findByName('camera').camera, v = camera.viewMatrix.data, p = camera.projectionMatrix.data;
