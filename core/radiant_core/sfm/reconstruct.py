@@ -22,11 +22,14 @@ from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.numerics import FloatArray
+from radiant_core.panoramas import has_faces
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.attempts import Attempt, PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
+from radiant_core.sfm.colmap.rig import flatten
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
+from radiant_core.sfm.colmap.strays import MIN_POINTS
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
 from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmProgress, SfmResult, number_phases, with_preview
@@ -78,6 +81,7 @@ def reconstruct(
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
     _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
+    blind = flatten(work_folder / "sparse") if has_faces(photo.name for photo in photographs) else ()
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     remove_readable(work_folder)
@@ -100,6 +104,7 @@ def reconstruct(
             *repeats,
             *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
             *_named(_doubted_counts(mapped.doubted), mapped.doubted),
+            *_blind_count(blind),
             *outliers.warning(),
             *placed.warnings,
         ),
@@ -109,6 +114,7 @@ def reconstruct(
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
             *_doubted_counts(mapped.doubted),
+            *_blind_count(blind),
             *outliers.warning(named=False),
             *placed.warnings,
         ),
@@ -340,6 +346,12 @@ def _doubted_counts(doubted: tuple[str, ...]) -> tuple[str, ...]:
     if not doubted:
         return ()
     return (f"{len(doubted)} of the photographs have a pose that most of their matches contradict.",)
+
+
+def _blind_count(blind: tuple[str, ...]) -> tuple[str, ...]:
+    if not blind:
+        return ()
+    return (f"{len(blind)} faces of panoramas see under {MIN_POINTS} points (sky, or what carries the camera) and are left out.",)
 
 
 def _many_doubted(doubted: tuple[str, ...], total: int) -> tuple[str, ...]:
