@@ -23,7 +23,7 @@ from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig, SfmProgress, SfmResult
-from radiant_core.sfm.intake import AS_FOUND, Intake
+from radiant_core.sfm.intake import AS_FOUND, FACE_MASKS, FACES, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
 if TYPE_CHECKING:
@@ -36,9 +36,8 @@ POSITIONS, DOUBTS = "gps_positions", "doubts"
 SourceKind = Literal["photographs", "colmap", "alignment", "mill19", "film"]
 NO_POSES = Path("none")
 """What `--poses` is given to place photographs anew, whatever lies beside them."""
-FRAMES, FACES, FACE_MASKS = "frames", "faces", "faces.masks"
-"""Folders of structure from motion with the frames of films, the faces of panoramas, their
-masks."""
+FRAMES = "frames"
+"""Folder of structure from motion with the frames of films."""
 
 
 def detect_source(source: Path, poses: Path | None = None) -> tuple[SourceKind, Path, Path | None]:
@@ -198,8 +197,10 @@ def faces_of(
 
     names = photograph_names(prepared.images)
     if prepared.kind != "photographs":
-        if task.intake.panoramas is not None and prepared.kind != "alignment":
+        if task.intake.panoramas is not None:
             raise BadInput(f"--panoramas is of photographs without poses, and {prepared.images} comes with poses: leave it out.")
+        if prepared.kind != "alignment":
+            shutil.rmtree(folder / FACES, ignore_errors=True)
         return replace(prepared, decisions=(), warnings=()), masks
     found = find_panoramas(prepared.images, names, task.intake.panoramas)
     if not found.names:

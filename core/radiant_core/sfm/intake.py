@@ -9,6 +9,8 @@ from radiant_core.choices import MaskIgnores, Panoramas
 from radiant_core.errors import BadInput
 
 LEAST_FRAMES = 3
+FACES, FACE_MASKS = "faces", "faces.masks"
+"""Folders of a work folder with what is cut from panoramas and from their masks."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,9 +27,8 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.attempts import Attempt, PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
-from radiant_core.sfm.colmap.rig import flatten
+from radiant_core.sfm.colmap.rig import flatten, without_blind_faces
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
-from radiant_core.sfm.colmap.strays import MIN_POINTS
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
 from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmProgress, SfmResult, number_phases, with_preview
@@ -104,7 +103,7 @@ def reconstruct(
             *repeats,
             *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
             *_named(_doubted_counts(mapped.doubted), mapped.doubted),
-            *_blind_count(blind),
+            *blind,
             *outliers.warning(),
             *placed.warnings,
         ),
@@ -114,7 +113,7 @@ def reconstruct(
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
             *_doubted_counts(mapped.doubted),
-            *_blind_count(blind),
+            *blind,
             *outliers.warning(named=False),
             *placed.warnings,
         ),
@@ -213,6 +212,7 @@ def scene_from_model(
             model_folder = _written(model, work_folder / "sparse")
         model, images_to_use, masks = _undistorted(model_folder, image_folder, work_folder, given, report)
     model, said = with_points(model, images_to_use, work_folder, report, masks)
+    model, blind = without_blind_faces(model)
     if source.frame is not None:
         placed = scene_as_given(model, source.frame)
     else:
@@ -232,6 +232,7 @@ def scene_from_model(
             *_named(unposed_count(unposed, files), unposed),
             *warn_of_unused(listing, beside),
             *said,
+            *blind,
             *repeats,
             *outliers.warning(),
             *placed.warnings,
@@ -346,12 +347,6 @@ def _doubted_counts(doubted: tuple[str, ...]) -> tuple[str, ...]:
     if not doubted:
         return ()
     return (f"{len(doubted)} of the photographs have a pose that most of their matches contradict.",)
-
-
-def _blind_count(blind: tuple[str, ...]) -> tuple[str, ...]:
-    if not blind:
-        return ()
-    return (f"{len(blind)} faces of panoramas see under {MIN_POINTS} points (sky, or what carries the camera) and are left out.",)
 
 
 def _many_doubted(doubted: tuple[str, ...], total: int) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ def find_panoramas(photo_folder: Path, names: Sequence[str], asked: Panoramas | 
         return FoundPanoramas(warnings=_may_be(photo_folder, names))
     if len(said) < len(names):
         raise BadInput(
-            f"{len(said)} of {len(names)} photographs in {photo_folder} are panoramas ({in_short(said)}), which are cut into faces, and the "
+            f"{len(said)} of {len(names)} photographs in {photo_folder} are panoramas ({in_short(said)}), which become faces, and the "
             "others are not: give them in two folders, or take all for plain photographs by --panoramas none."
         )
     parts = [name for name in said if shown[name] == "part"]

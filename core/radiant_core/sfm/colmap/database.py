@@ -17,7 +17,6 @@ from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.lenses import group_by_lens, set_focal
 from radiant_core.sfm.colmap.pairs import Pairs
 from radiant_core.sfm.colmap.quick_database import Poses, extract_quickly, match_quickly
-from radiant_core.sfm.colmap.rig import apply_rig
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
 
 Item = TypeVar("Item")
@@ -51,8 +50,6 @@ def extract_features(
                 camera_id = camera_id if camera_id >= 0 else _camera_of(database, part[0])
         if not has_faces(lens.names):
             set_focal(database, camera_id, lens)
-    if has_faces(photo.name for photo in photographs):
-        apply_rig(database, photo_folder)
 
 
 def _cameras_by_name(database: Path) -> dict[str, int]:

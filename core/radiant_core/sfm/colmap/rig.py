@@ -11,7 +11,9 @@ import shutil
 from pathlib import Path
 
 from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.panoramas.cutting import RIG_CONFIG
+from radiant_core.panoramas import frame_of
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.strays import MIN_POINTS
@@ -26,10 +28,20 @@ def apply_rig(database: Path, photo_folder: Path) -> None:
 
 def flatten(model_folder: Path) -> tuple[str, ...]:
     """Make the faces in the model of a folder images of their own, as programs without rigs read
-    them, without those that see too few points to train on; their names."""
-    model = read_model(model_folder)
-    blind = {image.name for image in model.images if int((image.point3d_ids != -1).sum()) < MIN_POINTS}
+    them, without those that see too few points; what is said of these."""
+    model, said = without_blind_faces(read_model(model_folder))
     shutil.rmtree(model_folder)
     model_folder.mkdir()
-    write_for_colmap(model.without(blind), model_folder)
-    return tuple(sorted(blind))
+    write_for_colmap(model, model_folder)
+    return said
+
+
+def without_blind_faces(model: ColmapModel) -> tuple[ColmapModel, tuple[str, ...]]:
+    """The model without faces of panoramas that see too few points to train on, and what is said
+    of them."""
+    faces = [image for image in model.images if frame_of(image.name) != image.name]
+    blind = {image.name for image in faces if int((image.point3d_ids != -1).sum()) < MIN_POINTS}
+    if not blind:
+        return model, ()
+    said = f"{len(blind)} faces of panoramas see under {MIN_POINTS} points (sky, or what carries the camera) and are left out."
+    return model.without(blind), (said,)
