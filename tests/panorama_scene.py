@@ -37,7 +37,6 @@ class Walk:
     centers: np.ndarray
     axes: np.ndarray
     width: int
-    points: np.ndarray
 
 
 def walk(num: int, width: int, *, step_m: float = 1.5, seed: int = 3) -> Walk:
@@ -62,7 +61,6 @@ def walk(num: int, width: int, *, step_m: float = 1.5, seed: int = 3) -> Walk:
         centers=np.array(centers),
         axes=np.array(axes),
         width=width,
-        points=np.zeros((0, 3)),
     )
 
 
@@ -88,6 +86,39 @@ def write_walk(folder: Path, made: Walk, *, samples: int = 1, xmp: bool = True, 
 
             jpeg = with_position(jpeg, geodetic_from_enu(made.centers[number]))
         (folder / name).write_bytes(jpeg[:2] + head + jpeg[2:])
+
+
+def seen_points(made: Walk, per_panorama: int = 60, seed: int = 5) -> tuple[np.ndarray, np.ndarray, list[dict[int, tuple[float, float]]]]:
+    """Surface points (P,3), their colours (P,3), and what each panorama shows of them: point to column and row in px."""
+    photographer, rng = Photographer(street(made.width)), np.random.default_rng(seed)
+    points, colors = [], []
+    for center, axes in zip(made.centers, made.axes, strict=True):
+        rays = rng.normal(size=(4 * per_panorama, 3)) * (1, 1, 0.5)
+        rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        distance_m = distances(photographer, center, rays)
+        near = np.flatnonzero(distance_m < 25)[:per_panorama]
+        points.append(center + rays[near] * distance_m[near, None])
+        lit = photographer.radiance_along(np.tile(center, (len(near), 1)).astype(np.float32), rays[near].astype(np.float32))
+        colors.append(photographer.developed(lit))
+        del axes
+    joined, seen = np.concatenate(points), []
+    for center, axes in zip(made.centers, made.axes, strict=True):
+        way = joined - center
+        far_m = np.linalg.norm(way, axis=1)
+        shown = np.abs(distances(photographer, center, way / far_m[:, None]) - far_m) < 0.02
+        across, below, ahead = (way @ axes.T).T
+        heading, drop = np.degrees(np.arctan2(across, ahead)), np.degrees(np.arcsin(below / far_m))
+        columns, rows = (heading / 360 + 0.5) * made.width, (drop / 180 + 0.5) * made.width / 2
+        seen.append({int(row): (columns[row], rows[row]) for row in np.flatnonzero(shown)})
+    return joined, np.concatenate(colors), seen
+
+
+def distances(photographer: Photographer, center: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Metres (N,) to what rays (N,3) of length 1 meet first."""
+    import open3d as o3d
+
+    cast = np.concatenate([np.tile(center, (len(rays), 1)), rays], axis=1).astype(np.float32)
+    return photographer._scene.cast_rays(o3d.core.Tensor.from_numpy(cast))["t_hit"].numpy()
 
 
 def xmp_segment(full: int, shown: int) -> bytes:

@@ -100,7 +100,10 @@ def read_with_photographs(path: Path, photos: Path) -> tuple[PoseFile, ImageFile
 
 def placed_project(alignment: PoseFile, photos: Path | None, *, rough: bool = False) -> PosedProject:
     """The alignment in the scene's world; with `photos`, by whose names its own go, it is held
-    against them first. Raises BadInput where it does not fit them."""
+    against them first. Raises BadInput where it does not fit them, or is of panoramas, which
+    `with_faces` cuts."""
+    for lens in alignment.lenses.values():
+        lens.camera(1)
     if photos is not None:
         alignment = _in_their_size(alignment, photos)
     check = None if photos is None else check_poses(alignment, photos, rough=rough)
