@@ -10,17 +10,24 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.panoramas.cutting import RIG_CONFIG
-from radiant_core.panoramas import frame_of
+from radiant_core.panoramas import PREFIX, frame_of
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.strays import MIN_POINTS
 
 
 def apply_rig(database: Path, photo_folder: Path) -> None:
-    """Make the faces in a database frames of the rig that lies beside them, with its lenses."""
+    """Make the faces in a database frames of the rig that lies beside them, with its lenses. Raises
+    BadInput where it does not."""
+    if not (photo_folder / RIG_CONFIG).is_file():
+        raise BadInput(
+            f"the folders {PREFIX}… in {photo_folder} are named as those of panoramas' faces, and {RIG_CONFIG} does not lie beside them: "
+            "put it there, or name the folders otherwise."
+        )
     configs = pycolmap.read_rig_config(photo_folder / RIG_CONFIG)
     with pycolmap.Database.open(database) as store:
         call_colmap("placing the faces of panoramas", pycolmap.apply_rig_config, configs, store)
