@@ -30,6 +30,7 @@ from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.workspace import start_clean
 from radiant_core.sfm.config import Report, SfmResult
 from radiant_core.sfm.known_poses import misfit_text
+from radiant_core.sfm.model_check import check_model_poses
 from radiant_core.sfm.panorama_poses import with_faces
 from radiant_core.sfm.pose_check import check_poses
 from radiant_core.sfm.pose_refinement import REFINED, refined_model
@@ -136,10 +137,12 @@ def scene_from_rough_colmap(
     start_clean(work_folder)
     shutil.rmtree(work_folder / GIVEN, ignore_errors=True)
     model, files = read_with_files(given.path, given.photos)
+    checked = check_model_poses(model, given.path, given.photos, rough=True)
     write_for_colmap(model, work_folder / GIVEN)
-    source, masks, refined = refined_model(GivenModel(folder=work_folder / GIVEN, images=given.photos), work_folder, report, masks)
+    rough = GivenModel(folder=work_folder / GIVEN, images=given.photos, is_checked=True)
+    source, masks, refined = refined_model(rough, work_folder, report, masks)
     result = scene_from_model(source, work_folder, report, masks, placement)
-    return replace(result, decisions=(refined, *result.decisions), warnings=(*files.notes(), *result.warnings))
+    return replace(result, decisions=(checked, refined, *result.decisions), warnings=(*files.notes(), *result.warnings))
 
 
 def scene_from_alignment(
@@ -171,6 +174,7 @@ def scene_from_alignment(
         given_from_model=project.given_from_scene,
         crs=crs_of(project.alignment),
         used=frozenset(alignment_files(path)),
+        is_checked=True,
     )
     decisions = [] if project.check is None else [project.check]
     if faced.faces is not None:

@@ -41,6 +41,7 @@ from radiant_core.sfm.gps_outliers import MANY, gps_outliers
 from radiant_core.sfm.known_poses import is_almost, misfit_text, triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
+from radiant_core.sfm.model_check import check_model_poses
 from radiant_core.sfm.readable import readable_folder, remove_readable, stretch_decisions
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.align import fit_sim3
@@ -161,6 +162,8 @@ class GivenModel:
     """The system of those, where they have one."""
     used: frozenset[Path] = frozenset()
     """Files that it was read from; none for a COLMAP model."""
+    is_checked: bool = False
+    """Whether it was held against its photographs before."""
 
 
 def scene_from_colmap(
@@ -193,6 +196,7 @@ def scene_from_model(
     given_centers = _centers_of(model)
     _require_images(model, listing, image_folder)
     _require_tracks(model, model_folder, placement)
+    checked = () if source.is_checked else (check_model_poses(model, model_folder, image_folder),)
     contradicted = check_control(placement, listing.photographs, _sizes_of(model))
     beside = beside_warning(image_folder, masks, control=placement.control_text, used=source.used)
     if masks is not None or placement.control is not None or not pinhole:
@@ -226,7 +230,7 @@ def scene_from_model(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
         unregistered=unposed,
-        decisions=(*stretch_decisions(listing), *placed.decisions, *masks_decision(scene, masks)),
+        decisions=(*checked, *stretch_decisions(listing), *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
             *files.notes(),
             *_named(unposed_count(unposed, files), unposed),

@@ -150,3 +150,37 @@ def sphere_lens(size_wh: tuple[int, int]) -> Lens:
         raise BadInput(f"a panorama has the size {width} × {height}, expected one twice as wide as high: export whole panoramas.")
     pixels_per_radian = width / (2 * np.pi)
     return Lens(size_wh=size_wh, fx=pixels_per_radian, fy=pixels_per_radian, cx=width / 2, cy=height / 2, kind="sphere")
+
+
+_TERMS = {
+    "SIMPLE_PINHOLE": "",
+    "PINHOLE": "",
+    "SIMPLE_RADIAL": "k1",
+    "RADIAL": "k1 k2",
+    "OPENCV": "k1 k2 p1 p2",
+    "FULL_OPENCV": "k1 k2 p1 p2 k3",
+    "SIMPLE_FISHEYE": "",
+    "FISHEYE": "",
+    "SIMPLE_RADIAL_FISHEYE": "k1",
+    "RADIAL_FISHEYE": "k1 k2",
+    "OPENCV_FISHEYE": "k1 k2 k3 k4",
+}
+"""COLMAP's models that have these equations, and what follows the principal point."""
+
+
+def lens_of(camera: ColmapCamera) -> Lens | None:
+    """The lens of a COLMAP camera; None of one with other equations."""
+    head = (camera.params[0], *camera.params)[:4] if camera.num_focals == 1 else camera.params[:4]
+    terms = _TERMS.get(camera.model)
+    if terms is None:
+        return None
+    rest = camera.params[camera.num_focals + 2 :]
+    value = dict(zip(terms.split(), rest, strict=False))
+    if any(rest[len(value) :]):
+        # FULL_OPENCV's denominator.
+        return None
+    fx, fy, cx, cy = head
+    k = (value.get("k1", 0.0), value.get("k2", 0.0), value.get("k3", 0.0), value.get("k4", 0.0))
+    kind = "fisheye" if "FISHEYE" in camera.model else "brown"
+    p1, p2 = value.get("p1", 0.0), value.get("p2", 0.0)
+    return Lens(size_wh=camera.size_wh, fx=fx, fy=fy, cx=cx, cy=cy, kind=kind, k=k, p1=p1, p2=p2)
