@@ -25,6 +25,7 @@ def sfm(
     refine_poses: options.RefinePosesOption = False,
     mask_ignores: options.MaskIgnoresOption = None,
     film_frames: options.FilmFramesOption = None,
+    panoramas: options.PanoramasOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -48,6 +49,7 @@ def sfm(
     placed = SfmOptions(
         mask_ignores=mask_ignores,
         film_frames=film_frames,
+        panoramas=panoramas,
         up=up,
         distance=distance,
         height_m=height,

@@ -26,6 +26,7 @@ from radiant_core.choices import (
     LpipsNetwork,
     MaskIgnores,
     Matching,
+    Panoramas,
     PlanMethod,
     StepPolicy,
     TrainedAs,
@@ -128,6 +129,8 @@ class SfmOptions:
     film_frames: Annotated[int | None, Option(shown="by motion, 400 at most")] = None
     """About how many frames of a film become photographs: the sharpest of stretches in which the
     picture moves equally far."""
+    panoramas: Annotated[Panoramas | None, Option(shown="those whose XMP says so")] = None
+    """Which photographs are equirectangular panoramas, which are cut into faces: all, or none."""
     up: Annotated[str | None, Option(shown="auto")] = None
     """auto: by GPS, else by what ground and cameras show. Or: ground (the plane through most points
     is level), level (photographs were held level), down (they look straight down), a photograph's
@@ -159,7 +162,7 @@ class SfmOptions:
     @property
     def intake(self) -> Intake:
         """What is made of the source's files before structure from motion."""
-        return Intake(mask_ignores=self.mask_ignores, film_frames=self.film_frames)
+        return Intake(mask_ignores=self.mask_ignores, film_frames=self.film_frames, panoramas=self.panoramas)
 
     @property
     def placed_by_hand(self) -> bool:
@@ -434,7 +437,7 @@ class RunConfig:
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and (self.sfm.masks is not None or self.sfm.intake != AS_FOUND):
-            asked = "--masks, --mask-ignores and --film-frames are of photographs in one place"
+            asked = "--masks, --mask-ignores, --film-frames and --panoramas are of photographs in one place"
             raise BadInput(f"{asked}, and with --frames {self.frames} devices keep theirs: leave them out, or use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
             reason = "--up, --north, --distance, --height and --gcp place one scene"

@@ -62,7 +62,7 @@ def overlapping_ground(folder: Path) -> World:
 
 def one_edge_of_two(folder: Path) -> World:
     """Two edges, of which one trains a model with its devices; the cloud joins and devices refine."""
-    world = ground(folder, even_system(2, 2), AggregateConfig(num_epochs=1, edge_epochs=1, refine_epochs=1, refine_rounds=1))
+    world = ground(folder, even_system(2, 2), AggregateConfig(cloud_epochs=1, edge_epochs=1, refine_epochs=1, refine_rounds=1))
     return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",)))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, find_contradictions
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.join import Check, join_models
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
@@ -91,7 +91,7 @@ def joined(models: dict[int, Splats]) -> Splats:
     teachers = [Teacher(splats=model, cameras=CAMERAS[device]) for device, model in models.items()]
     config = TrainConfig(long_side_px=48, num_steps=20, max_num_splats=10_000, sh_degree=0)
     claims = claims_of_cells(SITES[list(models)], np.zeros(len(models)))
-    return join_models(teachers, config, AggregateConfig(max_num_steps=20), FitOptions(), claims).splats
+    return join_models(teachers, config, Join(max_num_steps=20), FitOptions(), claims).splats
 
 
 def interior_db(scene: Splats, device: int) -> float:
