@@ -25,8 +25,8 @@ from radiant_core.errors import BadInput
 PRESET = "preset"
 """Not a field of `RunConfig`: a name for the values of several."""
 _PRESET_HELP = (
-    "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
-    "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
+    "paper: everything as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud "
+    "retrain all parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. An option beside it wins."
 )
 
 
