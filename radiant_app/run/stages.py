@@ -57,7 +57,7 @@ ATTEMPTS = 3
 """Starts of a node whose process or machine was lost; more failures are no chance."""
 FRAMES_UNPREDICTED = (
     "what it takes to bring models that GPS has placed into one frame is in no profile: edges and the cloud will take longer than is "
-    "predicted; make the profile anew with `radiant profile` and photographs that overlap, which measures that."
+    "predicted; make the profile anew with `radiant machine profile` and photographs that overlap, which measures that."
 )
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of a retraining on the plain PyTorch backend."""
