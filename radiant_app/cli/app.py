@@ -92,7 +92,7 @@ def main() -> NoReturn:
     atexit.register(gc.freeze)
     try:
         _require_working_folder()
-        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        code = app(sys.argv[1:] or ["--help"], prog_name="radiant", standalone_mode=False)
     except RadiantError as error:
         _say(f"{error} {_how_to_go_on()}".strip() if isinstance(error, CannotWrite) else str(error))
         sys.exit(error.exit_code)
@@ -123,7 +123,7 @@ def usage_sentence(error: typer.TyperException) -> str:
     """What is wrong with a command line, the option that was probably meant, and whose help lists
     what there is."""
     context: Any = getattr(error, "ctx", None)
-    command = " ".join(["radiant", *(context.command_path.split()[1:] if context is not None else ())])
+    command = "radiant" if context is None else context.command_path
     helped = f"`{command} --help` lists what there is."
     if (mistyped := getattr(error, "option_name", None)) is not None:
         near = (getattr(error, "possibilities", None) or [])[:1]

@@ -88,7 +88,9 @@ def render(
 FormatOption = Annotated[
     ExportFormat | None,
     typer.Option(
-        help="Model: ply, spz, sog, usd, lod, tiles, viewer. Project: colmap, nerfstudio. TIFF: ortho, dsm, dtm. Others as named."
+        metavar="FORMAT",
+        help="Model: ply, spz, sog, usd, lod, tiles, viewer. Project: colmap, nerfstudio. TIFF: ortho, dsm, dtm. "
+        "Also geojson, contours, mesh, laz, glb. By default as the ending of OUT says.",
     ),
 ]
 CellOption = Annotated[

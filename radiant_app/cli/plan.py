@@ -121,7 +121,7 @@ def _require_one_source(typed: Mapping[str, str], source: Path | None, later: Ma
         if wrong := [option for name, option in typed.items() if name in later]:
             raise BadInput(f"{wrong[0]} is for planning again: name the plan or run with --after.")
         if source is None:
-            raise BadInput("source is missing: name waypoints, photographs, a scene or a run, or a plan or run to plan again with --after.")
+            raise BadInput("source is missing: name waypoints, photographs, a scene or a run; or --after and a plan or run.")
         return
     if source is not None:
         raise BadInput(f"--after plans {later['after']} again, and {source} is another source: leave one of them out.")

@@ -104,9 +104,7 @@ def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_joi
     reporter = Recorder(stage="edges/north")
     found = join_edge(edge_task("a", "b", memory_bytes=1e8), models, reporter)
     (warning,) = reporter.warnings
-    assert (
-        "memory_gb of this edge allows 100 MB" in warning and "raise memory_gb of this edge" in warning and "radiant join" in warning
-    )
+    assert "memory_gb of this edge allows 100 MB" in warning and "raise memory_gb of this edge" in warning and "radiant join" in warning
     assert choices(reporter, "memory") == ["models are cut at their borders instead of retrained"]
     assert found.splats is not None and found.summary["num_steps"] == 0 and not found.cut_for_memory
     assert 0 < len(found.splats) < sum(len(model.splats) for model in models.values())
