@@ -45,7 +45,7 @@ def measure(
 
     Measures are saved with the run.
 
-    radiant measure RUN --kind volume --at "10,10 30,10 30,25 10,25" --name heap
+    radiant measure RUN --kind volume --at "0,0 30,0 30,20" --name heap
     radiant measure RUN --since EARLIER_RUN --out changed
     """
     from radiant_app.report.progress import show_starting, terminal_display
