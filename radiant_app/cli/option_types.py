@@ -10,7 +10,7 @@ import typer
 from radiant_app.cli.config_options import option
 from radiant_app.config.run_config import GROUPS, OUTPUT
 from radiant_core.aggregate.config import AggregatePreset
-from radiant_core.choices import Contradictions, CutBy, Effort, Heights, LpipsNetwork, MaskIgnores, Matching, PlanMethod
+from radiant_core.choices import Contradictions, CutBy, Effort, Heights, LpipsNetwork, MaskIgnores, Matching, Panoramas, PlanMethod
 from radiant_core.train.config import Preset
 
 BEFORE_CAPTURE, FLIGHT, COORDINATES, LATER = "Before capture", "Flight lists", "Coordinates", "After a device died, slowed down or joined"
@@ -162,6 +162,7 @@ PosesOption = Annotated[Path | None, option("sfm.poses")]
 RefinePosesOption = Annotated[bool, option("sfm.refine_poses")]
 MaskIgnoresOption = Annotated[MaskIgnores | None, option("sfm.mask_ignores")]
 FilmFramesOption = Annotated[int | None, option("sfm.film_frames")]
+PanoramasOption = Annotated[Panoramas | None, option("sfm.panoramas")]
 SystemFile = Annotated[Path | None, option("system")]
 PlanMethodOption = Annotated[PlanMethod, option("plan.method")]
 TrainPresetOption = Annotated[Preset, option("train.preset")]

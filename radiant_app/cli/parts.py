@@ -24,6 +24,7 @@ from radiant_app.cli.option_types import (
     MaskIgnoresOption,
     MatchingOption,
     Out,
+    PanoramasOption,
     PosesOption,
     RefinePosesOption,
     Seed,
@@ -42,6 +43,9 @@ if TYPE_CHECKING:
     from radiant_core.train.config import Preset
 
 _NEW_REGION = "A new region"
+PhotographsArgument = Annotated[
+    Path, typer.Argument(help="Photographs, an alignment beside them, a film, a COLMAP project, a Mill 19 folder.", show_default=False)
+]
 TrainingOut = Annotated[
     Path, typer.Option("--out", help="Folder for the model, figures and pictures; or MODEL.ply, of a run or scene.", show_default=False)
 ]
@@ -63,10 +67,7 @@ TrainSettings = Annotated[
 
 
 def sfm(
-    source: Annotated[
-        Path,
-        typer.Argument(help="Photographs, an alignment beside them, a film, a COLMAP project, a Mill 19 folder.", show_default=False),
-    ],
+    source: PhotographsArgument,
     out: Out,
     matching: MatchingOption = "auto",
     effort: options.EffortOption = "auto",
@@ -75,6 +76,7 @@ def sfm(
     refine_poses: RefinePosesOption = False,
     mask_ignores: MaskIgnoresOption = None,
     film_frames: FilmFramesOption = None,
+    panoramas: PanoramasOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -102,6 +104,7 @@ def sfm(
     placed = SfmOptions(
         mask_ignores=mask_ignores,
         film_frames=film_frames,
+        panoramas=panoramas,
         up=up,
         distance=distance,
         height_m=height,
@@ -146,6 +149,7 @@ def train(
     refine_poses: RefinePosesOption = False,
     mask_ignores: MaskIgnoresOption = None,
     film_frames: FilmFramesOption = None,
+    panoramas: PanoramasOption = None,
     up: UpOption = None,
     distance: DistanceOption = None,
     height: HeightOption = None,
@@ -180,7 +184,7 @@ def train(
         masks=masks,
         poses=poses,
         refine_poses=refine_poses,
-        intake=Intake(mask_ignores=mask_ignores, film_frames=film_frames),
+        intake=Intake(mask_ignores=mask_ignores, film_frames=film_frames, panoramas=panoramas),
         up=up,
         distance=distance,
         height_m=height,

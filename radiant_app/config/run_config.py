@@ -26,6 +26,7 @@ from radiant_core.choices import (
     LpipsNetwork,
     MaskIgnores,
     Matching,
+    Panoramas,
     PlanMethod,
     StepPolicy,
     TrainedAs,
@@ -142,6 +143,8 @@ class SfmOptions:
     film_frames: Annotated[int | None, Option(shown="by motion, 400 at most")] = None
     """Roughly how many frames of a film become photographs: the sharpest of each stretch of equal
     motion."""
+    panoramas: Annotated[Panoramas | None, Option(shown="those whose XMP says so")] = None
+    """Treat all photographs as equirectangular panoramas and cut them into faces, or none."""
     up: Annotated[str | None, Option(shown="auto", group=PLACE)] = None
     """auto: from GPS, else from ground and cameras. Or: ground (the plane through most points is
     level), level (the camera was held level), down (it looked straight down), a photograph's name
@@ -173,7 +176,7 @@ class SfmOptions:
     @property
     def intake(self) -> Intake:
         """What is made of the source's files before structure from motion."""
-        return Intake(mask_ignores=self.mask_ignores, film_frames=self.film_frames)
+        return Intake(mask_ignores=self.mask_ignores, film_frames=self.film_frames, panoramas=self.panoramas)
 
     @property
     def placed_by_hand(self) -> bool:
@@ -450,7 +453,7 @@ class RunConfig:
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and (self.sfm.masks is not None or self.sfm.intake != AS_FOUND):
-            asked = "--masks, --mask-ignores and --film-frames are of photographs in one place"
+            asked = "--masks, --mask-ignores, --film-frames and --panoramas are of photographs in one place"
             raise BadInput(f"{asked}, and with --frames {self.frames} devices keep theirs: leave them out, or use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
             reason = "--up, --north, --distance, --height and --gcp place one scene"

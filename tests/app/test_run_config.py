@@ -35,7 +35,7 @@ sky = false
 max_epochs = "none"
 density.kind = "mcmc"
 [aggregate]
-num_epochs = 2
+cloud_epochs = 2
 [execution]
 checkpoint_every_s = 90
 """
@@ -47,7 +47,7 @@ ASKED: dict[str, Any] = {
     "train": TrainOptions(
         preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}
     ),
-    "aggregate": AggregateOptions(preset="paper", settings={"num_epochs": 2}),
+    "aggregate": AggregateOptions(preset="paper", settings={"cloud_epochs": 2}),
     "execution": ExecutionOptions(checkpoint_every_s=90.0),
 }
 
@@ -77,7 +77,8 @@ def run_file(folder: Path, text: str = FILE) -> Path:
 def test_a_run_file_options_and_set_start_the_same_run(tmp_path: Path, asked: RunConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     assert started(monkeypatch, run_file(tmp_path)) == asked
     where = (tmp_path / "photos", "--out", tmp_path / "run", "--system", tmp_path / "fleet.toml", "--preset", "paper")
-    only_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set=train.density.kind=mcmc", "--set", "aggregate.num_epochs=2")
+    train_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set=train.density.kind=mcmc")
+    only_set = (*train_set, "--set", "aggregate.cloud_epochs=2")
     options = ("--seed", 3, "--plan-method", "voronoi", "--steps", 300, "--checkpoint-every", "1.5m")
     assert started(monkeypatch, *where, *options, *only_set) == asked
     paths = ("seed=3", "plan.method=voronoi", "train.num_steps=300", "execution.checkpoint_every_s=90")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from radiant_core.decisions import Decision
 from radiant_core.io.photos.listing import Photograph
+from radiant_core.panoramas import has_faces
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
 from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
 from radiant_core.sfm.colmap.lenses import group_by_lens
@@ -19,6 +20,7 @@ from radiant_core.sfm.colmap.mapping import GROWTH, MAX_LEFT_SHARE, Mapped, Mapp
 from radiant_core.sfm.colmap.pairs import choose_pairs
 from radiant_core.sfm.colmap.previewed_pairs import keep_promising
 from radiant_core.sfm.colmap.quick_database import LEAST_TRIALS, MOST_TRIALS
+from radiant_core.sfm.colmap.rig import apply_rig
 from radiant_core.sfm.colmap.workspace import THOROUGH_FOLDER
 from radiant_core.sfm.config import Report, SfmConfig
 from radiant_core.sfm.masks import take_masks
@@ -86,6 +88,8 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
         given = take_masks(photos.masks, photos.photographs, work_folder)
         candidates, matching = choose_pairs(photos.photographs, config)
         extract_features(database, photos.folder, photos.photographs, config, report, given)
+        if has_faces(photo.name for photo in photos.photographs):
+            apply_rig(database, photos.folder)
         pairs, previewed = keep_promising(database, candidates, config, report)
         match_pairs(database, pairs, config, report)
         job = MappingJob(
@@ -99,7 +103,9 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
         )
         mapped = map_photographs(job)
     lenses = group_by_lens(photos.photographs)
-    decisions = (matching, lenses.decision, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
+    # Faces of panoramas have a lens of their own each, all alike.
+    by_lens = () if has_faces(photo.name for photo in photos.photographs) else (lenses.decision,)
+    decisions = (matching, *by_lens, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
     return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions, warnings=lenses.warnings)
 
 

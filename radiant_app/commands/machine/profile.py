@@ -171,7 +171,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     distinct = sorted({sample.num_cameras for sample in devices})
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
     # Where the cloud fitted nothing, its time does not say what fitting takes.
-    seconds = None if _epochs(run / "cloud", "num_epochs") == 0 else _seconds(stages, "cloud")
+    seconds = None if _epochs(run / "cloud", "cloud_epochs") == 0 else _seconds(stages, "cloud")
     num_cameras = sum(sample.num_cameras for sample in edges)
     merges = (EdgeSample(num_cameras=num_cameras, num_devices=len(edges), seconds=seconds),) if seconds and num_cameras else ()
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out, merges=merges)

@@ -107,7 +107,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
         sites=(),
         weights=(),
         train=given.train,
-        aggregate=AggregateConfig() if request.num_epochs is None else AggregateConfig(num_epochs=request.num_epochs, refine_epochs=0),
+        aggregate=AggregateConfig() if request.num_epochs is None else AggregateConfig(cloud_epochs=request.num_epochs, refine_epochs=0),
         backend=resolve_backend("auto"),
         extends=Extension(polygon=tuple((float(x), float(y)) for x, y in polygon), margin_m=margin_m),
     )

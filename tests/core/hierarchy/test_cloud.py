@@ -116,7 +116,7 @@ def test_a_lone_edges_model_is_not_said_to_be_joined_in_tiles(monkeypatch: pytes
 
 def test_the_papers_cloud_crops_where_its_memory_ends_and_knows_no_tiles() -> None:
     needed = plan_join_memory([part(0), part(1)], CAMERAS[:2], 48, np.inf).needed_bytes
-    cropped, reporter = joined(Cloud(memory_bytes=needed - 1), aggregate=replace(aggregate_preset("paper"), num_epochs=1))
+    cropped, reporter = joined(Cloud(memory_bytes=needed - 1), aggregate=replace(aggregate_preset("paper"), cloud_epochs=1))
     assert "num_dropped" in cropped.summary and "memory" in reporter.warnings[0]
 
 
@@ -130,7 +130,7 @@ def test_settings_that_ask_for_crop_merge_get_it_without_any_choice() -> None:
 
 
 def test_the_papers_cloud_crops_where_its_limits_end() -> None:
-    paper = replace(aggregate_preset("paper"), num_epochs=1)
+    paper = replace(aggregate_preset("paper"), cloud_epochs=1)
     retrained, _ = joined(aggregate=paper)
     assert retrained.summary["num_steps"] == 4 and retrained.splats is not None and len(retrained.splats) == len(part(0)) + len(part(1))
     cropped, reporter = joined(Cloud(max_cameras=3), aggregate=paper)
@@ -174,7 +174,7 @@ def test_an_extension_is_a_join_that_admits_and_balances_nothing() -> None:
     for name, array in kept.arrays().items():
         assert np.array_equal(getattr(scene.splats.select(np.arange(len(kept))), name), array), name
     task, new = cloud_task("a", "b"), Teacher(splats=part(1), cameras=CAMERAS[1])
-    alone = extend_scene(standing, new, region, task.train, task.aggregate, FitOptions(backend=task.backend))
+    alone = extend_scene(standing, new, region, task.train, task.aggregate.at_cloud, FitOptions(backend=task.backend))
     for name, array in alone.splats.arrays().items():
         assert np.array_equal(getattr(scene.splats, name), array), name
     assert scene.summary == {"num_splats": len(alone.splats), **alone.counts()}

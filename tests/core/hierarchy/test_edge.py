@@ -86,8 +86,8 @@ def test_virtual_cameras_follow_from_what_arrived_and_stand_where_no_device_stoo
 
 def test_an_edge_shows_each_view_as_often_as_its_own_epochs_say_whatever_the_cloud_does() -> None:
     models = {name: device_models()[name] for name in "ab"}
-    for config in (AGGREGATE, replace(AGGREGATE, cloud="crop_merge"), replace(AGGREGATE, num_epochs=9)):
-        assert join_edge(edge_task("a", "b", aggregate=config), models, Recorder()).summary["num_steps"] == 4 * AGGREGATE.epochs_at_edges
+    for config in (AGGREGATE, replace(AGGREGATE, cloud="crop_merge"), replace(AGGREGATE, cloud_epochs=9)):
+        assert join_edge(edge_task("a", "b", aggregate=config), models, Recorder()).summary["num_steps"] == 4 * AGGREGATE.at_edge.num_epochs
     thrice = join_edge(edge_task("a", "b", aggregate=replace(AGGREGATE, edge_epochs=3)), models, Recorder())
     assert thrice.summary["num_steps"] == 12
 
