@@ -142,7 +142,7 @@ def _require_working_folder() -> None:
 
 def _how_to_go_on() -> str:
     resumable = set(sys.argv[1:2]) & {"run", "demo", "train", "sfm"}
-    return "What was finished is kept: go on with the same command and --resume." if resumable else ""
+    return "Finished work is kept: repeat the command with --resume." if resumable else ""
 
 
 def _where_it_lies() -> str:

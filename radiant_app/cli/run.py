@@ -98,7 +98,7 @@ def run_and_print(config: RunConfig, resume: bool, as_json: bool, *, verbose: bo
         emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
         typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")
     if result.metrics.get("emulated_scene_s") is not None:
-        typer.echo(f"emulated: the scene was done after {result.metrics['emulated_scene_s']:.1f} s")
+        typer.echo(f"emulated: the scene was finished after {result.metrics['emulated_scene_s']:.1f} s")
     hidden = 0 if verbose else listen.num_decisions
     typer.echo(f"report: {result.report}{f' ({hidden} decisions; -v prints them here)' * (hidden > 0)}")
     typer.echo(f"next: radiant inspect {quote(str(config.out))}")

@@ -268,7 +268,7 @@ def scale_for_uploads(system: System, upload: UploadFormat, progress: Progress) 
         choice=f"{upload}: models count {factor:.2f} times their bytes",
         figure=100 * factor,
         unit="% of the bytes of float32",
-        reason="the plan's sizes are those of float32 models, uploads take less",
+        reason="the plan counts float32 models, and uploads are smaller",
     )
     progress.listen(Decided(decision=decision))
     return system.with_uploads_of(factor)
