@@ -330,7 +330,7 @@ def _save_sides(run: Path, listen: Listener) -> list[str]:
 
 def _save_flight(run: Path, listen: Listener) -> str:
     """The page that flies through the model, one file beside the report; its name, or nothing where
-    the model is large: `radiant view` streams it."""
+    the model is large: `radiant inspect --page` streams it."""
     from radiant_app.report.known_scale import page_scale
     from radiant_viewer.runs.run_view import load_run_view, require_splats
     from radiant_viewer.share.folder import page_of_run, save_single_page

@@ -72,7 +72,7 @@ def test_our_own_spz_scores_as_the_model_that_it_was_written_from(site: Path, tm
 
 
 def viewed(path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What the page of `radiant view` says of a model."""
+    """What the page of `radiant inspect --page` says of a model."""
     shown: list[str] = []
 
     def read_page(address: str) -> None:
@@ -86,7 +86,7 @@ def viewed(path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def extended_by_command(path: Path, new: Path, monkeypatch: pytest.MonkeyPatch) -> int:
-    """How many Gaussians the standing scene of `radiant extend` has; what follows is tested elsewhere (test_pipeline_commands)."""
+    """How many Gaussians the standing scene of `radiant join` has; what follows is tested elsewhere (test_pipeline_commands)."""
     read: list[int] = []
 
     def stop(request: extend_command.ExtendRequest) -> None:
@@ -105,7 +105,7 @@ def extended_by_command(path: Path, new: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def new_run(folder: Path) -> Path:
-    """As much of a finished run as `radiant extend` looks at before it reads the old scene."""
+    """As much of a finished run as `radiant join` looks at before it reads the old scene."""
     shutil.copytree(Path(__file__).parents[2] / "sample_scenes" / "runs" / "tiny", folder)
     (folder / "manifest.json").unlink()
     rest = {"train": TrainConfig(), "aggregate": AggregateConfig(), "backend": "native"}

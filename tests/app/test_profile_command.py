@@ -1,4 +1,4 @@
-"""`radiant profile`: a real short run on generated photographs, the stage times of a finished run, and what it cannot use."""
+"""`radiant machine profile`: a real short run on generated photographs, the stage times of a finished run, and what it cannot use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.cli.profile import profile as profile_cli
+from radiant_app.cli.machine import profile as profile_cli
 from radiant_app.commands.machine.profile import ProfileRequest, check_table, profile, profile_of_run
 from radiant_app.commands.machine.profiling import MIN_PHOTOGRAPHS, Measuring, Task, choose_counts, shorten_training
 from radiant_app.commands.plan.plan import PlanRequest, plan

@@ -113,7 +113,7 @@ def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
         ("sky = false", "sky = 7", "train.sky is 7; expected a valid boolean"),
         ("sky = false", "start_scale = 2", "start_scale is 2.0"),
         ("seed = 3", "num_steps = 3", "num_steps is not a key of a run file: use train.num_steps."),
-        ("[plan]", "[plans]", "plans is not a key of a run file: expected one of source, "),
+        ("[plan]", "[plans]", "plans is not a section of a run file: did you mean [plan]?"),
         ("seed = 3", "evaluate = 3", "evaluate is 3, expected a section, [evaluate]."),
         ('"voronoi"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal', 'even', 'voronoi' or 'kd'"),
         ('system = "fleet.toml"', 'system = ""', "system is ''; string should have at least 1 character"),

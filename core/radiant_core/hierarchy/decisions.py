@@ -33,7 +33,7 @@ def step_decision(recipe: Recipe) -> Decision | None:
         choice=f"{min(steps):,} to {max(steps):,} steps, {sum(steps):,} in all",
         figure=law.per_photograph,
         unit="steps per photograph",
-        reason=f"a device's time follows its photographs, as the plan has it; {law.num_steps:,} steps is the mean of the system's devices",
+        reason=f"a device's time is proportional to its photographs, as planned; {law.num_steps:,} steps is the mean of all devices",
         changes_nothing=len(set(steps)) == 1,
     )
 
@@ -143,7 +143,7 @@ def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Dec
         choice=f"the scene is refined by the photographs below {len(counts)} edges",
         figure=float(num_refined),
         unit=f"refined Gaussians arrived, of {len(scene):,}",
-        reason="joining shows models only pictures of models; devices show it their photographs",
+        reason="joining fits models to renders of models only; refining fits the scene to the devices' photographs",
         changes_nothing=not num_refined,
     )
 
@@ -193,7 +193,7 @@ def join_decisions(stage: str, join: Join, num_models: int, joined: Joined) -> l
     shown = f"{joined.num_shown} of {joined.num_views} views"
     share = 100 * joined.contested_share
     left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
-    reason = "only what a second model knows too can be joined better"
+    reason = "joining improves only places that two models show"
     return [*exposures, decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", reason), *checks]
 
 
@@ -203,7 +203,7 @@ def exposures_decision(stage: str, balance: Balance) -> Decision:
     if not balance.num_pairs:
         reason = "no two models show the same place"
     else:
-        reason = f"{'more' if balance.is_needed else 'no more'} than models of one exposure differ by"
+        reason = f"{'more' if balance.is_needed else 'no more'} than models of one exposure differ"
     unit = "of 255 from the mean of all models, at mid grey"
     unchanged = not balance.is_needed
     topic = "exposures of the models"

@@ -116,10 +116,10 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
     adjusting = Decision(
         stage="sfm",
         topic="adjustment",
-        choice=f"of all photographs whenever the model has grown {GROWTH:g} times",
+        choice=f"all photographs, whenever the model has grown {GROWTH:g} times",
         figure=GROWTH,
         unit="times",
-        reason="adjusting at every tenth takes 40 % longer to the same poses",
+        reason="adjusting at every tenth takes 40 % longer and gives the same poses",
     )
     features = Decision(
         stage="sfm",
@@ -127,7 +127,7 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
         choice=f"OpenCV's SIFT, {config.max_num_features:,} a photograph at most",
         figure=float(config.max_num_features),
         unit="features a photograph",
-        reason="a third of the time of COLMAP's, to the same poses",
+        reason="a third of the time of COLMAP's features, with the same poses",
     )
     verifying = Decision(
         stage="sfm",
@@ -135,6 +135,6 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
         choice=f"{LEAST_TRIALS} to {MOST_TRIALS:,} samples a pair",
         figure=float(MOST_TRIALS),
         unit="samples a pair at most",
-        reason="COLMAP's 100 to 10,000 take four times as long and verify one pair in a hundred more",
+        reason="COLMAP's 100 to 10,000 take four times as long and verify 1 % more pairs",
     )
     return (features, verifying, adjusting)

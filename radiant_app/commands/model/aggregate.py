@@ -1,4 +1,4 @@
-"""`radiant aggregate`: join a run's device models again, with other settings and without limits."""
+"""`radiant join`: join a run's device models again, with other settings and without limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`radiant extend`: join the run of a new region to a finished scene, as edges are joined.
+"""`radiant join`: join the run of a new region to a finished scene, as edges are joined.
 
 Beyond a margin about the region the scene keeps its bits.
 """
@@ -53,7 +53,7 @@ FIGURES = {
 
 @dataclass(frozen=True, kw_only=True)
 class ExtendRequest:
-    """What `radiant extend` was asked for."""
+    """What `radiant join` was asked for."""
 
     old: Path
     """A run, or a model file in the frame of `new`."""

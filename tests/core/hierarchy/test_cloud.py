@@ -55,7 +55,7 @@ def test_a_machine_with_too_little_free_memory_cuts_and_says_that_another_try_ma
     (warning,) = reporter.warnings
     assert scene.cut_for_memory and aggregation(reporter) == CUT
     assert "80% of what this machine has free" in warning and "free memory there and go on with --resume" in warning
-    assert "radiant aggregate RUN --out JOINED.ply" in warning
+    assert "radiant join RUN --out JOINED.ply" in warning
     assert scene.splats is not None and scene.summary["num_steps"] == 0
     # A cut keeps to each Gaussian's own region.
     given = sum(len(model.splats or ()) for model in PAIR.values())
@@ -101,7 +101,7 @@ def test_a_join_that_exceeds_the_memory_by_little_is_done_in_tiles_and_says_how_
         (warning,) = reporter.warnings
         (memory,) = (decision for decision in reporter.decisions if decision.topic == "memory")
         assert memory.choice.startswith("models are joined in ") and memory.choice in warning
-        assert lift in warning and "--resume" not in warning and "radiant aggregate RUN" in warning
+        assert lift in warning and "--resume" not in warning and "radiant join RUN" in warning
         assert scene.summary["num_steps"] > 0 and not scene.cut_for_memory
         assert aggregation(reporter) == "retraining all models together"
 

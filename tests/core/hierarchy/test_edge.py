@@ -104,9 +104,7 @@ def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_joi
     reporter = Recorder(stage="edges/north")
     found = join_edge(edge_task("a", "b", memory_bytes=1e8), models, reporter)
     (warning,) = reporter.warnings
-    assert (
-        "memory_gb of this edge allows 100 MB" in warning and "raise memory_gb of this edge" in warning and "radiant aggregate" in warning
-    )
+    assert "memory_gb of this edge allows 100 MB" in warning and "raise memory_gb of this edge" in warning and "radiant join" in warning
     assert choices(reporter, "memory") == ["models are cut at their borders instead of retrained"]
     assert found.splats is not None and found.summary["num_steps"] == 0 and not found.cut_for_memory
     assert 0 < len(found.splats) < sum(len(model.splats) for model in models.values())
@@ -131,7 +129,7 @@ def test_without_a_limit_edges_share_what_their_machine_has_free() -> None:
     assert "80% of what this machine has free, divided among 2 edges at a time, allows" in warning
     assert (
         "free memory there before the next run (--resume tries a cut again), or give this edge memory_gb" in warning
-        and "radiant aggregate RUN" in warning
+        and "radiant join RUN" in warning
     )
     assert found.cut_for_memory, "another try may join"
     # What its process holds already is not asked of the memory that is free.
