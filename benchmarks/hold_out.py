@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from benchmarks.options import HeldPart, HoldOut
 from radiant_core.cameras import Cameras
-from radiant_core.evaluate.flight_lines import held_out_line
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.plan.flight.lines import held_out_line
 
 
 def parts_of(hold_out: HoldOut) -> tuple[HeldPart, ...]:

@@ -23,11 +23,11 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import image_errors
 from radiant_core.frames import Sim3
+from radiant_core.geometry.align import compare_centers
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.run_store import content_key
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import render_views
-from radiant_core.sfm.world_frame.align import compare_centers
 from radiant_core.sfm.world_frame.world import cameras_of
 from radiant_core.splats import Splats
 from radiant_core.train.photographs import load_images

@@ -17,7 +17,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from benchmarks.metric import Metric
-from benchmarks.paper.simulate import fleet_of, simulate
+from benchmarks.simulate import fleet_of, simulate
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import track_items
 from radiant_core.choices import PlanMethod

@@ -27,7 +27,7 @@ import numpy as np
 import typer
 
 from benchmarks.metric import Metric
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.report.progress import track_items
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -160,7 +160,7 @@ def _run(images: Path, config: SfmConfig, known: tuple[tuple[str, ...], FloatArr
 def camera_errors(cameras: Cameras, known: tuple[tuple[str, ...], FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Errors of position (N,), in the unit of the reference, and rotation (N,) in degrees of those
     cameras that the reference has, after the best robust similarity; not a number without one."""
-    from radiant_core.sfm.world_frame.align import robust_sim3
+    from radiant_core.geometry.align import robust_sim3
 
     names, centers, rotations = known
     row_of = {name: row for row, name in enumerate(names)}

@@ -31,7 +31,7 @@ from benchmarks.kinds.scenes import KINDS, make_scene
 from benchmarks.metric import Metric
 from benchmarks.options import BenchOptions
 from benchmarks.train import Source, Split, TrainBench, score_model, split_source
-from radiant_app.commands.steps import stage_bar
+from radiant_app.commands.run.steps import stage_bar
 from radiant_app.events import StageProgress
 from radiant_app.report.progress import terminal_display
 from radiant_core import __version__

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 
 POINTS_PER_PHOTOGRAPH, FEWEST_POINTS = 60, 1_500

@@ -37,10 +37,10 @@ from typing import Any, Literal
 import numpy as np
 
 from benchmarks.charts.curve_chart import CurvePoint
-from benchmarks.comparing import comparisons
 from benchmarks.hold_out import parts_of
 from benchmarks.methods.arms import Arm, ArmRow, Arms, Made, load_arms
 from benchmarks.methods.cells import Cell, Layout, Train, bench_settings
+from benchmarks.methods.comparing import comparisons
 from benchmarks.methods.emulated_latency import NodeClock, NodeWork, joining_s
 from benchmarks.methods.group_latency import LINKS, Link
 from benchmarks.methods.rivals import FIELD_STEPS, RIVALS, FieldSettings, rival_arms
@@ -59,10 +59,10 @@ from radiant_core.cameras import concatenate_cameras
 from radiant_core.choices import CutBy, UploadFormat
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.bootstrap import paired_bootstrap
+from radiant_core.hierarchy.codec import passed_on, refinement_bytes, sent_bytes
 from radiant_core.hierarchy.in_process import run_in_process
 from radiant_core.hierarchy.messages import DeviceModel
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import passed_on, refinement_bytes, sent_bytes
 from radiant_core.plan.regions.claims import Claims, claims_of_polygons
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.densify.policies import NoDensification

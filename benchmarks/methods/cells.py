@@ -21,18 +21,18 @@ from benchmarks.hold_out import mask_of, name_of
 from benchmarks.options import OF_RUN, HeldPart
 from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
+from radiant_app.report.prediction_error import SYSTEM_NAME
 from radiant_app.run.cutting import Planned, choose_cut, plan_places
-from radiant_app.run.prediction_error import SYSTEM_NAME
 from radiant_app.workers.sources import captures_of, load_scored_scene, masks_folder_of
 from radiant_core import __version__
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.choices import CutBy, PlanMethod, UploadFormat
 from radiant_core.errors import BadInput
+from radiant_core.hierarchy.codec import load_task
 from radiant_core.hierarchy.device import device_model, fit_prepared, prepare_training
 from radiant_core.hierarchy.messages import DeviceModel, DeviceSettings, DeviceTask, EdgeTask, device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.reporter import Recorder, Reporter
-from radiant_core.io.messages import load_task
 from radiant_core.io.records import load_plan, load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.light.captures import Captures

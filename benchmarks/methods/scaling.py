@@ -23,9 +23,9 @@ from benchmarks.methods.together import grouped
 from benchmarks.metric import Metric
 from radiant_core import __version__
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.hierarchy.in_process import run_in_process
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.light.held_out import held_out_psnr_db
 from radiant_core.splats import Splats
 
 LAYOUTS: Mapping[int, Layout] = {

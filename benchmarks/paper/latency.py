@@ -30,7 +30,7 @@ from benchmarks.methods.bench import join, join_at_server
 from benchmarks.methods.cells import Cell
 from benchmarks.methods.emulated_latency import emulate_server, emulate_tree
 from benchmarks.paper.parts import Part
-from benchmarks.paper.simulate import fleet_of, simulate
+from benchmarks.simulate import fleet_of, simulate
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import track_items
 from radiant_core.aggregate.config import aggregate_preset

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import simpy
 
-from benchmarks.paper.simulate import BandwidthTrace, Fleet, fleet_of, simulate
+from benchmarks.simulate import BandwidthTrace, Fleet, fleet_of, simulate
 from radiant_core.errors import BadInput
 from radiant_core.plan.counts.deadline import edge_tables, fastest_counts
 from tests.core.plan.instances import random_system

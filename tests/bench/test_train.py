@@ -27,7 +27,7 @@ from benchmarks.train import (
     curves_of,
     split_source,
 )
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.splats import Splats

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.paper.simulate import BandwidthTrace, fleet_of, simulate
+from benchmarks.simulate import BandwidthTrace, fleet_of, simulate
 from radiant_core.errors import BadInput
 from radiant_core.plan.borders.buffers import BufferRule, plan_buffers
 from radiant_core.plan.borders.footprints import Footprints, RegionShares, Views, region_shares
