@@ -29,6 +29,9 @@ def render(
     size: SizeOption = "960x540",
     long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the pictures, at most as given.")] = None,
     uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
+    surroundings: Annotated[
+        bool, typer.Option("--surroundings", help="Show what lies around the scene too, as an orbit and keyframes do not.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Pictures or a film of a model: from cameras, around it, along a border, or by keyframes."""
@@ -51,6 +54,7 @@ def render(
         size_wh=size_wh_of(size),
         long_side_px=long_side_px,
         as_trained=uncleaned,
+        surroundings=surroundings,
     )
     finish(render_pictures(request, terminal_display()), as_json)
 
@@ -78,6 +82,14 @@ def export(
         bool, typer.Option("--clean", help="A model: what too few photographs constrain goes into NAME_unconstrained.ply.")
     ] = False,
     uncleaned: Annotated[bool, typer.Option("--uncleaned", help="The model as trained, whatever its cleaning leaves out.")] = False,
+    surroundings: Annotated[
+        bool | None,
+        typer.Option(
+            "--surroundings/--no-surroundings",
+            help="What lies around the scene; else in files of the model, not in a page.",
+            show_default=False,
+        ),
+    ] = None,
     crs: FileCrsOption = None,
     require_grids: RequireCrsGridsOption = False,
     lod: Annotated[bool, typer.Option("--lod", help="A folder of streamed SOG: levels of detail that a viewer fetches as needed.")] = False,
@@ -117,6 +129,7 @@ def export(
         interval=interval,
         clean=clean,
         as_trained=uncleaned,
+        surroundings=surroundings,
         crs=crs,
         require_grids=require_grids,
         num_levels=levels,
