@@ -1,4 +1,4 @@
-"""One word for what lies around a scene, in exports and films: kept in files of the model, left out of pages and pictures, each by option."""
+"""One word for what lies around a scene: kept in files of the model, left out of pages and pictures, each by option."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
+from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.runs.shown_model import shown_of_run
@@ -33,8 +34,8 @@ def exported(*words: str | Path) -> dict[str, int]:
 
 def refused(*words: str | Path) -> str:
     done = CliRunner().invoke(app, [*map(str, words)])
-    assert done.exit_code == 2
-    return done.stderr
+    assert isinstance(done.exception, BadInput)
+    return str(done.exception)
 
 
 def test_files_of_the_model_keep_it_and_leave_it_out_by_option(run: Path, tmp_path: Path) -> None:
