@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from radiant_app.commands.run.demo import sample_scenes_folder
 from rich.console import Console
 
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import (
     PHASES,
