@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.nodes import run_sfm
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import FACE_MASKS, images_folder_of, load_scene_of, masks_folder_of, photographs_of_task, sfm_task
 from radiant_core.errors import BadInput
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.io.colmap.model import read_model
 from radiant_core.panoramas import RIG, frame_of
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.intake import Intake
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
 from tests.panorama_scene import Walk, walk, write_walk
 

@@ -21,9 +21,9 @@ import radiant
 from radiant_app.workers.sources import load_scene_of
 from radiant_core.cameras import Cameras
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.io.panoramas.cutting import cut_panoramas, face_name
 from radiant_core.panoramas import FaceRig, frame_of, ring, turned_face
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.splats import Splats
 from tests.panorama_scene import Walk, walk, write_walk
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.bench.kind_scenes import KINDS
-from radiant_app.bench.kinds import MARGIN_DB, PLAIN, KindsBench, bench_kinds, gains_of
+from benchmarks.kinds.bench import MARGIN_DB, PLAIN, KindsBench, bench_kinds, gains_of
+from benchmarks.kinds.scenes import KINDS
 
 SEEDS = (0,)
 FEWEST_SURE = 4
