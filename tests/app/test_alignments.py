@@ -70,7 +70,7 @@ def test_an_alignment_is_found_by_itself_with_all_its_files(name: str, project) 
     used = used_files(folder, None)
     assert name in used and len(used) > len(truth.names)
     said = said_of(read_named(path, folder / "images"))
-    assert said.startswith(f"{path.name} of ") and "gives the poses of 12 photographs" in said and "\n" not in said
+    assert " of " in said and "gives the poses of 12 photographs" in said and "\n" not in said
     assert detect_source(folder, NO_POSES)[0] == "photographs"
 
 
@@ -179,7 +179,7 @@ def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file
 
 def require_known_points(trained: Path, points: np.ndarray, folder: Path, systems: tuple[str, ...]) -> None:
     """A model of Gaussians at points whose coordinates in the file are known goes out within 1 mm in every form of a model; SOG
-    has 16 bits for ln(1 + |x|), which is 2 mm here."""
+    has 16 bits for ln(1 + |x|), steps of up to 3 mm here."""
     given = load_given_frame(trained)
     assert given is not None
     inside = given.given_from_scene.inverse().apply(points).astype(np.float32)
@@ -194,13 +194,13 @@ def require_known_points(trained: Path, points: np.ndarray, folder: Path, system
     )
     save_ply(trained / "scene.ply", model)
     for crs in systems:
-        for name in ("a.ply", "a.spz", "a.sog", "a.usdc"):
+        for name in ("a.ply", "b.spz", "c.sog", "d.usdc"):
             out = folder / f"{crs}_{name}".replace(":", "_")
             figures = export(ExportRequest(model=trained, out=out, crs=crs), quiet_display())
             offset = np.array([float(number) for number in str(figures["offset"]).partition(" (")[0].split(", ")])
-            written = usd_positions(out) if name == "a.usdc" else read_splats(out).splats.means
+            written = usd_positions(out) if name == "d.usdc" else read_splats(out).splats.means
             away_m, nearest = KDTree(written.astype(np.float64)).query(points - offset)
-            assert away_m.max() < (2e-3 if name == "a.sog" else 1e-3), (crs, name)
+            assert away_m.max() < (3e-3 if name == "c.sog" else 1e-3), (crs, name)
             assert len(set(nearest.tolist())) > 0.9 * count
         out = folder / f"{crs}_nerfstudio".replace(":", "_")
         figures = export(ExportRequest(model=trained, out=out, crs=crs, format="nerfstudio"), quiet_display())
