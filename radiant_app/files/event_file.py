@@ -102,7 +102,7 @@ def read_progress(run: Path) -> RunProgress:
         elif (state := _next_state(event)) is not None:
             stages[state.stage] = state
     status = _status(run)
-    is_running = status == "running" and _is_locked(run)
+    is_running = status == "running" and is_locked(run)
     if status == "running" and not is_running:
         status = "interrupted"
     if not is_running:
@@ -121,7 +121,7 @@ def read_progress(run: Path) -> RunProgress:
 
 def progress_stamps(run: Path) -> tuple[object, ...]:
     """Return values that change whenever `read_progress` would read something new."""
-    stamps: list[object] = [_is_locked(run)]
+    stamps: list[object] = [is_locked(run)]
     for name in (EVENTS_NAME, "manifest.json"):
         with suppress(OSError):
             status = (run / name).stat()
@@ -167,7 +167,7 @@ def _status(run: Path) -> str:
     return status if isinstance(status, str) else ""
 
 
-def _is_locked(run: Path) -> bool:
+def is_locked(run: Path) -> bool:
     """Whether a process holds the run's lock, which the kernel frees when that process ends."""
     try:
         with (run / LOCK_NAME).open("rb") as file:
