@@ -42,7 +42,10 @@ app = typer.Typer(
 )
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
-_INSPECTED_HELP = "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window also a 3DGS .ply."
+_INSPECTED_HELP = (
+    "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window also a 3DGS .ply. Without it a window opens in which "
+    "photographs, machines and quality are chosen and a run is begun."
+)
 _WEB_HELP = (
     "Serve a read-only page for a browser until Ctrl-C, on 127.0.0.1 by default. The address that is printed holds a random secret; "
     "without it the page stays empty."
@@ -148,7 +151,7 @@ def evaluate(
 
 @app.command()
 def inspect(
-    run_folder: Annotated[Path, typer.Argument(help=_INSPECTED_HELP, show_default=False)],
+    run_folder: Annotated[Path | None, typer.Argument(help=_INSPECTED_HELP, show_default=False)] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[
         View | None, typer.Option(help="What is shown; else regions of a run, splats of a training, cameras of a scene.")
@@ -163,6 +166,12 @@ def inspect(
     port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
     """Show a run, or a plan to be changed: in a window, as a picture, or as a page to browse."""
+    if run_folder is None:
+        if web or viewer != "radiant" or (screenshot, view, camera, system, scene) != (None,) * 5:
+            raise BadInput("there is nothing to show: name the folder of a run, a plan or a model, or type 'radiant inspect' alone.")
+        from radiant_app.commands.inspect import open_start_window
+
+        raise typer.Exit(open_start_window())
     if web and viewer != "radiant":
         raise BadInput("--web serves a page and --viewer open3d opens a window: ask for one of them.")
     if web and screenshot is not None:

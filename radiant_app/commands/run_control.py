@@ -23,6 +23,8 @@ from radiant_core.errors import BadInput
 from radiant_core.io.run_store import LOCK_NAME
 
 MAX_WORDS = 4000
+_begun: list[BegunCommand] = []
+"""Those at work: a window may be closed before them."""
 
 
 class BegunCommand:
@@ -38,6 +40,7 @@ class BegunCommand:
             stderr=self._said,
             start_new_session=True,
         )
+        _begun[:] = [*(each for each in _begun if each.poll() is None), self]
 
     def poll(self) -> str | None:
         """None while it is at work; its last words once it ended, empty where it ended well."""

@@ -12,7 +12,6 @@ its steps at twice the pixels a side.
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from radiant_app.commands.doctor_forecast import duration_text, forecast
+from radiant_app.commands.machine_profile import machine_profile
 from radiant_app.commands.start_look import Found
 from radiant_app.files.profile_file import library_profiles
 from radiant_app.files.system_file import load_system
@@ -90,12 +90,6 @@ class StartForecast:
     memory: str
     quality: str
     warning: str = ""
-
-
-def machine_profile() -> Path:
-    """Where the start window keeps the curves of this machine."""
-    home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
-    return home / "radiant" / "machine.toml"
 
 
 def forecast_start(found: Found, system: Path | None, quality: Quality) -> StartForecast:
