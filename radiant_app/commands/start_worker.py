@@ -3,8 +3,9 @@
 One JSON line per request on standard input, one per answer on standard output, in order:
 
     {"look": path}                              →  what it is (`start_look.Found`), "out" for a run
-    {"forecast": {"path", "out", "system", "quality"}}
+    {"forecast": {"path", "out", "system", "system_as", "quality"}}
                                                 →  its lines and "command", arguments of `radiant`
+                                                   that name the system file as `system_as`
     {"machines": [row, …], "path": file}        →  {"written": file}
     {"profiles": true}                          →  {"profiles": {name: machine}}
 
@@ -82,9 +83,9 @@ class Starting:
         if name not in get_args(QualityName):
             raise BadInput(f"{name!r} is no quality: choose one of {', '.join(get_args(QualityName))}.")
         found = self._found if self._found is not None and self._found.path == path else look_at(path)
-        system = Path(choice["system"]) if choice.get("system") else None
+        system, system_as = (Path(choice[key]) if choice.get(key) else None for key in ("system", "system_as"))
         quality = quality_of(name)
-        command = command_of(found, Path(choice["out"]), system, quality)
+        command = command_of(found, Path(choice["out"]), system_as or system, quality)
         return {**asdict(forecast_start(found, system, quality)), "command": command}
 
 

@@ -1,8 +1,13 @@
 """The machines of a run: this one, those of a system file, or a form that writes one. Needs the
-`desktop` extra."""
+`desktop` extra.
+
+The form's file lies in a folder of the window's until the run begins or its line is copied; only
+then it is written where the line names it.
+"""
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +28,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-HERE, FILE, FORM = "This machine alone", "Machines of a system file", "Machines of a list"
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import write_atomic
+
+HERE, FILE, FORM = "This machine alone", "Machines of a system file", "Machines listed here"
 COLUMNS = ("Site", "Machine", "Number", "Kind", "Memory GB", "Mbit/s")
 KIND = COLUMNS.index("Kind")
 FIRST_ROW = ("office", "computer", "2", "", "16", "1000")
@@ -42,7 +50,9 @@ class MachinePane(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._profiles: dict[str, str] = {}
-        self._written: Path | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
+        self._tried = Path(self._folder.name) / "machines.toml"
+        self._is_written = False
         self.kind = QComboBox()
         self.kind.addItems([HERE, FILE, FORM])
         self.file, self.browse = QLineEdit(), QPushButton("Browse…")
@@ -50,7 +60,8 @@ class MachinePane(QWidget):
         self.table = QTableWidget(0, len(COLUMNS))
         self.table.setHorizontalHeaderLabels(list(COLUMNS))
         self.table.verticalHeader().hide()
-        self.table.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        self.table.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        self.table.horizontalHeader().setStretchLastSection(True)
         self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.table.setFixedHeight(FORM_PX)
         self.add, self.remove, self.form_file = QPushButton("Add line"), QPushButton("Remove line"), QLineEdit()
@@ -76,7 +87,13 @@ class MachinePane(QWidget):
         """The system file that is chosen or written; None for this machine."""
         if self.kind.currentText() == FILE:
             return Path(self.file.text().strip()) if self.file.text().strip() else None
-        return self._written if self.kind.currentText() == FORM else None
+        return self._tried if self.kind.currentText() == FORM and self._is_written else None
+
+    @property
+    def system_as(self) -> Path | None:
+        """How the command line names the system file."""
+        name = self.form_file.text().strip()
+        return Path(name) if self.kind.currentText() == FORM and name else self.system
 
     @property
     def is_ready(self) -> bool:
@@ -87,11 +104,25 @@ class MachinePane(QWidget):
         """Offer kinds of machines, name → machine."""
         self._profiles = profiles
 
-    def propose(self, folder: Path) -> None:
-        """Write the form's file into a folder, unless a name was given."""
+    def propose(self, out: Path) -> None:
+        """Keep the form's file beside a result, unless a name was given."""
         if not self.form_file.isModified():
-            self.form_file.setText(str(folder / "machines.toml"))
+            self.form_file.setText(str(out.with_name(f"{out.name}_machines.toml")))
             self.form_file.setModified(False)
+
+    def keep(self) -> None:
+        """Write the form's file where the command line names it; BadInput where another lies
+        there."""
+        if self.kind.currentText() != FORM or self.system_as is None:
+            return
+        path, text = self.system_as, self._tried.read_bytes()
+        if path.exists() and path.read_bytes() != text:
+            raise BadInput(f"{path} exists with other machines: choose another name for the list.")
+        write_atomic(path, text)
+
+    def end(self) -> None:
+        """Forget what was not kept."""
+        self._folder.cleanup()
 
     def add_row(self) -> None:
         """A further line, like the first."""
@@ -120,16 +151,18 @@ class MachinePane(QWidget):
             for row in range(self.table.rowCount())
         ]
 
-    def on_written(self, path: Path) -> None:
-        """The form's file lies there now."""
-        self._written = path
-        self.said.setText(f"Written: {path}")
+    def on_written(self) -> None:
+        """The form's list makes a system file."""
+        self._is_written = True
+        self.said.setText("")
+        self.said.hide()
         self.changed.emit()
 
     def show_error(self, sentence: str) -> None:
         """Why the form's file could not be written."""
-        self._written = None
+        self._is_written = False
         self.said.setText(sentence)
+        self.said.show()
         self.changed.emit()
 
     def _profile(self, row: int) -> str:
@@ -157,8 +190,8 @@ class MachinePane(QWidget):
 
     def _ask_for_file(self) -> None:
         if self.kind.currentText() == FORM and self.form_file.text().strip():
-            self._written = None
-            self.wants_file.emit(self.rows(), Path(self.form_file.text().strip()))
+            self._is_written = False
+            self.wants_file.emit(self.rows(), self._tried)
 
     def _ask_name(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self, "System file", str(Path.cwd()), "System files (*.toml)")

@@ -29,6 +29,7 @@ from PySide6.QtWidgets import (
     QListWidget,
     QListWidgetItem,
     QMainWindow,
+    QPlainTextEdit,
     QPushButton,
     QRadioButton,
     QScrollArea,
@@ -37,6 +38,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from radiant_core.errors import RadiantError
 from radiant_viewer.docks.progress_dock import ProgressDock
 from radiant_viewer.host.line_process import LineProcess
 from radiant_viewer.layers.themes import THEMES, ThemeName, style_sheet
@@ -49,7 +51,7 @@ from radiant_viewer.start.start_feeds import StartFeeds
 from radiant_viewer.window.qt_palette import qt_palette
 from radiant_viewer.window.window_size import fit_to_screen
 
-FORM_PX, PROGRESS_PX, RECENT_PX = 480, 230, 150
+FORM_PX, PROGRESS_PX, RECENT_PX, LINE_PX = 480, 230, 150, 58
 POLL_MS = 300
 QUALITIES = (
     ("quick", "Quick look", "Is everything there? A third of the usual steps on smaller photographs"),
@@ -90,9 +92,10 @@ class StartWindow(QMainWindow):
         self.measure = QPushButton("Measure this machine (5 min)")
         self.measure.setToolTip("radiant profile: forecasts are this machine's own afterwards")
         self.quality = QButtonGroup(self)
-        self.out, self.line = QLineEdit(), QLineEdit()
+        self.out, self.line = QLineEdit(), QPlainTextEdit()
         self.line.setReadOnly(True)
         self.line.setStyleSheet("font-family: monospace")
+        self.line.setFixedHeight(LINE_PX)
         self.forecast = QLabel("")
         self.forecast.setWordWrap(True)
         self.copy, self.start, self.stop = QPushButton("Copy"), QPushButton("Start"), QPushButton("Stop")
@@ -150,6 +153,7 @@ class StartWindow(QMainWindow):
         self._poll.stop()
         if self.progress is not None:
             self.progress.end()
+        self.machines.end()
         self.map.close_view()
         super().closeEvent(event)
 
@@ -159,6 +163,8 @@ class StartWindow(QMainWindow):
             self.wants_open.emit(self.source.path)
             return
         if not self.command or self.begun is not None:
+            return
+        if not self._keep_machines():
             return
         out = Path(self.out.text().strip())
         self._opens = out / "plan.json" if self.found["next"] == "plan" and out.suffix != ".json" else out
@@ -224,7 +230,7 @@ class StartWindow(QMainWindow):
         elif kind == "machines" and "error" in answer:
             self.machines.show_error(answer["error"])
         elif kind == "machines":
-            self.machines.on_written(Path(answer["written"]))
+            self.machines.on_written()
         elif kind == "look" and "error" in answer:
             self.source.show_error(answer["error"])
             self.map.show_places(np.zeros((0, 2)), "", "m")
@@ -241,7 +247,7 @@ class StartWindow(QMainWindow):
         self.source.show_found(found)
         self.map.show_places(np.array(found["places"], np.float64).reshape(-1, 2), found["places_are"], found["unit"])
         self.out.setText(found["out"])
-        self.machines.propose(Path(found["out"]).parent if found["out"] else Path.cwd())
+        self.machines.propose(Path(found["out"] or Path.cwd() / "run"))
         self._ask_forecast()
 
     def _on_said(self, words: str) -> None:
@@ -259,11 +265,12 @@ class StartWindow(QMainWindow):
         self._show_state()
         if self.found.get("next") not in ("run", "plan") or not self.machines.is_ready or not self.out.text().strip():
             return
-        system = self.machines.system
+        system, system_as = (None if path is None else str(path) for path in (self.machines.system, self.machines.system_as))
         self._wish = {
             "path": self.found["path"],
             "out": self.out.text().strip(),
-            "system": None if system is None else str(system),
+            "system": system,
+            "system_as": system_as,
             "quality": self.quality_name,
         }
         self.forecast.setText("Time: …")
@@ -302,8 +309,7 @@ class StartWindow(QMainWindow):
         self.start.setEnabled(is_idle and (step == "open" or bool(self.command)))
         self.stop.setVisible(not is_idle and self.progress is None)
         line = ("inspect", str(self.source.path)) if step == "open" else self.command
-        self.line.setText(f"radiant {join(line)}" if line else "")
-        self.line.setCursorPosition(0)
+        self.line.setPlainText(f"radiant {join(line)}" if line else "")
         self.copy.setEnabled(bool(line))
         self.measure.setEnabled(not self.measuring.is_running)
         self.measure.setVisible(bool(self._feeds.measuring))
@@ -337,8 +343,19 @@ class StartWindow(QMainWindow):
         self.show_status("Measuring this machine: five minutes, in which it should do nothing else")
         self._show_state()
 
+    def _keep_machines(self) -> bool:
+        """Write the list of machines where the command line names it, if it does."""
+        try:
+            self.machines.keep()
+        except RadiantError as error:
+            self.show_status(str(error))
+            return False
+        return True
+
     def _copy_line(self) -> None:
-        QGuiApplication.clipboard().setText(self.line.text())
+        if self.found.get("next") != "open" and not self._keep_machines():
+            return
+        QGuiApplication.clipboard().setText(self.line.toPlainText())
         self.show_status("Copied: type it in a terminal, with the same result")
 
     def _fill_recent(self) -> None:
