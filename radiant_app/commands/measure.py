@@ -28,14 +28,11 @@ from radiant_core.numerics import FloatArray
 from radiant_core.survey.geojson import line_feature, polygon_feature, to_geojson
 from radiant_core.survey.heights import RENDERING, HeightMap
 from radiant_core.survey.map_grid import MapFrame, MapGrid
-from radiant_core.survey.measures import Accuracy, Measured, MeasureKind, measure, require_measure
+from radiant_core.survey.measures import PLACE_GSD, Accuracy, Measured, MeasureKind, measure, require_measure
 from radiant_core.survey.sight import first_hit
 
 HEIGHTS = "heights.safetensors"
 _SCHEMA, _DTYPES = "radiant.heights", {"heights": "F64", "sigma": "F32", "source": "U8"}
-PLACE_GSD = 0.5
-"""σ of a feature in the orthophoto along each axis, in GSD: half of the edges of the town's lie
-within 0.3 px of the truth, nine of ten within 1.3 px (docs/survey.md)."""
 MAX_NAME = 100
 SNAP_GSD = 5.0
 """Three σ of a rendered depth."""

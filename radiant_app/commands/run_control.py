@@ -32,6 +32,7 @@ class BegunCommand:
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self.arguments = tuple(arguments)
+        self._words: str | None = None
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the command)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "radiant_app", *arguments],
@@ -44,8 +45,10 @@ class BegunCommand:
 
     def poll(self) -> str | None:
         """None while it is at work; its last words once it ended, empty where it ended well."""
-        code = self._process.poll()
-        return None if code is None else "" if code == 0 else self._last_words() or f"it ended with exit code {code}"
+        if self._words is None and (code := self._process.poll()) is not None:
+            self._words = "" if code == 0 else self._last_words() or f"it ended with exit code {code}"
+            self._said.close()
+        return self._words
 
     def stop(self) -> None:
         """End it as Ctrl-C does."""

@@ -24,6 +24,7 @@ from PySide6.QtWidgets import QApplication
 
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.layers.layer import Layer
+from radiant_viewer.pictures.images import save_png
 from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.beacons import BALL, BALL_M, beacon_places
 from tests.viewer.made_up_run import HALF_WH, Town, made_up_town
@@ -35,6 +36,8 @@ SPACING_PX, OTHER_PX, COVERED_PX, EDGE_PX = 18.0, 13.0, 20.0, 20.0
 """Places nearer to each other, to one of the other kind, to a border or a camera, which marks may
 cover, or to the rim of a view are not looked for."""
 THERE_AND_BACK = ("T", "F")
+SEEN = Path("moved_views.png")
+"""Where the screen is kept on which layers and model disagreed."""
 LEAST_BALL_PX, LARGEST_BALL_PX = 1.6, 4.0
 LEFT, MIDDLE, RIGHT = Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton, Qt.MouseButton.RightButton
 
@@ -190,6 +193,13 @@ class Watcher:
         """Both views after a move; AssertionError names it, the place and where it is instead."""
         self.moved = moved
         self.settle()
+        try:
+            self._look_at_both()
+        except AssertionError:
+            save_png(SEEN, pixels_of(self.window))
+            raise
+
+    def _look_at_both(self) -> None:
         screen = pixels_of(self.window)
         for canvas in (self.window.view, self.window.map):
             for color, places, what in ((BALL, self.balls, "the model's ball"), (MARK, self.marks, "the layer's mark")):
@@ -208,7 +218,8 @@ class Watcher:
             reach = int(SPACING_PX // 2)
             rows, columns = (np.arange(int(at) - reach, int(at) + reach + 1) for at in (y, x))
             near = strength[np.ix_(rows, columns)]
-            assert near.sum() > 4, f"{self.moved}: {what} {index} is not where the camera has it, at {x:.0f}, {y:.0f} px"
+            where = f"{'map' if canvas.is_map else '3D'}, {x:.0f}, {y:.0f} px"
+            assert near.sum() > 4, f"{self.moved}: {what} {index} is not where the camera has it, {where}"
             at = np.array([(near * (columns + 0.5)[None]).sum(), (near * (rows + 0.5)[:, None]).sum()]) / near.sum()
             error = float(np.linalg.norm(at - (x, y)))
             self.num_seen, self.worst_px = self.num_seen + 1, max(self.worst_px, error)

@@ -125,7 +125,6 @@ def train(window: StartWindow, photos: Path, out: Path) -> dict[str, Any]:
         "ready_s": ready_s,
         "stopped": stopped,
         "after_stop": after_stop,
-        "loss": len(_dock().shown.losses),
         "seconds": time.monotonic() - user.begun_s,
     }
 

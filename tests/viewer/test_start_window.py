@@ -65,5 +65,4 @@ def test_three_actions_make_a_model_that_can_be_stopped_and_resumed(seen: tuple[
     assert len(trained["actions"]) == 3
     assert not trained["stopped"] or trained["after_stop"] == "interrupted"
     assert len(load_ply(folder / "run/scene.ply")) > 100
-    assert trained["loss"] >= 1
     assert any("run" in row and "done" in row for row in result["again"]), result["again"]
