@@ -1,8 +1,8 @@
 """Runs begun, stopped and resumed from a window, each by the command line that does the same.
 
-    begin      `radiant …` in a session of its own, which a closed window leaves alone
-    stop       what Ctrl-C does in the run's terminal, wherever on this machine it was begun
-    resume     the run's own command with --resume, from its manifest
+begin      `radiant …` in a session of its own, which a closed window leaves alone
+stop       what Ctrl-C does in the run's terminal, wherever on this machine it was begun
+resume     the run's own command with --resume, from its manifest
 """
 
 from __future__ import annotations

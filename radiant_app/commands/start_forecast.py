@@ -134,7 +134,9 @@ def _system_time(found: Found, path: Path, quality: Quality) -> str:
     system = with_short_joins(with_step_law(scaled.system, train, num), train, num, AggregateConfig())
     system = with_camera_limits(system, train, num)[0]
     if (room := system_capacity(system, num)) < num:
-        raise BadInput(f"the machines of {path.name} hold {room:,} of {num:,} photographs: raise max_cameras or memory_gb, or add machines.")
+        raise BadInput(
+            f"the machines of {path.name} hold {room:,} of {num:,} photographs: raise max_cameras or memory_gb, or add machines."
+        )
     counts = fastest_edge_counts(system, num)
     busy = ", ".join(f"{edge.id} {count:,}" for edge, count in zip(system.edges, counts.counts, strict=True))
     total = duration_text(float(counts.edge_time_s.max()))

@@ -131,7 +131,7 @@ def _photographs(path: Path, images: Path, kind: SourceKind, posed: Path | None,
         what = f"{len(names):,} photographs and their alignment by {form.program} ({posed.name}), which is used"
     if not len(places) and posed is not None:
         places, places_are, unit = _posed_places(kind, posed, images), "poses of the alignment", "units"
-    where = f"{len(gps):,} with GPS, {_extent(places)}" if len(gps) else "none with GPS" if not len(places) else "places by the alignment"
+    where = "none with GPS" if not len(places) else f"{len(gps):,} with GPS, {_extent(places)}" if gps else "places by the alignment"
     size = photograph_size_wh(images / names[0]) if names else None
     pixels = "" if size is None else f", {size[0]:,} × {size[1]:,} px"
     notes = (

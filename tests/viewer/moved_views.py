@@ -32,9 +32,9 @@ from tests.viewer.window_user import until, use_window
 
 NEAR_PX, REST_MS = 2.0, 450
 MARK = np.array([0, 255, 255])
-SPACING_PX, OTHER_PX, COVERED_PX, EDGE_PX = 18.0, 13.0, 20.0, 20.0
-"""Places nearer to each other, to one of the other kind, to a border or a camera, which marks may
-cover, or to the rim of a view are not looked for."""
+SPACING_PX, OTHER_PX, COVERED_PX, LINE_PX, EDGE_PX = 18.0, 13.0, 20.0, 10.0, 20.0
+"""Places nearer to each other, to one of the other kind, to a border or a camera, to a line of any
+layer, which may cover them, or to the rim of a view are not looked for."""
 THERE_AND_BACK = ("T", "F")
 SEEN = Path("moved_views.png")
 """Where the screen is kept on which layers and model disagreed."""
@@ -225,6 +225,13 @@ class Watcher:
             self.num_seen, self.worst_px = self.num_seen + 1, max(self.worst_px, error)
             assert error <= NEAR_PX, f"{self.moved}: {what} {index} is {error:.1f} px away from where the camera has it"
 
+    def _along_lines(self) -> np.ndarray:
+        """Places (K,3) along the lines that are drawn: the frame of a selected camera is wide."""
+        shown = [*self.window.visible_layers(), *self.window._marks._layers.values()]
+        ends = np.concatenate([np.zeros((1, 2, 3)), *(layer.segments for layer in shown)])
+        shares = np.linspace(0, 1, 40)[:, None, None]
+        return ((1 - shares) * ends[None, :, 0] + shares * ends[None, :, 1]).reshape(-1, 3)
+
     def _expected(self, canvas: Canvas, places: np.ndarray) -> np.ndarray:
         """Places (K,3) as the canvas's own camera has them, px (K,2) from the upper left."""
         return canvas.pixels_of(places) * (1, -1) + (0, canvas.size_wh[1])
@@ -237,6 +244,7 @@ class Watcher:
             chosen &= (_away_px(expected, expected) < SPACING_PX).sum(axis=1) == 1
             chosen &= ~(_away_px(expected, others) < OTHER_PX).any(axis=1)
             chosen &= ~(_away_px(expected, self._expected(canvas, self.covered)) < COVERED_PX).any(axis=1)
+            chosen &= ~(_away_px(expected, self._expected(canvas, self._along_lines())) < LINE_PX).any(axis=1)
             if are_balls:
                 # Their standard deviation across the view.
                 rims = [self._expected(canvas, self.balls + BALL_M * step) for step in np.eye(3)]

@@ -75,7 +75,7 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     user.click(window.copy, "Copy")
     kept = listed_file.read_text()
     window.machines.table.item(0, 2).setText("many")
-    until(lambda: window.machines.said.text(), "a wrong number was taken", PATIENCE_S)
+    until(window.machines.said.text, "a wrong number was taken", PATIENCE_S)
     refused = window.machines.said.text()
     window.machines.kind.setCurrentText("This machine alone")
     user.drop(flight)

@@ -146,7 +146,7 @@ window.map, window.view = Map(), View()
 python = sys.executable
 maker = (python, str(folder / "maker.py"), str(folder / "ortho.tif"))
 commands = SurveyCommands(measuring=(python, str(folder / "worker.py"), str(run)), ortho=lambda out: (*maker, str(out)))
-dock = SurveyDock(window, load_run_view(run), commands)
+dock = SurveyDock(window, load_run_view(run), commands, 0.0, "m")
 def click(canvas, pixel):
     return any(taker(canvas, pixel) for taker in canvas.click_takers)
 assert not click(window.view, (75, 49)), "nobody asked for places yet"

@@ -42,7 +42,9 @@ class Front:
     def __post_init__(self) -> None:
         depths = check_array("depths of a front", self.depths, (None,))
         if not (1 <= self.rows <= MAX_CELLS and 1 <= self.columns <= MAX_CELLS and len(depths) == self.rows * self.columns):
-            raise BadInput(f"a front of {self.rows} × {self.columns} cells has {len(depths)} depths, expected one for each of 1 to {MAX_CELLS}.")
+            raise BadInput(
+                f"a front of {self.rows} × {self.columns} cells has {len(depths)} depths, expected one for each of 1 to {MAX_CELLS}."
+            )
         left, top, right, bottom = check_array("the box of a front", self.box, (4,))
         if not (left < right and top < bottom) or (depths < 0).any():
             raise BadInput("a front has no area, or depths behind its eye: make the selection again.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ def test_a_lasso_and_a_brush_choose_what_a_plain_loop_does() -> None:
     np.testing.assert_array_equal(Stroke(cam_from_world=POSE, path=LASSO).chosen(means), lasso)
     path = np.array([(-0.3, -0.3), (0.0, 0.2), (0.4, 0.2)])
     away = np.full(len(means), np.inf)
-    for start, end in zip(path[:-1], path[1:], strict=True):
+    for start, end in pairwise(path):
         share = np.clip(((places - start) @ (end - start)) / np.sum((end - start) ** 2), 0, 1)[:, None]
         away = np.minimum(away, np.linalg.norm(places - start - share * (end - start), axis=1))
     brush = Stroke(cam_from_world=POSE, path=tuple(map(tuple, path)), radius=0.1).chosen(means)

@@ -58,19 +58,16 @@ class LossWidget(QWidget):
         painter.drawLine(field.bottomLeft(), field.topLeft())
         painter.drawLine(field.bottomLeft(), field.bottomRight())
         painter.setPen(text)
+        beside = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         for value, y in ((high, field.top()), (low, field.bottom())):
-            painter.drawText(QRectF(0, y - 8, LEFT_PX - 4, 16), int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter), f"{value:.3g}")
+            painter.drawText(QRectF(0, y - 8, LEFT_PX - 4, 16), beside, f"{value:.3g}")
         last = self._curves[-1]
         below = QRectF(field.left(), field.bottom() + 1, field.width(), BELOW_PX)
         words = painter.fontMetrics().elidedText(f"loss of {last.stage}", Qt.TextElideMode.ElideMiddle, int(below.width()))
         painter.drawText(below, int(Qt.AlignmentFlag.AlignHCenter), words)
+        per_log = field.height() / float(np.log(high / low))
         for number, curve in enumerate(self._curves):
             red, green, blue = (int(level) for level in CURVE_COLORS[number % SHOWN])
             painter.setPen(QPen(QColor(red, green, blue), 2.2 if curve is last else 1.0))
-            height = np.log(high / low)
-            painter.drawPolyline(
-                [
-                    QPointF(field.left() + share * field.width(), field.top() + field.height() * float(np.log(high / max(loss, low)) / height))
-                    for share, loss in curve.points
-                ]
-            )
+            places = [(share, float(np.log(high / max(loss, low)))) for share, loss in curve.points]
+            painter.drawPolyline([QPointF(field.left() + share * field.width(), field.top() + per_log * depth) for share, depth in places])

@@ -59,6 +59,12 @@ class SelectRow(QWidget):
         self._add(step)
         self.tool.clear()
 
+    def end(self) -> None:
+        """Choose nothing, and leave drags to the view."""
+        for button in (self.lasso, self.brush):
+            button.setChecked(False)
+        self.tool.clear()
+
     def show_chosen(self) -> None:
         """Mark what is chosen in both views, and count it."""
         chosen = self.tool.chosen

@@ -76,7 +76,7 @@ class MachinePane(QWidget):
         self.kind.currentIndexChanged.connect(self._on_kind)
         self.file.textChanged.connect(lambda _: self.changed.emit())
         self.browse.clicked.connect(self._ask_name)
-        self.add.clicked.connect(lambda: self.add_row())
+        self.add.clicked.connect(self.add_row)
         self.remove.clicked.connect(self._remove_row)
         self.table.itemChanged.connect(lambda _: self._settle.start())
         self.form_file.textChanged.connect(lambda _: self._settle.start())
