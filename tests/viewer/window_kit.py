@@ -41,6 +41,11 @@ def display() -> Iterator[str]:
         yield name
 
 
+def patient(seconds: float) -> float:
+    """So many seconds of a machine that does nothing else, on one that does."""
+    return seconds * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+
+
 def run_python(code: str | list[str], *arguments: str, patience_s: float = 300, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run code, or a module named by `["-m", …]`, in a process with every warning as an error."""
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
@@ -48,4 +53,4 @@ def run_python(code: str | list[str], *arguments: str, patience_s: float = 300, 
     # A home of its own: windows remember their size there.
     with tempfile.TemporaryDirectory() as home:
         env = {name: value for name, value in os.environ.items() if name not in hidden} | {"XDG_CONFIG_HOME": home} | environment
-        return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=patience_s, check=False)
+        return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=patient(patience_s), check=False)

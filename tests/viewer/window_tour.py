@@ -18,10 +18,11 @@ from PySide6.QtWidgets import QMessageBox
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_viewer.layers.palette import VERMILLION
+from tests.viewer.window_kit import patient
 
 
 def until(done, seconds=30):
-    for _ in range(20 * seconds):
+    for _ in range(round(20 * patient(seconds))):
         if done():
             return
         QTest.qWait(50)

@@ -20,6 +20,7 @@ from radiant_app.commands.inspect import open_inspector
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.window.window import InspectorWindow
+from tests.viewer.window_kit import patient
 
 LEFT = Qt.MouseButton.LeftButton
 PATIENCE_S = 60
@@ -116,7 +117,7 @@ class User:
 def until(condition: Callable[[], object], what: str, patience_s: float = PATIENCE_S) -> None:
     """Let the window work until a condition holds; AssertionError with `what` after a minute, or
     as long as is said."""
-    end = time.monotonic() + patience_s
+    end = time.monotonic() + patient(patience_s)
     while not condition():
         assert time.monotonic() < end, what
         QTest.qWait(10)

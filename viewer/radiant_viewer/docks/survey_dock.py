@@ -43,6 +43,7 @@ from radiant_viewer.runs.run_view import RunView
 LEAST: dict[str, int] = {"distance": 2, "height": 2, "area": 3, "volume": 3, "profile": 2}
 HINT = "Choose what to measure, click places in the 3D view or on the map; 'Measure' (Shift+M) keeps it with σ by the surface."
 WITHOUT_MODEL = "Lengths and areas are shown as you click; a finished run keeps measures, with σ by its surface."
+PREPARING = "Preparing the surface"
 FIELD_PX = 110
 
 
@@ -56,6 +57,8 @@ class SurveyDock(QDockWidget):
         self._host, self._run, self._unit = host, run, unit
         self._map = None if run is None else map_frame_of(run.scene.frame)
         self._sent: list[str] = []
+        """What is not answered yet, in order."""
+        self._quick = ""
         self._is_prepared = False
         can_measure = self._can_measure = commands is not None and run is not None and run.model is not None and not run.is_growing
         self.process = LineProcess(self, commands.measuring if commands is not None else ())
@@ -82,8 +85,8 @@ class SurveyDock(QDockWidget):
 
     @property
     def is_measuring(self) -> bool:
-        """Whether an answer is awaited."""
-        return bool(self._sent)
+        """Whether the answer to a measure, a removal or an export is awaited."""
+        return any(doing != PREPARING for doing in self._sent)
 
     @property
     def is_busy(self) -> bool:
@@ -152,7 +155,7 @@ class SurveyDock(QDockWidget):
             raise BadInput(f"{text!r} is no height of a base: give a number, or nothing.") from None
 
     def _send(self, request: dict[str, Any], doing: str) -> None:
-        if self._sent:
+        if self.is_measuring:
             raise BadInput("something is being measured: wait for it.")
         self._sent.append(doing)
         self.text.setText(doing)
@@ -162,12 +165,15 @@ class SurveyDock(QDockWidget):
         """Make the surface while places are being clicked: half a minute for the first measure."""
         if active and self._can_measure and not self._is_prepared:
             self._is_prepared = True
+            self._sent.append(PREPARING)
             self.process.send({"prepare": True})
 
     def _on_answer(self, answer: dict[str, Any]) -> None:
-        if "prepared" in answer:
+        # They come in the order of their requests.
+        doing = self._sent.pop(0) if self._sent else ""
+        if doing == PREPARING:
+            # What is wrong with the surface the first measure says.
             return
-        doing = self._sent.pop() if self._sent else ""
         if "error" in answer:
             self.text.setText(answer["error"])
             self._host.show_status(answer["error"])
@@ -193,7 +199,7 @@ class SurveyDock(QDockWidget):
         self.text.setText(f"Measuring ended: {words}")
 
     def _on_said(self, words: str) -> None:
-        if self._sent:
+        if self.is_measuring:
             self.text.setText(" ".join(filter(None, (self._quick, self._sent[-1], words))))
 
     def _on_points(self) -> None:
