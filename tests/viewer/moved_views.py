@@ -287,6 +287,7 @@ def act(window: InspectorWindow, town: Town, seed: int, number: int) -> None:
             window.reset_views()
             name += ", then Fit"
         watcher.check(f"step {step}, {name}")
+        print(f"{step}: {name}, {watcher.num_seen} seen, worst {watcher.worst_px:.2f} px", file=sys.stderr, flush=True)
     print(json.dumps({"seen": watcher.num_seen, "worst_px": round(watcher.worst_px, 2)}))
 
 

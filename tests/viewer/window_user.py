@@ -42,6 +42,15 @@ class User:
         self.actions.append(f"click {what}")
         QTest.mouseClick(widget, LEFT, pos=spot or QPoint())
 
+    def drag(self, widget: QWidget, path: np.ndarray, what: str) -> None:
+        """The left button along places (P,2) px of a widget."""
+        self.actions.append(f"drag {what}")
+        places = [QPoint(round(x), round(y)) for x, y in path]
+        QTest.mousePress(widget, LEFT, pos=places[0])
+        for place in places[1:]:
+            QTest.mouseMove(widget, place)
+        QTest.mouseRelease(widget, LEFT, pos=places[-1])
+
     def click_tab(self, title: str) -> None:
         """The tab of a panel."""
         bars = self.window.findChildren(QTabBar)
