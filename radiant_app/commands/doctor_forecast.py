@@ -98,7 +98,7 @@ def forecast(num_photographs: int, profile: Path, free_bytes: int, training: Tra
         unknown=tuple(stage for stage, seconds, _ in stages if seconds is None),
         extrapolated=tuple(stage for stage, _, far in stages if far),
         machine=curves.machine,
-        key=str(curves.key if training is None else training_key_of(train, curves.key.preset)),
+        key=str(curves.key if training is None else training_key_of(train, "default")),
         shortage=division.warning,
         division=division,
     )

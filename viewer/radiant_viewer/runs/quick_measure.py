@@ -20,9 +20,9 @@ from radiant_core.survey.measures import PLACE_GSD, Accuracy, Figure, measure_pl
 WITHOUT_SCALE = "σ without that of the scale"
 
 
-def quick_text(kind: MeasureKind, points: FloatArray, cameras: Cameras | None, unit: str) -> str:
-    """The figures of places (P,3), NaN heights for those of the map, in a line; what is missing
-    while they are too few, or why nothing can be said of them. Without cameras there is no σ."""
+def quick_text(kind: str, points: FloatArray, cameras: Cameras | None, unit: str) -> str:
+    """The figures of places (P,3), NaN heights for those of the map, in a line; empty while they
+    are too few, or why nothing can be said of them. Without cameras there is no σ."""
     if len(points) < 2:
         return ""
     shown: MeasureKind = "area" if kind in ("area", "volume") and len(points) > 2 else "height" if kind == "height" else "distance"

@@ -201,7 +201,8 @@ class MachinePane(QWidget):
     def _on_kind(self, index: int) -> None:
         self._pages.setCurrentIndex(index)
         self._pages.setVisible(index > 0)
-        self._pages.setFixedHeight(self._pages.widget(index).sizeHint().height() if index else 0)
+        page = self._pages.widget(index)
+        self._pages.setFixedHeight(page.sizeHint().height() if index and page is not None else 0)
         if self.kind.currentText() == FORM and not self.table.rowCount():
             self.add_row()
         elif self.kind.currentText() == FORM:
