@@ -167,6 +167,8 @@ class CleaningDock(QDockWidget):
             buttons.addWidget(button)
         buttons.addWidget(self.count, stretch=1)
         left.addWidget(self.steps, stretch=1)
+        if self.select is not None:
+            left.addWidget(self.select)
         left.addLayout(buttons)
         inside, outside = QPushButton("Keep inside"), QPushButton("Leave it out")
         inside.clicked.connect(lambda: self._host.attempt(lambda: self.keep_inside("inside")))
@@ -186,9 +188,7 @@ class CleaningDock(QDockWidget):
                 rules.addWidget(second, row, 2)
                 second.setMaximumWidth(FIELD_PX)
             rules.addWidget(button, row, 3)
-        if self.select is not None:
-            rules.addWidget(self.select, len(rows), 0, 1, 4)
-        rules.setRowStretch(len(rows) + 1, 1)
+        rules.setRowStretch(len(rows), 1)
         self.keep_support.setToolTip("What fewer photographs show, or from nearly one direction, may hang at any depth")
         self.keep_size.setToolTip("Wider ones are haze and floaters: the longest standard deviation counts")
         body = QWidget()

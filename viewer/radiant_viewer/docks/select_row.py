@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from PySide6.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QSpinBox, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
 
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import SelectionStep
@@ -17,6 +17,7 @@ from radiant_viewer.layers.layer import Layer
 from radiant_viewer.runs.cleaning_session import CleaningSession
 
 CHOSEN, COLOR, MOST_SHOWN = "Chosen", (255, 140, 0), 30_000
+BUTTON_PX = 84
 HINT = "drag in the 3D view to choose, Ctrl and drag to take away, right button and wheel move the view; Backspace takes a stroke back"
 
 
@@ -100,13 +101,13 @@ class SelectRow(QWidget):
         self.leave_out.clicked.connect(lambda: self._host.attempt(self.make_step))
 
     def _lay_out(self) -> None:
-        upper, lower = QHBoxLayout(), QHBoxLayout()
-        for widget in (QLabel("In 3D"), self.lasso, self.brush, self.radius, self.through):
-            upper.addWidget(widget)
-        for widget in (self.count, self.clear, self.leave_out, self.keep):
-            lower.addWidget(widget)
-        lower.insertStretch(1, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(upper)
-        layout.addLayout(lower)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(4)
+        for widget in (QLabel("In 3D"), self.lasso, self.brush, self.radius, self.through, self.count):
+            row.addWidget(widget)
+        row.addStretch(1)
+        for widget in (self.clear, self.leave_out, self.keep):
+            row.addWidget(widget)
+        for button in (self.lasso, self.brush, self.clear, self.leave_out, self.keep):
+            button.setMaximumWidth(BUTTON_PX)
