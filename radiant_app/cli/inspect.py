@@ -71,9 +71,7 @@ def inspect(
     if run_folder is None:
         if asked := typed_options(context):
             option = next(iter(asked.values()))
-            raise BadInput(
-                f"{option} needs something to show: name a run, a plan or a model, or type 'radiant inspect' alone."
-            )
+            raise BadInput(f"{option} needs something to show: name a run, a plan or a model, or type 'radiant inspect' alone.")
         from radiant_app.commands.inspect.window import open_start_window
 
         raise typer.Exit(open_start_window())
