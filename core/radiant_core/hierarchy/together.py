@@ -36,7 +36,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import TENSORS, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.extent import extent_decision, working_extent
-from radiant_core.train.fill_in import NO_POINTS, AddedPoints, fill_in_points
+from radiant_core.train.fill_in import AddedPoints
 from radiant_core.train.initialize import initial_gaussians, room_to_fill, sky_rgb_of, sky_share
 from radiant_core.train.memory import memory_plan
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
@@ -150,9 +150,8 @@ def prepare_share(task: DeviceTask, views: TrainingViews, reporter: Reporter, ma
     _decide(reporter, decisions)
     lit, lights, decisions = canonical_views(scene, views, config.light)
     _decide(reporter, decisions)
-    config, decisions = choose_for_share(replace(task, train=config), scene, lit, reporter, machine, statistics_bytes)
+    _, filled, decisions = choose_for_share(replace(task, train=config), scene, lit, reporter, machine, statistics_bytes)
     _decide(reporter, decisions)
-    filled = fill_in_points(scene, lit) if config.fill_in else NO_POINTS
     start = ShareStart(
         cameras=number_cameras(lit.cameras, reporter.stage),
         points=np.concatenate([scene.points, filled.points]),
