@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.bench.kind_scenes import KINDS, make_scene
+from radiant_app.bench.kind_statistics import FORCED, STATISTICS, Case, statistics_of, statistics_tables
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.train import Source, Split, TrainBench, score_model, split_source
 from radiant_app.commands.steps import stage_bar
@@ -72,6 +73,7 @@ ADDED: Mapping[str, Mapping[str, Any]] = {
     "dense points": {"dense_points": "always"},
     "fill-in points always": {"fill_in": True},
     "light always": {"light": "always"},
+    "left out at random always": {"drop_gaussians": "always"},
 }
 """What the preset does not do, or where it decides against it, and the settings that force it."""
 DEFAULT, PLAIN, PLAIN_LONGER = "default", "plain", "plain, equal time"
@@ -145,6 +147,8 @@ class KindRow:
     """What was decided, by topic."""
     chosen: Mapping[str, Any] = field(default_factory=dict)
     """The values of settings that were "auto"."""
+    statistics: Mapping[str, float] = field(default_factory=dict)
+    """Of the default's photographs, by name (`kind_statistics.py`)."""
 
     @property
     def scene(self) -> str:
@@ -253,6 +257,7 @@ class _Cell:
             model.parent.mkdir(parents=True, exist_ok=True)
             save_splats(model, splats)
         figures = score_model(self.split, prepared, splats)
+        statistics = statistics_of(self.split.training, views) if arm == DEFAULT else {}
         return KindRow(
             kind=self.kind,
             num_photographs=self.number,
@@ -264,6 +269,7 @@ class _Cell:
             psnr_db=figures.psnr_db,
             psnr_cc_db=figures.psnr_cc_db,
             steps=steps,
+            statistics=statistics,
             choices={decision.topic: decision.choice for decision in recorder.decisions},
             chosen={
                 each.name: value
@@ -370,7 +376,8 @@ def _plain(gain: Gain) -> dict[str, Any]:
 
 
 def markdown(rows: Sequence[KindRow]) -> str:
-    """Two tables: default and plain on every scene, and what every helper gains on each."""
+    """Tables: default and plain on every scene, what every helper gains on each and on all, and
+    whether what decides about it was right."""
     gains = {(f"{gain.kind}-{gain.num_photographs}", gain.helper): gain for gain in gains_of(rows)}
     scenes = list(dict.fromkeys(row.scene for row in rows))
     helpers = [name for name in (*HELPERS, *ADDED) if any(helper == name for _, helper in gains)]
@@ -392,7 +399,7 @@ def markdown(rows: Sequence[KindRow]) -> str:
             lines.append(_line(scene, *means, _bounded(gain.psnr_db), _bounded(gain.psnr_cc_db), in_time, *costs))
     lines += ["", _line("scene", *helpers), "|---" * (len(helpers) + 1) + "|"]
     lines += [_line(scene, *(_gain_text(gains.get((scene, helper))) for helper in helpers)) for scene in scenes]
-    lines += ["", *_summary(rows)]
+    lines += ["", *_summary(rows), "", *statistics_tables(cases_of(rows))]
     return "\n".join(lines) + "\n"
 
 
@@ -408,6 +415,22 @@ def _summary(rows: Sequence[KindRow]) -> list[str]:
         acting = f"{sum(pair.acts for pair in pairs)} of {len(pairs)}"
         lines.append(_line(helper, acting, _bounded(_difference(pairs, "psnr_db")), most, least))
     return lines
+
+
+def cases_of(rows: Sequence[KindRow]) -> list[Case]:
+    """The helpers that change a training, as the default decides about them by a statistic."""
+    of_forced = {arm: helper for helper, arm in FORCED.items()}
+    return [
+        Case(
+            helper=of_forced.get(pair.helper, pair.helper),
+            scene=pair.with_it[0].scene,
+            is_on=pair.helper not in of_forced,
+            gain=_difference([pair], "psnr_db"),
+            statistics=(pair.without if pair.helper in of_forced else pair.with_it)[0].statistics,
+        )
+        for pair in _pairs(rows)
+        if pair.acts and of_forced.get(pair.helper, pair.helper) in STATISTICS
+    ]
 
 
 def _line(*cells: str) -> str:
@@ -432,9 +455,7 @@ def bench_of(options: BenchOptions) -> KindsBench:
     """The benchmark that the options ask for; `quick` has two kinds, 24 photographs and few
     steps."""
     assert options.out is not None, "checked with the options"
-    some: dict[str, Any] = (
-        {"kinds": ("turntable", "clouds"), "numbers": (24,), "long_side_px": 128, "num_steps": 200} if options.quick else {}
-    )
+    some = QUICK if options.quick else {}
     given = {
         "kinds": options.kinds,
         "numbers": None if options.num_photographs is None else (options.num_photographs,),
