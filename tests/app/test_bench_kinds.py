@@ -11,6 +11,7 @@ import pytest
 
 import generate
 from radiant_app.bench import kind_scenes
+from radiant_app.bench.kind_rows import cases_of, gains_of
 from radiant_app.bench.kind_scenes import KINDS, make_scene
 from radiant_app.bench.kind_statistics import statistics_tables
 from radiant_app.bench.kinds import (
@@ -23,8 +24,6 @@ from radiant_app.bench.kinds import (
     KindsBench,
     bench_kinds,
     bench_of,
-    cases_of,
-    gains_of,
     markdown,
 )
 from radiant_app.bench.options import BenchOptions

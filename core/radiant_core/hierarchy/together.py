@@ -42,6 +42,7 @@ from radiant_core.train.memory import memory_plan
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.needs import fit_to_cameras
 from radiant_core.train.results import TrainState
+from radiant_core.train.shapes import with_needle_width
 from radiant_core.train.together.gradients import Layout
 from radiant_core.train.together.masking import MaskKeys
 from radiant_core.train.together.replica import Group, Replica, Share, require_shareable
@@ -182,7 +183,7 @@ def begin_group(starts: Mapping[str, ShareStart], plan: GroupTraining, train: Tr
     sent = [starts[name] for name in names]
     cameras = concatenate_cameras([number_cameras(each.cameras, name) for name, each in zip(names, sent, strict=True)])
     config = replace(train, num_steps=plan.num_steps, max_epochs=None, max_num_splats=_most_splats(train, sent), cross_validate="none")
-    config, decisions = fit_to_cameras(config, cameras)
+    config, decisions = fit_to_cameras(with_needle_width(config, cameras), cameras)
     _decide(reporter, decisions)
     reporter.decide(sky_decision(reporter.stage, sky_share(cameras), wanted=config.sky))
     initial = _first_gaussians(sent, cameras, config)
