@@ -50,7 +50,7 @@ def test_what_is_thinner_than_a_pixel_counts_as_a_pixel_wide() -> None:
     depth_m = 3.0
     pixel_m = float(depth_m * config.needle_width_per_distance)
     splats = axes((50 * pixel_m, 0.1 * pixel_m, 0.1 * pixel_m), (50 * pixel_m, 2 * pixel_m, 0.1 * pixel_m), (9 * pixel_m, 1e-9, 1e-9))
-    splats = replace(splats, means=torch.tensor(center + [0.0, 0.0, -depth_m], dtype=torch.float32).expand(3, 3).contiguous())
+    splats = replace(splats, means=torch.tensor(center - np.array([0.0, 0.0, depth_m]), dtype=torch.float32).expand(3, 3).contiguous())
     assert limit_shapes(splats, center[None], config).num_needles == 2
     np.testing.assert_allclose(np.exp(splats.log_scales.numpy().astype(np.float64))[:, 0] / pixel_m, [10, 20, 9], rtol=1e-4)
 
