@@ -13,22 +13,22 @@ from numpy.typing import ArrayLike
 from rich.console import Console
 
 from radiant.scenes import Scene
-from radiant_app.commands.export import export as export_by_request
-from radiant_app.commands.export_request import ExportRequest
+from radiant_app.commands.export.export import export as export_by_request
+from radiant_app.commands.export.request import ExportRequest
 from radiant_app.events import Listener, StageDone, StageProgress, StageStarted, Warned
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored
-from radiant_app.workers.reporting import EventReporter
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.choices import ExportFormat, LightMode
 from radiant_core.errors import BadInput
+from radiant_core.export.scene import save_spz
+from radiant_core.export.sog import save_sog
 from radiant_core.hierarchy.device import fit_prepared, prepare_training
 from radiant_core.hierarchy.messages import DeviceTask
-from radiant_core.io.export.scene import save_spz
-from radiant_core.io.export.sog import save_sog
 from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import save_ply
 from radiant_core.light.canonical import light_of_score

@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from radiant_app.cli.bench import bench
+from radiant_app.cli.bench import FORWARDED, bench
 from radiant_app.cli.clean import clean
 from radiant_app.cli.node import node
 from radiant_app.cli.option_types import AggregatePresetOption, AsJson, LpipsNet, LpipsWeights, SizeOption
@@ -84,7 +84,7 @@ def aggregate(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.aggregate import aggregate as join
+        from radiant_app.commands.model.aggregate import aggregate as join
 
     finish(join(run_folder, out, aggregate_preset, epochs, terminal_display()), as_json)
 
@@ -107,8 +107,8 @@ def extend(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.extend import ExtendRequest
-        from radiant_app.commands.extend import extend as join
+        from radiant_app.commands.model.extend import ExtendRequest
+        from radiant_app.commands.model.extend import extend as join
 
     request = ExtendRequest(old=old, new=new, out=out, region=region, margin_m=margin_m, num_epochs=epochs)
     finish(join(request, terminal_display()), as_json)
@@ -134,8 +134,8 @@ def evaluate(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.evaluate import EvaluateRequest
-        from radiant_app.commands.evaluate import evaluate as score
+        from radiant_app.commands.model.evaluate import EvaluateRequest
+        from radiant_app.commands.model.evaluate import evaluate as score
 
     request = EvaluateRequest(
         model=model, scene=scene, long_side_px=long_side_px, lpips_weights=lpips_weights, lpips_network=lpips_net, out=out
@@ -171,7 +171,7 @@ def inspect(
         from radiant_viewer.web.server import open_page
 
         return open_page(run_folder, typer.echo, host, port)
-    from radiant_app.commands.inspect import Picture, inspect_with_open3d, open_inspector, save_picture
+    from radiant_app.commands.inspect.window import Picture, inspect_with_open3d, open_inspector, save_picture
 
     if viewer == "open3d":
         raise typer.Exit(inspect_with_open3d(run_folder, view, screenshot, Picture(size_wh=size_wh_of(size), camera=camera, scene=scene)))
@@ -190,7 +190,7 @@ app.command()(measure)
 app.command()(clean)
 
 
-app.command()(bench)
+app.command(context_settings=FORWARDED)(bench)
 
 
 @app.command()
@@ -203,7 +203,7 @@ def doctor(
     from radiant_app.report.progress import show_starting
 
     with show_starting():
-        from radiant_app.commands.doctor import examine, table
+        from radiant_app.commands.machine.doctor import examine, table
 
         findings = examine(photographs, profile)
     typer.echo(json.dumps([vars(finding) for finding in findings], indent=2) if as_json else table(findings))

@@ -39,8 +39,8 @@ def clean(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.clean import CleanRequest
-        from radiant_app.commands.clean import clean as change
+        from radiant_app.commands.model.clean import CleanRequest
+        from radiant_app.commands.model.clean import clean as change
         from radiant_core.geometry.cleaning import MAX_STEPS
 
     request = CleanRequest(

@@ -32,7 +32,7 @@ def init(
     """Make the node with a key of its own, or change where it is joined."""
     from urllib.parse import urlsplit
 
-    from radiant_app.commands import node as commands
+    from radiant_app.commands.network import node as commands
     from radiant_app.network.home import Listening
 
     listening = None
@@ -54,7 +54,7 @@ def invite(
     ] = "pinned",
 ) -> None:
     """Write a join file for one machine; it counts once. Give it to nobody else."""
-    from radiant_app.commands import node as commands
+    from radiant_app.commands.network import node as commands
 
     path = out or Path(f"{name}.join")
     invitation = commands.invite(home, name, path, identity)
@@ -67,7 +67,7 @@ def join(
     home: HomeOption = Path("radiant_node"),
 ) -> None:
     """Follow a join file."""
-    from radiant_app.commands import node as commands
+    from radiant_app.commands.network import node as commands
 
     invitation = commands.join(home, file)
     following = "radiant node work --photos FOLDER" if invitation.node.startswith("devices/") else "radiant node serve"
@@ -82,7 +82,7 @@ OfflineOption = Annotated[
 @node.command()
 def serve(home: HomeOption = Path("radiant_node"), offline: OfflineOption = False) -> None:
     """Work as an edge until Ctrl-C."""
-    from radiant_app.commands import node as commands
+    from radiant_app.commands.network import node as commands
 
     commands.Running(say=_say).serve(home, offline=offline)
 
@@ -96,7 +96,7 @@ def work(
     offline: OfflineOption = False,
 ) -> None:
     """Work as a device until Ctrl-C: outbound connections alone."""
-    from radiant_app.commands import node as commands
+    from radiant_app.commands.network import node as commands
 
     def agree(text: str) -> bool:
         typer.echo(text, err=True)
@@ -112,7 +112,7 @@ def pack(
     home: HomeOption = Path("radiant_node"),
 ) -> None:
     """Write a task or a result into a folder for any carrier; it is signed, not encrypted."""
-    from radiant_app.commands import node_packs
+    from radiant_app.commands.network import packs as node_packs
 
     typer.echo(f"{out} holds {node_packs.pack(home, name, out)} for `radiant node unpack {out.name}` there.")
 
@@ -123,7 +123,7 @@ def unpack(
     home: HomeOption = Path("radiant_node"),
 ) -> None:
     """Take what another carrier brought, once all of it is verified."""
-    from radiant_app.commands import node_packs
+    from radiant_app.commands.network import packs as node_packs
 
     for said in node_packs.unpack(home, folder):
         typer.echo(said)
@@ -132,7 +132,7 @@ def unpack(
 @node.command()
 def status(home: HomeOption = Path("radiant_node"), as_json: AsJson = False) -> None:
     """Who joined, since when somebody is silent, what arrived of what."""
-    from radiant_app.commands import node as commands
+    from radiant_app.commands.network import node as commands
 
     record = commands.status(home)
     typer.echo(json.dumps(record) if as_json else "\n".join(commands.status_lines(record)))
@@ -141,7 +141,7 @@ def status(home: HomeOption = Path("radiant_node"), as_json: AsJson = False) -> 
 @node.command()
 def revoke(name: Annotated[str, typer.Argument(help="Id of the node.")], home: HomeOption = Path("radiant_node")) -> None:
     """Refuse a node from its next request on."""
-    from radiant_app.commands import node as commands
+    from radiant_app.commands.network import node as commands
 
     typer.echo(f"{commands.revoke(home, name)} is refused from now on; `radiant node invite {name}` lets it in again.")
 

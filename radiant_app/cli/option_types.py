@@ -27,13 +27,6 @@ BufferOption = Annotated[
 DeadlineOption = Annotated[float | None, typer.Option("--deadline", min=0, help="Seconds within which an edge takes buffer captures.")]
 CutByOption = Annotated[CutBy, option("plan.cut_by")]
 RasterCellOption = Annotated[float | None, option("plan.raster_cell_m")]
-BenchScene = Annotated[
-    Path | None,
-    typer.Option(
-        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm', a run."
-    ),
-]
-BenchPlot = Annotated[Path | None, typer.Option(help="train, methods: PNG of the curves.")]
 CrsOption = Annotated[
     str | None,
     typer.Option("--crs", metavar="EPSG:NNNN[+MMMM]", help="Coordinate system of the file, +MMMM its vertical datum; PROJ strings, WKT."),

@@ -36,8 +36,8 @@ def render(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.render import RenderRequest
-        from radiant_app.commands.render import render as render_pictures
+        from radiant_app.commands.model.render import RenderRequest
+        from radiant_app.commands.model.render import render as render_pictures
 
     request = RenderRequest(
         model=model,
@@ -102,8 +102,8 @@ def export(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.export import export as write_export
-        from radiant_app.commands.export_request import ExportRequest
+        from radiant_app.commands.export.export import export as write_export
+        from radiant_app.commands.export.request import ExportRequest
 
     request = ExportRequest(
         model=model,
@@ -139,7 +139,7 @@ def view(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.view import view as serve_page
+        from radiant_app.commands.inspect.view import view as serve_page
 
     serve_page(model, port, terminal_display(), typer.echo)
 

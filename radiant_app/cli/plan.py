@@ -50,11 +50,11 @@ def plan(
     as_json: options.AsJson = False,
 ) -> None:
     """Regions per edge and waypoints or photographs per device, by position; before capture too."""
-    from radiant_app.commands.plan import PlanRequest
-    from radiant_app.commands.plan import plan as make_plan
-    from radiant_app.commands.plan_content import content_request
-    from radiant_app.commands.plan_flight import DroneText, HeightOptions, flight_request
-    from radiant_app.commands.plan_tables import plan_tables
+    from radiant_app.commands.plan.content import content_request
+    from radiant_app.commands.plan.flight import DroneText, HeightOptions, flight_request
+    from radiant_app.commands.plan.plan import PlanRequest
+    from radiant_app.commands.plan.plan import plan as make_plan
+    from radiant_app.commands.plan.tables import plan_tables
     from radiant_app.report.progress import terminal_display
     from radiant_core.train.needs import Overrides
 

@@ -31,7 +31,7 @@ def profile(
     as_json: AsJson = False,
 ) -> None:
     """Cost curves of this machine for the planner by a short real run, and their errors."""
-    from radiant_app.commands import profile as profile_command
+    from radiant_app.commands.machine import profile as profile_command
 
     if list_known:
         typer.echo(profile_command.library_table())

@@ -27,7 +27,7 @@ def replan_plan(
 ) -> None:
     """A plan after a device died, slowed down or finished, or others joined: the least makespan,
     then the fewest positions that move."""
-    from radiant_app.commands.replan import ReplanRequest, parse_values, replan_files, replan_table
+    from radiant_app.commands.plan.replan import ReplanRequest, parse_values, replan_files, replan_table
     from radiant_app.report.progress import terminal_display
     from radiant_core.plan.revision.replan import FleetChange
 

@@ -61,7 +61,7 @@ def demo(
     verbose: Verbose = False,
 ) -> None:
     """The whole job on the sample town that comes with the project: some minutes on two cores."""
-    from radiant_app.commands.demo import demo_config
+    from radiant_app.commands.run.demo import demo_config
 
     run_and_print(demo_config(out), resume or out.exists(), as_json=False, verbose=verbose)
 
@@ -95,7 +95,7 @@ def run_and_print(config: RunConfig, resume: bool, as_json: bool, *, verbose: bo
 
 
 def _run_batch(context: typer.Context, source: Path, resume: bool, as_json: bool, *, verbose: bool) -> None:
-    from radiant_app.commands.batch import run_batch
+    from radiant_app.commands.run.batch import run_batch
 
     typed = typed_options(context)
     if extra := sorted(option for name, option in typed.items() if name not in ("source", "out", "resume", "as_json", "verbose")):

@@ -41,7 +41,7 @@ def sfm(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands import steps as commands
+        from radiant_app.commands.run import steps as commands
         from radiant_app.config.run_config import SfmOptions
         from radiant_core.sfm.config import SfmConfig
 

@@ -27,8 +27,8 @@ def change(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.change import ChangeRequest
-        from radiant_app.commands.change import change as compare
+        from radiant_app.commands.survey.change import ChangeRequest
+        from radiant_app.commands.survey.change import change as compare
 
     request = ChangeRequest(older=older, newer=newer, out=out, resolution=resolution, min_area=min_area)
     finish(compare(request, terminal_display()), as_json)
@@ -49,7 +49,7 @@ def measure(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands.measure import MeasureRequest, measure_run
+        from radiant_app.commands.survey.measure import MeasureRequest, measure_run
 
     request = MeasureRequest(run=run, kind=kind, places=at, name=name, base=base, resolution=resolution, remove=remove, export=export)
     result = measure_run(request, terminal_display())

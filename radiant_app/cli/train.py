@@ -75,7 +75,7 @@ def train(
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.commands import train as commands
+        from radiant_app.commands.run import train as commands
         from radiant_core.sfm.intake import Intake
 
     options = _options_of(train_preset, {"long_side_px": long_side_px, "num_steps": steps, "max_num_splats": gaussians}, settings or [])

@@ -31,7 +31,7 @@ from radiant_app.events import (
     decode,
     encode,
 )
-from radiant_app.report.pace import clock_text
+from radiant_app.pace import clock_text
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import LOCK_NAME
 

@@ -14,17 +14,16 @@ import markupsafe
 import numpy as np
 
 from radiant_app.events import UPLINK, Listener, StageDone, StageProgress, StageStarted
-from radiant_app.files.run_folder import Manifest, software_versions
+from radiant_app.files.run_folder import PLANNING_FOLDER, Manifest, software_versions
 from radiant_app.files.system_file import load_system
+from radiant_app.pace import clock_text
 from radiant_app.report.advice import what_to_try
 from radiant_app.report.gaps import gaps_of
 from radiant_app.report.ground_control import survey_lines, survey_of_run, survey_rows
 from radiant_app.report.hero import NUM_SIDES, SIZE_WH
-from radiant_app.report.pace import clock_text
+from radiant_app.report.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.report.survey import Survey, survey_of
 from radiant_app.report.verdict import verdict_of
-from radiant_app.run.cloud_planning import STAGE
-from radiant_app.run.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.workers.sources import POSITIONS
 from radiant_core.aggregate.tree import refines_for
 from radiant_core.errors import BadInput
@@ -101,7 +100,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any], listen:
         ground_control=None if (found := survey_of_run(run)) is None else (survey_lines(found), survey_rows(found)),
         unscored=describe_unscored(metrics),
         pooled=metrics.get("pooled", True),
-        planned_by_raster=(run / STAGE / "task.json").is_file(),
+        planned_by_raster=(run / PLANNING_FOLDER / "task.json").is_file(),
         access_tiers=access_by_tier(manifest.access_log, shared="leakage" not in metrics),
         pictures={name: _embed(path) for name, path in pictures.items()},
         comparisons=[_comparison(run, row) for row in select_images(metrics["images"]) if _has_pictures(run, row)],

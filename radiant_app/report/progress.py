@@ -21,8 +21,8 @@ from rich.table import Column
 from rich.text import Text
 
 from radiant_app.events import Decided, Event, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
+from radiant_app.pace import Pace, clock_text
 from radiant_app.plain_text import shown_text
-from radiant_app.report.pace import Pace, clock_text
 
 _Item = TypeVar("_Item")
 SECONDS_BETWEEN_LINES = 10.0

@@ -25,11 +25,11 @@ from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
 from radiant_app.report.ground_control import placing_of_run, survey_of_run
+from radiant_app.report.prediction_error import prediction_of
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.groups import end_groups, prepare_meetings, tell_parents, with_groups
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
-from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.predictions import refining_law_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of

@@ -22,11 +22,11 @@ from radiant_app.workers.sources import detect_source
 from radiant_app.workers.tasks import SfmTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.hierarchy.codec import message_record
 from radiant_core.io.colmap.image_files import match_images
 from radiant_core.io.colmap.model import image_names, model_files
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.film.formats import films_in, srt_beside
-from radiant_core.io.messages import message_record
 from radiant_core.io.photos.folders import SUFFIXES, photograph_names
 from radiant_core.io.photos.masks import find_masks
 from radiant_core.io.poses.recognise import alignment_files

@@ -12,9 +12,9 @@ from radiant_app.executors.emulated import EmulatedExecutor
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
+from radiant_app.report.prediction_error import save_system
 from radiant_app.run.cloud_planning import place_edges_by_raster, plan_at_cloud
 from radiant_app.run.cutting import choose_cut, leave_whole, plan_places
-from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import (
     planned_training,
     prediction_warnings,

@@ -13,19 +13,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from radiant_app.reporting import EventReporter
 from radiant_app.together.exchange import BEGIN, GONE_S, LATE_S, TOTAL, Answer, Children, begin_anew, pack
 from radiant_app.together.links import LinkLost, LinkRules, ParentLinks
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, meeting_of
-from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
+from radiant_core.hierarchy.codec import task_key
 from radiant_core.hierarchy.device import report_result
+from radiant_core.hierarchy.group_codec import load_start, save_begin
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.messages import Training
 from radiant_core.hierarchy.reporter import Machine, fit_options
 from radiant_core.hierarchy.together import Begun, GroupStart, ShareStart, begin_group, check_start
-from radiant_core.io.group_messages import load_start, save_begin
-from radiant_core.io.messages import task_key
 from radiant_core.io.records import save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.results import TrainResult

@@ -15,15 +15,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from radiant_app.reporting import EventReporter
 from radiant_app.together.exchange import BEGIN, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, Children, begin_anew, pack, unpack
 from radiant_app.together.holding import CONNECT_S
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, ParentLinks, Traffic, connect
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, mark_done, meeting_of
-from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.hierarchy.group_codec import load_begin
 from radiant_core.hierarchy.groups import GroupTraining
-from radiant_core.io.group_messages import load_begin
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.together.roles import Relay
 

@@ -11,7 +11,7 @@ import pytest
 from radiant_app.events import Listener
 from radiant_app.files.run_folder import Manifest
 from radiant_app.report import html
-from radiant_app.run.prediction_error import SYSTEM_NAME
+from radiant_app.report.prediction_error import SYSTEM_NAME
 
 BLANK = np.full((2, 2, 3), 255, np.uint8)
 

@@ -12,7 +12,7 @@ import pytest
 
 TELLS = """
 import sys
-from radiant_app.commands import doctor
+from radiant_app.commands.machine import doctor
 from radiant_app.cli.app import main
 from radiant_app.events import Warned
 from radiant_app.report.progress import terminal_display
@@ -31,7 +31,7 @@ main()
 """
 FAILS = """
 import sys
-from radiant_app.commands import doctor
+from radiant_app.commands.machine import doctor
 from radiant_app.cli.app import main
 
 def examine(*_):
@@ -80,7 +80,7 @@ def test_a_result_that_cannot_be_printed_says_where_it_lies(option: list[str], t
     script = f"""
 import sys
 from pathlib import Path
-from radiant_app.commands import steps as commands
+from radiant_app.commands.run import steps as commands
 from radiant_app.cli.app import main
 
 def sfm(source, out, *others, **options):

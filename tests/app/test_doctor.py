@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands import doctor
-from radiant_app.commands.doctor_forecast import duration_text, forecast
+from radiant_app.commands.machine import doctor
+from radiant_app.commands.machine.forecast import duration_text, forecast
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.this_machine import MEMORY_SHARE
 from radiant_core.errors import BadInput

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.aggregate import aggregate
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.model.aggregate import aggregate
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import AggregateOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay

@@ -14,22 +14,22 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.clean import CleanRequest, clean
-from radiant_app.commands.evaluate import EvaluateRequest, evaluate
-from radiant_app.commands.export import export
-from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.inspect import Picture, plan_file_of, save_picture
-from radiant_app.commands.measure import export_measures
-from radiant_app.commands.render import RenderRequest, render
+from radiant_app.commands.export.export import export
+from radiant_app.commands.export.request import ExportRequest
+from radiant_app.commands.inspect.window import Picture, plan_file_of, save_picture
+from radiant_app.commands.model.clean import CleanRequest, clean
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.model.render import RenderRequest, render
+from radiant_app.commands.survey.measure import export_measures
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.workers.reporting import EventReporter
+from radiant_app.reporting import EventReporter
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
+from radiant_core.export.scene import save_spz
+from radiant_core.export.sog import save_sog
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
-from radiant_core.io.export.scene import save_spz
-from radiant_core.io.export.sog import save_sog
 from radiant_core.io.measures_file import load_measures
 from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import save_ply

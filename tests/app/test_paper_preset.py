@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.fields import config_of as run_config
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Event, Warned

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.bench.cells import ModelCache, run_cell
-from radiant_app.bench.methods import MethodBench, bench_methods
+from benchmarks.methods.bench import MethodBench, bench_methods
+from benchmarks.methods.cells import ModelCache, run_cell
 from radiant_app.config.run_config import EvaluateOptions, RunConfig
 from radiant_app.events import Decided, Event, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress

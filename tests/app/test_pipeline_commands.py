@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.export import export
-from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.extend import ExtendRequest, extend
+from radiant_app.commands.export.export import export
+from radiant_app.commands.export.request import ExportRequest
+from radiant_app.commands.model.extend import ExtendRequest, extend
 from radiant_app.config.run_config import RunConfig
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import run
@@ -26,8 +26,8 @@ from radiant_core.geometry.similarity import move_splats
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
-from radiant_core.io.waypoints.region import load_region
 from radiant_core.sfm.world_frame.world import cameras_of
+from radiant_core.waypoints.region import load_region
 from tests.app.pipeline_kit import TINY, Finished, radiant
 
 

@@ -15,10 +15,10 @@ import pytest
 from rich.console import Console
 
 from radiant_app.cli.profile import profile as profile_cli
-from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.profile import ProfileRequest, check_table, profile, profile_of_run
-from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, Task, choose_counts, shorten_training
-from radiant_app.commands.steps import training_part
+from radiant_app.commands.machine.profile import ProfileRequest, check_table, profile, profile_of_run
+from radiant_app.commands.machine.profiling import MIN_PHOTOGRAPHS, Measuring, Task, choose_counts, shorten_training
+from radiant_app.commands.plan.plan import PlanRequest, plan
+from radiant_app.commands.run.steps import training_part
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted, Warned
 from radiant_app.executors import fork_server, local
@@ -34,8 +34,8 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame, Sim3
+from radiant_core.hierarchy.codec import load_uncertainty, save_task
 from radiant_core.hierarchy.messages import DeviceTask
-from radiant_core.io.messages import load_uncertainty, save_task
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.devices.device_split import split_edges
@@ -161,7 +161,7 @@ def test_photographs_alone_are_reconstructed_by_a_task_that_its_worker_accepts(
         tasks.append(receive_task(node.kind, node.folder))
         raise StageFailed("received")
 
-    monkeypatch.setattr("radiant_app.commands.profile.run_task", receive)
+    monkeypatch.setattr("radiant_app.commands.machine.profile.run_task", receive)
     with pytest.raises(StageFailed, match="received"):
         profile(ProfileRequest(out=tmp_path / "mine.toml", source=scene / "images"), lambda event: None)
     assert [task.source for task in tasks] == [str((scene / "images").resolve())]

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.events import (
     Decided,
     Event,
@@ -32,7 +32,7 @@ from radiant_app.events import (
     encode,
 )
 from radiant_app.files.event_file import EventFile, read_progress
-from radiant_app.report.pace import Pace, clock_text
+from radiant_app.pace import Pace, clock_text
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.report.tables import print_figures
 from radiant_app.report.verdict import verdict_of
@@ -268,7 +268,7 @@ def test_a_run_says_how_many_of_its_stages_are_finished(tmp_path: Path) -> None:
 
 def test_libraries_write_to_a_file_and_python_is_heard(tmp_path: Path) -> None:
     script = (
-        "import os, sys; from pathlib import Path; from radiant_app.commands.steps import libraries_log_to\n"
+        "import os, sys; from pathlib import Path; from radiant_app.commands.run.steps import libraries_log_to\n"
         "with libraries_log_to(Path(sys.argv[1])):\n"
         "    os.write(2, b'I2026 undistorters.cc:208]\\n'); print('a bar', file=sys.stderr)\n"
         "os.write(2, b'afterwards\\n'); print('at the end', file=sys.stderr)"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted
 from radiant_app.report.gaps import gaps_of

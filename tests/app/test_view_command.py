@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands import view as view_command
-from radiant_app.commands.view import view
+from radiant_app.commands.inspect import view as view_command
+from radiant_app.commands.inspect.view import view
 from radiant_app.report.progress import terminal_display
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply, save_ply

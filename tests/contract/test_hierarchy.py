@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
@@ -26,7 +26,6 @@ from radiant_app.workers.nodes import CUT_SCENE
 from radiant_app.workers.sources import sfm_record
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
-from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.choosing import CUT, JOINED, REFINED
@@ -39,6 +38,7 @@ from radiant_core.io.photos.masks import mask_name
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_splats, save_cameras, save_plan
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.light.held_out import held_out_psnr_db
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges

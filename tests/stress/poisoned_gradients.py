@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from radiant_app.bench.cells import BenchScene, Layout, ModelCache, bench_settings, deal_cell, load_bench_scene
+from benchmarks.methods.cells import BenchScene, Layout, ModelCache, bench_settings, deal_cell, load_bench_scene
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.messages import device_task

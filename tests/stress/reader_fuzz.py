@@ -29,11 +29,11 @@ from radiant_app.files.profile_file import load_profile
 from radiant_app.files.system_file import load_system
 from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.errors import BadInput
+from radiant_core.export.glb import glb_bytes
+from radiant_core.export.lod import META_NAME, save_lod
+from radiant_core.export.sog import save_sog, save_sog_folder
 from radiant_core.frames import Frame
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.export.glb import glb_bytes
-from radiant_core.io.export.lod import META_NAME, save_lod
-from radiant_core.io.export.sog import save_sog, save_sog_folder
 from radiant_core.io.lod_reader import load_lod_level
 from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
 from radiant_core.io.photos.jpeg import read_jpeg_facts
@@ -43,10 +43,10 @@ from radiant_core.io.poses.recognise import alignment_files, read_alignment
 from radiant_core.io.records import load_cameras, load_plan, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.sog_reader import load_sog
 from radiant_core.io.transport.upload import load_upload, save_upload
-from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.lod.cells import whole_region
 from radiant_core.lod.levels import LodLimits
 from radiant_core.scene import SfmScene
+from radiant_core.waypoints.reader import read_waypoints
 from tests.core.io.glb_reader import load_glb
 from tests.core.io.poses import writers
 from tests.core.io.poses.bent_hamlet import Truth

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.bench.kind_rows import PLAIN, PLAIN_LONGER, KindRow, differences_over_scenes, gains_of
-from radiant_app.bench.kind_scenes import KINDS
-from radiant_app.bench.kinds import MARGIN_DB, KindsBench, bench_kinds
+from benchmarks.kinds.bench import MARGIN_DB, KindsBench, bench_kinds
+from benchmarks.kinds.rows import PLAIN, PLAIN_LONGER, KindRow, differences_over_scenes, gains_of
+from benchmarks.kinds.scenes import KINDS
 
 SEEDS = (0,)
 NUMBERS = (12, 30, 90)

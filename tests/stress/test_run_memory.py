@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 

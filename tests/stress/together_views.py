@@ -18,7 +18,7 @@ from unittest.mock import PropertyMock, patch
 
 import numpy as np
 
-from radiant_app.bench.cells import ModelCache, bench_settings, deal_cell, layout_of, load_bench_scene
+from benchmarks.methods.cells import ModelCache, bench_settings, deal_cell, layout_of, load_bench_scene
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.group_in_process import train_group

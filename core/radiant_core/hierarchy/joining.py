@@ -21,9 +21,9 @@ from radiant_core.decisions import Decision
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
 from radiant_core.geometry.similarity import move_cameras, move_splats
+from radiant_core.hierarchy.codec import task_key
 from radiant_core.hierarchy.messages import CloudTask, DeviceModel, EdgeModel, EdgeTask
 from radiant_core.hierarchy.reporter import Reporter
-from radiant_core.io.messages import task_key
 from radiant_core.io.run_store import content_key
 from radiant_core.render.contract import Backend
 from radiant_core.splats import Splats

@@ -14,6 +14,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3, compose
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.georef.given_frame import GivenFrame
 from radiant_core.io.colmap.image_files import photographs_without_pose, read_with_files, unposed_count
 from radiant_core.io.colmap.model import read_model
@@ -41,7 +42,6 @@ from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undis
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.readable import readable_folder, remove_readable, stretch_decisions
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_as_given, scene_in_world, with_warnings
 

@@ -21,10 +21,10 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.export.lod import META_NAME, save_lod
+from radiant_core.export.scene import save_spz
+from radiant_core.export.sog import save_sog, save_sog_folder
 from radiant_core.io import claimed_counts
-from radiant_core.io.export.lod import META_NAME, save_lod
-from radiant_core.io.export.scene import save_spz
-from radiant_core.io.export.sog import save_sog, save_sog_folder
 from radiant_core.io.lod_reader import load_lod_level
 from radiant_core.io.model_reader import SPZ_AXES, ModelKind, model_kind, read_model
 from radiant_core.io.ply import load_ply, save_ply

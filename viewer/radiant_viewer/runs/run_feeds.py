@@ -60,7 +60,7 @@ def no_rows() -> Sequence[GanttRow]:
 @dataclass(frozen=True, kw_only=True)
 class SurveyCommands:
     """Command lines of the application that a window runs in processes of their own: `measuring`
-    answers requests about measures (`radiant_app.commands.measure_worker`), `ortho` of a path
+    answers requests about measures (`radiant_app.commands.survey.worker`), `ortho` of a path
     writes the orthophoto there."""
 
     measuring: tuple[str, ...]

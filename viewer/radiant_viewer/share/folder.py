@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.export.lod import META_NAME, LodFigures, save_lod
-from radiant_core.io.export.sog import sog_files, zipped
+from radiant_core.export.lod import META_NAME, LodFigures, save_lod
+from radiant_core.export.sog import sog_files, zipped
 from radiant_core.io.run_store import atomic_writer, read_bounded, write_atomic
 from radiant_core.lod.cells import LodRegion
 from radiant_core.lod.levels import LodLimits

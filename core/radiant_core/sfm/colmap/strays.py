@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from radiant_core.geometry.align import robust_sim3
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.epipolar import MAX_EPIPOLAR_PX, MIN_MATCHES, camera_rays, epipolar_errors
 from radiant_core.sfm.colmap.pairs import gps_positions
-from radiant_core.sfm.world_frame.align import robust_sim3
 
 IntArray = NDArray[np.int64]
 MIN_POINTS = 15
