@@ -19,7 +19,7 @@ from radiant_app.events import Listener, StageDone, StageProgress, StageStarted,
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.reporting import EventReporter
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored
-from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
@@ -143,15 +143,14 @@ def join(
         BadInput: no model, or cameras of one name in two of them.
     """
     config, _ = fit_to_backend(train_preset("default"), resolve_backend("auto"), Overrides(long_side_px=long_side_px))
-    aggregate = aggregate_preset("default")
-    aggregate = replace(aggregate, num_epochs=aggregate.epochs_at_cloud if num_epochs is None else num_epochs)
+    rules = Join() if num_epochs is None else Join(num_epochs=num_epochs)
 
     def report(progress: TrainProgress) -> None:
         listen(StageProgress(stage="join", done=progress.step, total=progress.num_steps))
 
     listen(StageStarted(stage="join"))
     teachers = [Teacher(splats=splats, cameras=cameras.scaled(long_side_px)) for splats, cameras in models]
-    joined = join_models(teachers, config, aggregate, FitOptions(report=report))
+    joined = join_models(teachers, config, rules, FitOptions(report=report))
     listen(StageDone(stage="join", seconds=joined.trained.seconds))
     return joined.splats
 

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from radiant_app.events import StageProgress
+from radiant_app.events import RunLeft, StageProgress
 
 LEAST_S, SURE_S = 1.0, 10.0
 LEAST_SHARE = 0.01
@@ -72,6 +72,51 @@ class Pace:
             return f"elapsed {clock_text(self.elapsed_s)}"
         of_step = " in step" * (self._last is not None and self._last.num_steps > 1 and self._last.left_s is None)
         return f"elapsed {clock_text(self.elapsed_s)}, left{of_step} about {clock_text(max(1.0, left_s))}"
+
+
+@dataclass(kw_only=True)
+class RunPace:
+    """The time left of a whole run, as it was told last; falls with the clock in between."""
+
+    clock: Callable[[], float] = time.monotonic
+    last: RunLeft | None = None
+    _told_s: float = 0.0
+
+    def update(self, event: RunLeft) -> None:
+        """Take what was told as the time left from now on."""
+        self.last, self._told_s = event, self.clock()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the run began."""
+        return 0.0 if self.last is None else self.last.elapsed_s + self.clock() - self._told_s
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds left, never below half of what was told; None where nothing is foreseen."""
+        if self.last is None or self.last.left_s is None:
+            return None
+        return max(0.5 * self.last.left_s, self.last.left_s - (self.clock() - self._told_s))
+
+    @property
+    def share(self) -> float | None:
+        """Of the run's time, what has passed; 1 once nothing is left."""
+        left_s = self.left_s
+        return None if left_s is None else self.elapsed_s / max(self.elapsed_s + left_s, 1e-9)
+
+    @property
+    def text(self) -> str:
+        """As "elapsed 0:31, left about 2:10 ± 40 %"."""
+        elapsed, left_s = f"elapsed {clock_text(self.elapsed_s)}", self.left_s
+        if self.last is None or left_s is None or left_s <= 0:
+            return elapsed
+        off = "" if self.last.off_percent is None else f" ± {self.last.off_percent:.0f} %"
+        return f"{elapsed}, left about {clock_text(max(1.0, left_s))}{off}"
+
+
+def run_text(event: RunLeft) -> str:
+    """As "training, 2 of 6"."""
+    return f"{event.phase}, {event.number} of {event.num_phases}"
 
 
 def clock_text(seconds: float) -> str:

@@ -283,8 +283,8 @@ def _join_at_once(cell: Cell, recipe: Recipe) -> Made:
 
     def work() -> tuple[Splats, float]:
         # Nobody refines this one: it is fitted.
-        aggregate = replace(recipe.aggregate, num_epochs=recipe.aggregate.epochs_at_cloud or None)
-        joined = join_models(teachers, recipe.train, aggregate, FitOptions(backend=recipe.backend), claims)
+        rules = recipe.aggregate if recipe.aggregate.at_cloud.num_epochs else replace(recipe.aggregate, cloud_epochs=None)
+        joined = join_models(teachers, recipe.train, rules.at_cloud, FitOptions(backend=recipe.backend), claims)
         return joined.splats, float(joined.trained.num_steps * cameras.sizes_wh.prod(axis=1).mean())
 
     return _time_work(work)
@@ -325,7 +325,7 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
     if num_epochs == 0:
         return METHODS["crop"]
     changed = {"ours": _own_arm, "paper": _paper_arm}[name]
-    return changed(f"{name} {num_epochs} epochs", num_epochs=num_epochs, edge_epochs=num_epochs)
+    return changed(f"{name} {num_epochs} epochs", cloud_epochs=num_epochs, edge_epochs=num_epochs)
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:

@@ -1,35 +1,79 @@
-"""The options of `radiant plan`; heavy libraries are imported inside, as in `cli`."""
+"""The options of `radiant plan`; heavy libraries are imported inside, as in `cli.app`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from radiant_app.cli import option_types as options
+from radiant_app.cli.config_options import typed_options, with_options_of
 from radiant_app.report.tables import finish
 from radiant_core.choices import PlanMethod
+from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
-from radiant_core.train.config import Preset
+
+if TYPE_CHECKING:
+    from radiant_app.commands.plan.plan import PlanRequest
 
 
+def plan_again(
+    after: options.AfterOption = None,
+    dead: options.DeadOption = None,
+    slow: options.SlowOption = None,
+    busy: options.BusyOption = None,
+    done: options.DoneOption = None,
+    join: options.JoiningOption = None,
+    captured: options.CapturedOption = None,
+    tolerance: options.ToleranceOption = 0.0,
+    *,
+    out: Path,
+    system: Path | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Plan for the least makespan, then the fewest positions that move, after what happened."""
+    from radiant_app.commands.plan.replan import ReplanRequest, parse_values, replan_files, replan_table
+    from radiant_app.report.progress import terminal_display
+    from radiant_core.plan.revision.replan import FleetChange
+
+    assert after is not None
+    change = FleetChange(
+        dead=frozenset(dead or ()),
+        done=frozenset(done or ()),
+        slow=parse_values(slow or (), "--slow"),
+        busy_s=parse_values(busy or (), "--busy"),
+    )
+    request = ReplanRequest(
+        source=after, out=out, system=system, change=change, join=join, captured=captured, tolerance=tolerance, seed=seed
+    )
+    result = replan_files(request, terminal_display())
+    if not as_json:
+        typer.echo(replan_table(result))
+    finish(result, as_json)
+
+
+@with_options_of(plan_again)
 def plan(
-    source: options.PlanSource,
-    out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
+    context: typer.Context,
+    source: options.PlanSource = None,
+    *,
+    out: options.PlanOut,
     system: options.SystemFile = None,
     plan_method: options.PlanMethodOption = "exact",
-    compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
-    slack: Annotated[float | None, typer.Option(min=1, help="Makespan may be so many times the shortest for shorter ways: 1.1.")] = None,
-    slack_curve: Annotated[bool, typer.Option("--slack-curve", help="Table and picture of what several slacks buy.")] = False,
-    constraints: Annotated[Path | None, typer.Option(help="TOML of fixed weights, locked regions, pinned cameras.")] = None,
+    compare: options.CompareOption = False,
+    slack: options.SlackOption = None,
+    slack_curve: options.SlackCurveOption = False,
+    constraints: options.ConstraintsOption = None,
     cut_by: options.CutByOption = "auto",
     raster_cell_m: options.RasterCellOption = None,
     ground: options.GroundOption = None,
     field_of_view: options.FieldOfViewOption = 73.7,
     buffer: options.BufferOption = None,
     deadline: options.DeadlineOption = None,
-    train_preset: Annotated[Preset, typer.Option(help="What will be trained, for limits by memory and measured curves.")] = "default",
+    train_preset: options.PlannedTraining = "default",
     long_side_px: options.LongSide = None,
     steps: options.NumSteps = None,
     max_splats: options.MaxSplats = None,
@@ -48,41 +92,63 @@ def plan(
     image_width: options.ImageWidthOption = 4000,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
+    **later: Any,
 ) -> None:
-    """Regions per edge and waypoints or photographs per device, by position; before capture too."""
-    from radiant_app.commands.plan.content import content_request
-    from radiant_app.commands.plan.flight import DroneText, HeightOptions, flight_request
-    from radiant_app.commands.plan.plan import PlanRequest
+    """Divide a scene among edges and devices, before or after capture.
+
+    Each edge gets a region, each device its waypoints or photographs.
+
+    radiant plan flight.csv --system system.toml --out plan/plan.json
+    radiant plan PHOTOS --system system.toml --out plan/plan.json --compare
+    radiant plan --after plan/plan.json --dead north-1 --out plan2/plan.json
+    """
     from radiant_app.commands.plan.plan import plan as make_plan
     from radiant_app.commands.plan.tables import plan_tables
     from radiant_app.report.progress import terminal_display
-    from radiant_core.train.needs import Overrides
 
-    asked, drone = HeightOptions(heights, height, min_height, max_height, geoid), DroneText(speed, battery, image_width, field_of_view)
-    request = PlanRequest(
-        source=source,
-        out=out,
-        system=system,
-        method=plan_method,
-        paper=_paper_of(plan_method, raster_cell_m, settings),
-        seed=seed,
-        compare=compare,
-        slack=slack,
-        slack_curve=slack_curve,
-        cut_by=cut_by,
-        constraints=constraints,
-        raster_cell_m=raster_cell_m or None,
-        crs=crs,
-        require_grids=require_grids,
-        flight=flight_request(whole_lines, flight_format, asked, drone),
-        content=content_request(ground, field_of_view, buffer, deadline),
-        train_preset=train_preset,
-        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
-    )
-    result = make_plan(request, terminal_display())
+    _require_one_source(typed_options(context), source, later)
+    if source is None:
+        return plan_again(**later, out=out, system=system, seed=seed, as_json=as_json)
+    result = make_plan(_request_of(context.params), terminal_display())
     for table in [] if as_json else plan_tables(result):
         typer.echo(table)
-    finish(result, as_json)
+    return finish(result, as_json)
+
+
+def _require_one_source(typed: Mapping[str, str], source: Path | None, later: Mapping[str, Any]) -> None:
+    """Raise BadInput where what is planned is not named once, and for options of the other kind."""
+    if later["after"] is None:
+        if wrong := [option for name, option in typed.items() if name in later]:
+            raise BadInput(f"{wrong[0]} is for planning again: name the plan or run with --after.")
+        if source is None:
+            raise BadInput("source is missing: name waypoints, photographs, a scene or a run; or --after and a plan or run.")
+        return
+    if source is not None:
+        raise BadInput(f"--after plans {later['after']} again, and {source} is another source: leave one of them out.")
+    if wrong := [option for name, option in typed.items() if name not in {*later, "out", "system", "seed", "as_json"}]:
+        raise BadInput(f"{wrong[0]} is for a new plan, and --after keeps to the plan that there is: leave one of them out.")
+
+
+def _request_of(typed: Mapping[str, Any]) -> PlanRequest:
+    """The request of options by name, those of `plan`."""
+    from radiant_app.commands.plan.content import content_request
+    from radiant_app.commands.plan.flight import DroneText, HeightOptions, flight_request
+    from radiant_app.commands.plan.plan import PlanRequest
+    from radiant_core.train.needs import Overrides
+
+    given = {name: typed[name] for name in ("source", "out", "system", "seed", "compare", "slack", "slack_curve", "cut_by", "constraints")}
+    given |= {name: typed[name] for name in ("crs", "require_grids", "train_preset")}
+    heights = HeightOptions(*(typed[name] for name in ("heights", "height", "min_height", "max_height", "geoid")))
+    drone = DroneText(*(typed[name] for name in ("speed", "battery", "image_width", "field_of_view")))
+    return PlanRequest(
+        **given,
+        method=typed["plan_method"],
+        paper=_paper_of(typed["plan_method"], typed["raster_cell_m"], typed["settings"]),
+        raster_cell_m=typed["raster_cell_m"] or None,
+        flight=flight_request(typed["whole_lines"], typed["flight_format"], heights, drone),
+        content=content_request(*(typed[name] for name in ("ground", "field_of_view", "buffer", "deadline"))),
+        overrides=Overrides(long_side_px=typed["long_side_px"], num_steps=typed["steps"], max_num_splats=typed["max_splats"]),
+    )
 
 
 def _paper_of(plan_method: PlanMethod, raster_cell_m: float | None, settings: list[str] | None) -> PaperConfig | None:

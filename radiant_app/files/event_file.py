@@ -22,6 +22,7 @@ from radiant_app.events import (
     Failed,
     Listener,
     Outlined,
+    RunLeft,
     StageDone,
     StageProgress,
     StageSkipped,
@@ -86,17 +87,26 @@ class EventFile:
 
 def read_progress(run: Path) -> RunProgress:
     """Read the progress of a run from events and manifest; BadInput for a file of anything else."""
-    from radiant_viewer.runs.run_feeds import RunProgress
+    from radiant_viewer.runs.run_feeds import RunProgress, WholeRunState
 
     path = run / EVENTS_NAME
     stages: dict[str, StageState] = {}
     warnings: list[str] = []
-    seconds_left, outline = None, Outlined(stages=())
+    seconds_left, outline, whole = None, Outlined(stages=()), None
     for event in _events(path):
         if isinstance(event, Warned):
             warnings.append(f"{event.stage}: {event.message}")
         elif isinstance(event, TimeLeft):
             seconds_left = event.seconds
+        elif isinstance(event, RunLeft):
+            whole = WholeRunState(
+                phase=event.phase,
+                number=event.number,
+                num_phases=event.num_phases,
+                elapsed_s=event.elapsed_s,
+                left_s=event.left_s,
+                off_percent=event.off_percent,
+            )
         elif isinstance(event, Outlined):
             outline = event
         elif (state := _next_state(event)) is not None:
@@ -114,6 +124,7 @@ def read_progress(run: Path) -> RunProgress:
         expected=outline.stages,
         warnings=tuple(warnings),
         seconds_left=seconds_left,
+        whole=whole,
         is_running=is_running,
         status=status,
     )

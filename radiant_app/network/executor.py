@@ -24,9 +24,11 @@ from radiant_app.events import (
     Decided,
     Event,
     Failed,
+    Foreseen,
     Heartbeat,
     Listener,
     Outlined,
+    RunLeft,
     StageDone,
     StageSkipped,
     StageStarted,
@@ -60,7 +62,7 @@ MAX_SAYINGS = 1000
 """Warnings and decisions that are heard of one task: a run keeps them all in its manifest."""
 _PART = re.compile(r"(?:/[a-z_]{1,32}[0-9]{0,2})?")
 """What follows the id of a device in the stages of its work."""
-_FORWARDED = tuple(kind for kind in get_args(Event) if kind not in (Failed, Heartbeat, Outlined, TimeLeft, StageSkipped))
+_FORWARDED = tuple(kind for kind in get_args(Event) if kind not in (Failed, Heartbeat, Outlined, Foreseen, RunLeft, TimeLeft, StageSkipped))
 
 
 class Stopped(StageFailed):

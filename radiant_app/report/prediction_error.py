@@ -126,7 +126,7 @@ def curves_note(system: System) -> str:
         whose = "all machines" if len(names) == len(system.devices) + len(system.edges) else _list_names(names)
         kind, _, name = origin.partition(" ")
         known = {
-            "default": "are a system file's defaults: guesses, not measured on this machine (`radiant profile` measures it)",
+            "default": "are a system file's defaults: guesses, not measured on this machine (`radiant machine profile` measures it)",
             "own": "are those of the system file; that they were measured on this machine and for this training is for it to say",
             "measured": f"were measured, profile {name}",
             "estimate": f"are estimates, never measured, profile {name}",

@@ -48,6 +48,7 @@ from radiant_app.run.choosing import keep_best
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.delivered import save_delivered_by_edges
 from radiant_app.run.far_devices import FarDevices, require_names
+from radiant_app.run.foreseen import foresee_planned
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.progress import Progress
 from radiant_app.run.refining import Refining, expected_refines, fold_rounds, plan_rounds
@@ -107,6 +108,8 @@ class CloudRun:
         scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
         progress.manifest.keep_stages({*nodes, *refines, *scores})
         progress.listen(Outlined(stages=(*nodes, *refines, *scores)))
+        # Its machines all work at once, on whatever cores they have.
+        progress.listen(foresee_planned(self.config, plan, recipe, len(nodes)))
         listen = make_time_left_listener(self.config, plan, progress)
         for row in planned_stages(plan.system, plan.edges):
             self.expected_s[row.node] = self.expected_s.get(row.node, 0.0) + row.seconds

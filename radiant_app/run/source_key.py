@@ -67,7 +67,10 @@ def used_files(source: Path, masks: Path | None, asked: Path | None = None) -> d
     if kind == "film":
         films = films_in(images)
         beside = [srt for film in films if (srt := srt_beside(film)) is not None]
-        return {path.name: path for path in (*films, *beside)}
+        # Which frames there will be, and so which masks fit, is known once they are taken.
+        pictures = [] if masks is None or not masks.is_dir() else sorted(masks.rglob("*"))
+        inside = {f"mask {path.relative_to(masks or source).as_posix()}": path for path in pictures if path.suffix.lower() in SUFFIXES}
+        return {path.name: path for path in (*films, *beside)} | {name: path for name, path in inside.items() if path.is_file()}
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
         posed = {(path.parts[-3], path.stem) for path in poses}

@@ -57,7 +57,7 @@ ATTEMPTS = 3
 """Starts of a node whose process or machine was lost; more failures are no chance."""
 FRAMES_UNPREDICTED = (
     "what it takes to bring models that GPS has placed into one frame is in no profile: edges and the cloud will take longer than is "
-    "predicted; make the profile anew with `radiant profile` and photographs that overlap, which measures that."
+    "predicted; make the profile anew with `radiant machine profile` and photographs that overlap, which measures that."
 )
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of a retraining on the plain PyTorch backend."""
@@ -268,7 +268,7 @@ def scale_for_uploads(system: System, upload: UploadFormat, progress: Progress) 
         choice=f"{upload}: models count {factor:.2f} times their bytes",
         figure=100 * factor,
         unit="% of the bytes of float32",
-        reason="the plan's sizes are those of float32 models, uploads take less",
+        reason="the plan counts float32 models, and uploads are smaller",
     )
     progress.listen(Decided(decision=decision))
     return system.with_uploads_of(factor)

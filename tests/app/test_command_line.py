@@ -26,7 +26,7 @@ def examine(*_):
     return []
 
 doctor.examine, place = examine, sys.argv[1]
-sys.argv = ["radiant", "doctor"]
+sys.argv = ["radiant", "machine", "check"]
 main()
 """
 FAILS = """
@@ -38,7 +38,7 @@ def examine(*_):
     raise {error}
 
 doctor.examine = examine
-sys.argv = ["radiant", "doctor"]
+sys.argv = ["radiant", "machine", "check"]
 main()
 """
 
@@ -99,7 +99,9 @@ main()
 
 def test_a_working_folder_that_is_gone_gets_one_sentence(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
-    script = "import os, sys; from radiant_app.cli.app import main; os.rmdir(os.getcwd()); sys.argv = ['radiant', 'doctor']; main()"
+    script = (
+        "import os, sys; from radiant_app.cli.app import main; os.rmdir(os.getcwd()); sys.argv = ['radiant', 'machine', 'check']; main()"
+    )
     gone.mkdir()
     process = ended(script, cwd=gone)
     assert (process.returncode, process.stderr.count("\n")) == (2, 1) and "does not exist any more" in process.stderr

@@ -1,4 +1,4 @@
-"""`radiant extend`: the new region's cameras stand where its model was moved to."""
+"""`radiant join`: the new region's cameras stand where its model was moved to."""
 
 from __future__ import annotations
 

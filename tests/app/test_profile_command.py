@@ -1,4 +1,4 @@
-"""`radiant profile`: a real short run on generated photographs, the stage times of a finished run, and what it cannot use."""
+"""`radiant machine profile`: a real short run on generated photographs, the stage times of a finished run, and what it cannot use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.cli.profile import profile as profile_cli
+from radiant_app.cli.machine import profile as profile_cli
 from radiant_app.commands.machine.profile import ProfileRequest, check_table, profile, profile_of_run
 from radiant_app.commands.machine.profiling import MIN_PHOTOGRAPHS, Measuring, Task, choose_counts, shorten_training
 from radiant_app.commands.plan.plan import PlanRequest, plan
@@ -173,7 +173,7 @@ def test_edges_are_timed_at_what_a_run_has_them_do(scene: Path, tmp_path: Path, 
     measured = measuring_in(tmp_path, scene).measure(1.0)
     summaries = {path.parent.name: read_json(path) for path in (tmp_path / "edges").glob("*/summary.json")}
     joined = [name for name in summaries if name.split("-")[1] == "2"]
-    assert len(joined) >= 2 and 1 <= measured.num_epochs <= AggregateConfig().epochs_at_edges
+    assert len(joined) >= 2 and 1 <= measured.num_epochs <= AggregateConfig().at_edge.num_epochs
     for name in joined:
         assert summaries[name]["num_steps"] == measured.num_epochs * int(name.split("-")[0])
     assert all(summary["num_steps"] == 0 for name, summary in summaries.items() if name not in joined)

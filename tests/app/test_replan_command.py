@@ -1,4 +1,4 @@
-"""`radiant replan` on plan files: what it writes, that captured waypoints stay, and one sentence for what cannot be done."""
+"""`radiant plan --after` on plan files: what it writes, that captured waypoints stay, and one sentence for what cannot be done."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`radiant measure` and `radiant change` on made-up runs: what is kept, exported and refused."""
+"""`radiant measure`, also between two dates, on made-up runs: what is kept, exported and refused."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def test_measures_are_kept_listed_exported_and_taken_out(tmp_path: Path) -> None
         (("measure", "RUN", "--base", "3"), "--base is of a new measure"),
         (("measure", "RUN", "--resolution", "3"), "--resolution is of a new measure"),
         (("measure", "RUN", "--kind", "distance", "--at", "1,2,nan 3,4,5"), "no list of places"),
-        (("change", "RUN", "RUN", "--out", "OUT"), "given twice"),
-        (("change", "RUN", "NONE", "--out", "OUT"), "no folder of a run"),
-        (("change", "RUN", "OTHER", "--out", "OUT", "--min-area", "-1"), "above zero"),
+        (("measure", "RUN", "--since", "RUN", "--out", "OUT"), "given twice"),
+        (("measure", "NONE", "--since", "RUN", "--out", "OUT"), "no folder of a run"),
+        (("measure", "OTHER", "--since", "RUN", "--out", "OUT", "--min-area", "-1"), "above zero"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path, arguments: tuple[str, ...], sentence: str) -> None:

@@ -1,4 +1,4 @@
-"""`radiant view` keeps a page beside the run, makes it anew when the model changes, and leaves no half of one."""
+"""`radiant inspect --page` keeps a page beside the run, makes it anew when the model changes, and leaves no half of one."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def hamlet_of_two_tiers(folder: Path) -> World:
         config=RunConfig(source=hamlet / "images", out=folder), scene=result.scene, images=result.undistorted_folder
     )
     recipe = planned(
-        photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(num_epochs=1, edge_epochs=2, refine_epochs=2, refine_rounds=2)
+        photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(cloud_epochs=1, edge_epochs=2, refine_epochs=2, refine_rounds=2)
     )
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
 
@@ -133,7 +133,7 @@ def ground_crop_merged(folder: Path) -> World:
 
 def ground_that_only_fades(folder: Path) -> World:
     """Two edges of one device each, whose models the cloud leaves to the devices; exact uploads."""
-    return ground(folder, even_system(2, 1), AggregateConfig(num_epochs=0, refine_epochs=2, refine_rounds=2))
+    return ground(folder, even_system(2, 1), AggregateConfig(cloud_epochs=0, refine_epochs=2, refine_rounds=2))
 
 
 def ground(folder: Path, system: System, aggregate: AggregateConfig) -> World:
@@ -169,7 +169,7 @@ def town_of_the_paper(folder: Path) -> World:
     photographs = PooledPhotographs(
         config=RunConfig(source=town / "images", out=folder), scene=result.scene, images=result.undistorted_folder
     )
-    recipe = planned(photographs, even_system(2, 2), PAPER, replace(aggregate_preset("paper"), num_epochs=2, edge_epochs=2))
+    recipe = planned(photographs, even_system(2, 2), PAPER, replace(aggregate_preset("paper"), cloud_epochs=2, edge_epochs=2))
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
 
 

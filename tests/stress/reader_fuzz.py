@@ -408,6 +408,15 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
 }
 
 
+def main(names: list[str], count: int, first: int) -> None:
+    """One line a format, as each is done."""
+    for name in names:
+        with tempfile.TemporaryDirectory(dir="/dev/shm") as made:
+            begun = time.process_time()
+            report = fuzz(name, count, SEED, Path(made), first)
+            print(f"{name}: {time.process_time() - begun:.0f} CPU s", report, flush=True)
+
+
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory(dir="/dev/shm") as made:
-        print(fuzz(sys.argv[1], int(sys.argv[2]), SEED, Path(made), int(sys.argv[3]) if len(sys.argv) > 3 else 0))
+    chosen = {"alignments": list(ALIGNMENTS), "all": list(TARGETS)}.get(sys.argv[1], sys.argv[1].split(","))
+    main(chosen, int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)

@@ -23,10 +23,12 @@ from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.numerics import FloatArray
+from radiant_core.panoramas import has_faces
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.attempts import Attempt, PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
+from radiant_core.sfm.colmap.rig import flatten, without_blind_faces
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
@@ -40,6 +42,7 @@ from radiant_core.sfm.gps_outliers import MANY, gps_outliers
 from radiant_core.sfm.known_poses import is_almost, misfit_text, triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
+from radiant_core.sfm.model_check import check_model_poses
 from radiant_core.sfm.readable import readable_folder, remove_readable, stretch_decisions
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
 from radiant_core.sfm.world_frame.placement import Placement
@@ -77,7 +80,7 @@ def reconstruct(
     (work_folder / "sparse").mkdir()
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
-    _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
+    blind = _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     remove_readable(work_folder)
@@ -100,6 +103,7 @@ def reconstruct(
             *repeats,
             *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
             *_named(_doubted_counts(mapped.doubted), mapped.doubted),
+            *blind,
             *outliers.warning(),
             *placed.warnings,
         ),
@@ -109,6 +113,7 @@ def reconstruct(
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
             *_doubted_counts(mapped.doubted),
+            *blind,
             *outliers.warning(named=False),
             *placed.warnings,
         ),
@@ -119,12 +124,15 @@ def reconstruct(
     )
 
 
-def _triangulate(refined: pycolmap.Reconstruction, attempt: Attempt, photo_folder: Path, folder: Path, report: Report) -> None:
+def _triangulate(refined: pycolmap.Reconstruction, attempt: Attempt, photo_folder: Path, folder: Path, report: Report) -> tuple[str, ...]:
+    """Write the model with all its points; what is said of faces of panoramas that it leaves
+    out."""
     total = int(refined.num_reg_images())
     report(SfmProgress(phase="triangulating", done=0, total=total))
     # Once: what more photographs see has just been adjusted.
     triangulate(refined, attempt.database, photo_folder, folder, attempt.config, refinements=1)
     report(SfmProgress(phase="triangulating", done=total, total=total))
+    return flatten(folder) if has_faces(image.name for image in refined.images.values()) else ()
 
 
 def _placed(
@@ -156,6 +164,8 @@ class GivenModel:
     """The system of those, where they have one."""
     used: frozenset[Path] = frozenset()
     """Files that it was read from; none for a COLMAP model."""
+    is_checked: bool = False
+    """Whether it was held against its photographs before."""
 
 
 def scene_from_colmap(
@@ -188,6 +198,7 @@ def scene_from_model(
     given_centers = _centers_of(model)
     _require_images(model, listing, image_folder)
     _require_tracks(model, model_folder, placement)
+    checked = () if source.is_checked else (check_model_poses(model, model_folder, image_folder),)
     contradicted = check_control(placement, listing.photographs, _sizes_of(model))
     beside = beside_warning(image_folder, masks, control=placement.control_text, used=source.used)
     if masks is not None or placement.control is not None or not pinhole:
@@ -207,6 +218,7 @@ def scene_from_model(
             model_folder = _written(model, work_folder / "sparse")
         model, images_to_use, masks = _undistorted(model_folder, image_folder, work_folder, given, report)
     model, said = with_points(model, images_to_use, work_folder, report, masks)
+    model, blind = without_blind_faces(model)
     if source.frame is not None:
         placed = scene_as_given(model, source.frame)
     else:
@@ -220,12 +232,13 @@ def scene_from_model(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
         unregistered=unposed,
-        decisions=(*stretch_decisions(listing), *placed.decisions, *masks_decision(scene, masks)),
+        decisions=(*checked, *stretch_decisions(listing), *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
             *files.notes(),
             *_named(unposed_count(unposed, files), unposed),
             *warn_of_unused(listing, beside),
             *said,
+            *blind,
             *repeats,
             *outliers.warning(),
             *placed.warnings,

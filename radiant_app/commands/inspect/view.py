@@ -1,4 +1,4 @@
-"""`radiant view`: a page that flies through a model, made beside the run and served on loopback."""
+"""`radiant inspect --page`: a page that flies through a model, made beside the run and served on loopback."""
 
 from __future__ import annotations
 
@@ -26,16 +26,26 @@ from radiant_viewer.share.vendored import SHA256
 FOLDER, MADE_OF = "viewer", "made_of.json"
 
 
-def scene_page(model: Path, splats: Splats | None, *, with_photographs: bool, as_trained: bool = False) -> ScenePage:
-    """The page of a run or training by its cleaning, unless `as_trained`, else of `splats`; raises
-    as the readers."""
+def scene_page(
+    model: Path, splats: Splats | None, *, with_photographs: bool, as_trained: bool = False, surroundings: bool | None = None
+) -> ScenePage:
+    """The page of a run or training by its cleaning, unless `as_trained`, else of `splats`, without
+    what lies around the scene unless `surroundings` (None: as `as_trained`); raises as the
+    readers."""
     if model.is_dir():
+        from radiant_app.report.known_scale import page_scale
         from radiant_viewer.runs.run_view import load_run_view
 
         require_model(model)
-        return page_of_run(load_run_view(model, as_trained=as_trained), with_photographs=with_photographs, with_surroundings=as_trained)
+        run = load_run_view(model, as_trained=as_trained)
+        around = as_trained if surroundings is None else surroundings
+        return page_of_run(run, with_photographs=with_photographs, with_surroundings=around, scale=page_scale(run))
     if splats is None:
         raise BadInput(f"{model} is no run: give its folder, or a .ply file.")
+    if surroundings is False and len(splats):
+        from radiant_viewer.runs.shown_model import model_box, shown_model
+
+        splats = shown_model(splats, model_box(splats)).splats
     return page_of_model(splats, model.stem)
 
 
@@ -72,7 +82,7 @@ def _folder_of(model: Path, display: ProgressDisplay) -> Iterator[Path]:
 
 def _record_of(run: Path) -> Any:
     """What of a run shows on its page beside the model."""
-    names = ("plan.json", "delivered/plan.json", "metrics.json")
+    names = ("plan.json", "delivered/plan.json", "metrics.json", "views.json")
     return [path for path in (*(run / name for name in names), cleaning_path(run)) if path.is_file()]
 
 

@@ -164,7 +164,7 @@ def _run_of(num_photographs: int, profile: Path | None, *, has_scenes: bool) -> 
     if profile is None:
         # Without photographs it measures on a sample scene.
         photographs = "" if has_scenes else "PHOTOGRAPHS "
-        advice = f"radiant profile {photographs}--out machine.toml (5 minutes), then radiant doctor --profile machine.toml"
+        advice = f"radiant machine profile {photographs}--out machine.toml (5 minutes), then radiant machine check --profile machine.toml"
         return Finding(name=name, ok=False, needed=False, found=ELSEWHERE, advice=advice)
     found = forecast(num_photographs, profile, available_bytes())
     text = found.text

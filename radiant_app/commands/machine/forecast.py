@@ -1,4 +1,4 @@
-"""What a run of so many photographs will take on this machine, by curves of `radiant profile`.
+"""What a run of so many photographs will take on this machine, by curves of `radiant machine profile`.
 
 A run without options is one device's, whose model nobody joins or refines:
 

@@ -1,4 +1,4 @@
-"""`radiant profile`: cost curves of this machine, from a short real run or a finished one's times.
+"""`radiant machine profile`: cost curves of this machine, from a short real run or a finished one's times.
 
 Without photographs the sample town is trained. A count of photographs in the middle is predicted
 from the others and compared with its measurement; the written curves are fitted on all.
@@ -51,7 +51,7 @@ _DEVICE_CURVES = ("init_s", "train_s", "model_bytes")
 
 @dataclass(frozen=True, kw_only=True)
 class ProfileRequest:
-    """What `radiant profile` was asked for."""
+    """What `radiant machine profile` was asked for."""
 
     out: Path
     """The curve file to write, .toml or .json."""
@@ -109,7 +109,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
         listen(StageDone(stage=STAGE, seconds=seconds))
     what = "the sample town" if request.source is None else f"{len(training.cameras)} photographs"
     joining = f"{measured.num_epochs} epochs of retraining at edges"
-    source = f"radiant profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
+    source = f"radiant machine profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
     machine = request.machine or machine_label(request.num_threads, request.num_workers)
     return _write_profile(request.out, measured, key, machine, source, exchange)
@@ -139,7 +139,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     if config["frames"] == "gps":
         raise BadInput(
             f"{run} was made with --frames gps: how long its edges took to join models and how long to bring them into one frame is not "
-            "told apart; give a run with --frames shared, or measure with `radiant profile PHOTOS`."
+            "told apart; give a run with --frames shared, or measure with `radiant machine profile PHOTOS`."
         )
     devices, edges, train, steps = [], [], {}, []
     for plan in load_plan(run / "plan.json")[1]:
@@ -171,7 +171,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     distinct = sorted({sample.num_cameras for sample in devices})
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
     # Where the cloud fitted nothing, its time does not say what fitting takes.
-    seconds = None if _epochs(run / "cloud", "num_epochs") == 0 else _seconds(stages, "cloud")
+    seconds = None if _epochs(run / "cloud", "cloud_epochs") == 0 else _seconds(stages, "cloud")
     num_cameras = sum(sample.num_cameras for sample in edges)
     merges = (EdgeSample(num_cameras=num_cameras, num_devices=len(edges), seconds=seconds),) if seconds and num_cameras else ()
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out, merges=merges)

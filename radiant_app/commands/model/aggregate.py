@@ -1,4 +1,4 @@
-"""`radiant aggregate`: join a run's device models again, with other settings and without limits."""
+"""`radiant join`: join a run's device models again, with other settings and without limits."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     require_run(run)
     require_current(run)
     config = aggregate_preset(preset)
-    config = config if epochs is None else replace(config, num_epochs=epochs, edge_epochs=epochs)
+    config = config if epochs is None else replace(config, cloud_epochs=epochs, edge_epochs=epochs)
     scene, joined_s = join_run(run, config, display)
     if scene.splats is None:
         raise BadInput(f"no model of {run} can be joined: {'; '.join(scene.refused.values()) or 'no edge has one'}.")

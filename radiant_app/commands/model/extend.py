@@ -1,4 +1,4 @@
-"""`radiant extend`: join the run of a new region to a finished scene, as edges are joined.
+"""`radiant join`: join the run of a new region to a finished scene, as edges are joined.
 
 Beyond a margin about the region the scene keeps its bits.
 """
@@ -53,7 +53,7 @@ FIGURES = {
 
 @dataclass(frozen=True, kw_only=True)
 class ExtendRequest:
-    """What `radiant extend` was asked for."""
+    """What `radiant join` was asked for."""
 
     old: Path
     """A run, or a model file in the frame of `new`."""
@@ -107,7 +107,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
         sites=(),
         weights=(),
         train=given.train,
-        aggregate=AggregateConfig() if request.num_epochs is None else AggregateConfig(num_epochs=request.num_epochs, refine_epochs=0),
+        aggregate=AggregateConfig() if request.num_epochs is None else AggregateConfig(cloud_epochs=request.num_epochs, refine_epochs=0),
         backend=resolve_backend("auto"),
         extends=Extension(polygon=tuple((float(x), float(y)) for x, y in polygon), margin_m=margin_m),
     )

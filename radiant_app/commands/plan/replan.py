@@ -1,4 +1,4 @@
-"""`radiant replan`: a plan or run after devices died, slowed down, were busy, finished or joined.
+"""`radiant plan --after`: a plan or run after devices died, slowed down, were busy, finished or joined.
 
 A plan file: positions are its waypoints, captured are those that `--captured` names; its system is
 `--system`. A run: its training cameras, its own system with curves corrected by what has finished.
@@ -57,7 +57,7 @@ ENDINGS = (MAP, GANTT, MOVED, SYSTEM, LISTS, REGIONS)
 
 @dataclass(frozen=True, kw_only=True)
 class ReplanRequest:
-    """What `radiant replan` was asked for."""
+    """What `radiant plan --after` was asked for."""
 
     source: Path
     """A plan file, or the folder of a run."""

@@ -1,4 +1,4 @@
-"""`radiant change A B`: what changed from one run to a later one of the same ground.
+"""`radiant measure B --since A`: what changed from one run to a later one of the same ground.
 
 The later run is moved onto the earlier one by what did not change, both are laid onto one grid, and
 heights and colours are compared there. OUT gets change.tif (three bands), change.geojson (patches)

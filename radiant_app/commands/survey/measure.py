@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from radiant_app.commands.run.steps import require_file_to_be
 from radiant_app.commands.survey.parts import Survey, cell_of, load_survey
 from radiant_app.commands.survey.surface import PIXELS_PER_CELL, points_of_survey, surface_of_survey
 from radiant_app.files.out_folder import folder_made_for
-from radiant_app.report.ground_control import survey_of_run
+from radiant_app.report.known_scale import scale_of_run
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning_file import cleaning_path
@@ -26,19 +25,14 @@ from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.measures_file import FOLDER, load_measures, places_of, save_measures
 from radiant_core.io.run_store import file_sha256, write_atomic, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.scene import SfmScene
 from radiant_core.survey.geojson import line_feature, polygon_feature, to_geojson
 from radiant_core.survey.heights import RENDERING, HeightMap
 from radiant_core.survey.map_grid import MapFrame, MapGrid
-from radiant_core.survey.measures import Accuracy, Measured, MeasureKind, measure, require_measure
+from radiant_core.survey.measures import PLACE_GSD, Accuracy, Measured, MeasureKind, measure, require_measure
 from radiant_core.survey.sight import first_hit
-from radiant_viewer.runs.run_view import RunView
 
 HEIGHTS = "heights.safetensors"
 _SCHEMA, _DTYPES = "radiant.heights", {"heights": "F64", "sigma": "F32", "source": "U8"}
-PLACE_GSD = 0.5
-"""σ of a feature in the orthophoto along each axis, in GSD: half of the edges of the town's lie
-within 0.3 px of the truth, nine of ten within 1.3 px (docs/survey.md)."""
 MAX_NAME = 100
 SNAP_GSD = 5.0
 """Three σ of a rendered depth."""
@@ -234,43 +228,3 @@ def _write_measures(path: Path, kept: dict[str, Any], map_frame: MapFrame) -> No
         scale = {"scale": row["scale"]} if "scale" in row else {}
         features.append(make(map_frame, places_of(row), {"name": name, "kind": row["kind"], **row["figures"], **scale}))
     return write_json(path, to_geojson(map_frame, features))
-
-
-@dataclass(frozen=True, kw_only=True)
-class KnownScale:
-    """The relative standard deviation of a scale, 0 where it is not known or has none, and what
-    there is to say of it."""
-
-    sigma: float
-    said: str
-
-
-def scale_of_run(run: RunView) -> KnownScale:
-    """The scale of a run by ground control, else by GPS; one that the user gave has no known σ, and
-    where lengths have no unit there is nothing to know."""
-    return known_scale(run.scene, survey_of_run(run.folder))
-
-
-def known_scale(scene: SfmScene, survey: Mapping[str, Any] | None) -> KnownScale:
-    """The same of a scene and its fit to a survey, as `survey_of_run` has it."""
-    if scene.frame.kind == "unscaled":
-        return KnownScale(sigma=0.0, said="lengths in units of their own, for nothing gives the scale")
-    sigma = None if survey is None else survey.get("scale_sigma")
-    if survey is not None and sigma is not None:
-        by = "camera positions" if survey["control"] is None else "ground control"
-        return KnownScale(sigma=float(sigma), said=_known(float(sigma), by))
-    if scene.frame.residual_m is not None and len(scene.cameras) > 1:
-        sigma = _scale_by_gps(scene, scene.frame.residual_m)
-        return KnownScale(sigma=sigma, said=_known(sigma, "GPS"))
-    by = "--distance or --height" if scene.frame.kind == "scaled" and survey is None else "what placed this run, which did not record it"
-    return KnownScale(sigma=0.0, said=f"σ is without that of the scale, which is as good as {by}")
-
-
-def _scale_by_gps(scene: SfmScene, residual_m: float) -> float:
-    """The residual over the spread of the cameras times √photographs."""
-    centers = scene.cameras.centers
-    return residual_m / max(float(np.linalg.norm(centers - centers.mean(axis=0))), 1e-12)
-
-
-def _known(sigma: float, by: str) -> str:
-    return f"scale by {by}, σ {100 * sigma:.2g} %"

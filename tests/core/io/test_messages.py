@@ -224,7 +224,7 @@ OTHERS: dict[str, Any] = {
     "checkpoint_every_s": 99.0,
     "upload": "spz",
     "memory_bytes": 3e9,
-    "aggregate": replace(AGGREGATE, num_epochs=9),
+    "aggregate": replace(AGGREGATE, cloud_epochs=9),
     "limits": Cloud(),
     "edge_times_s": (5.5,),
     "cloud": None,

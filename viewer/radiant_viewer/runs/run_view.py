@@ -122,7 +122,7 @@ def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = 
     if folder.is_file():
         raise BadInput(
             f"{folder} is a file, and the folder of a run is needed here: a model alone is opened by 'radiant inspect' without --web, "
-            "'radiant view' and 'radiant render'."
+            "'radiant inspect --page' and 'radiant render'."
         )
     if not folder.is_dir():
         raise BadInput(f"there is neither a folder nor a file {folder}: name the folder that 'radiant run --out' made, or a model's file.")
