@@ -48,7 +48,7 @@ def test_what_is_thinner_than_a_pixel_counts_as_a_pixel_wide() -> None:
     assert config.needle_width_per_distance == pytest.approx(1 / np.median(CAMERAS.Ks[:, 0, 0]))
     assert with_needle_width(replace(config, needle_width_per_distance=0.0), CAMERAS).needle_width_per_distance == 0
     depth_m = 3.0
-    pixel_m = float(depth_m * config.needle_width_per_distance)
+    pixel_m = depth_m * float(config.needle_width_per_distance)
     splats = axes((50 * pixel_m, 0.1 * pixel_m, 0.1 * pixel_m), (50 * pixel_m, 2 * pixel_m, 0.1 * pixel_m), (9 * pixel_m, 1e-9, 1e-9))
     splats = replace(splats, means=torch.tensor(center - np.array([0.0, 0.0, depth_m]), dtype=torch.float32).expand(3, 3).contiguous())
     assert limit_shapes(splats, center[None], config).num_needles == 2
