@@ -53,6 +53,11 @@ from tests.app.test_evaluate import ground, site
 from tests.core.io.test_model_reader import every_kind, rows_of, write_rows
 
 __all__ = ["site"]
+KINDS = (
+    *("a.ply", "b.spz", "c.spz", "d.sog", "e/meta.json", "f/lod-meta.json", "g.safetensors", "h.splat"),
+    *("i.spz", "j.spz", "k.compressed.ply", "l.ply", "m.ply", "n.ply"),
+)
+"""As `every_kind` writes them."""
 
 
 def heard() -> tuple[ProgressDisplay, io.StringIO]:
@@ -115,31 +120,32 @@ def new_run(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.parametrize("name", KINDS)
 def test_every_kind_is_exported_rendered_cleaned_scored_shown_viewed_and_extended(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = new_run(tmp_path / "run")
-    for number, path in enumerate(every_kind(tmp_path)):
-        display, said = heard()
-        assert export(ExportRequest(model=path, out=tmp_path / f"{number}.ply"), display)["gaussians"] == 5
-        request = RenderRequest(model=path, out=tmp_path / f"{number}", trajectory="orbit", num_frames=1, size_wh=(32, 24))
-        assert render(request, display)["pictures"] == 1
-        assert clean(CleanRequest(model=path, max_size=1e6), display)["gaussians"] == 5
-        assert evaluate(EvaluateRequest(model=path, scene=site / "sfm"), display)["num_gaussians"] == 5
-        assert load_subject(path).summary.startswith("5 Gaussians") and plan_file_of(path) is None
-        assert "5 Gaussians" in viewed(path, monkeypatch)
-        assert extended_by_command(path, run, monkeypatch) == 5
-        assert ("taken as they stand" in said.getvalue()) == (path.suffix == ".spz")
-        save_picture(path, None, tmp_path / f"{number}_shown.png", Picture(size_wh=(640, 420)))
-        # Five Gaussians on white, below the title of the page.
-        assert (load_image(tmp_path / f"{number}_shown.png")[60:].min(axis=2) < 230).sum() > 20
-        with pytest.raises(BadInput, match="a model alone, of which there are no seams: use --view splats"):
-            save_picture(path, "seams", tmp_path / "x.png")
-        one = {**vars(request), "out": tmp_path / f"{number}_one.png", "trajectory": None, "num_frames": 120}
-        assert render(RenderRequest(**one), display) == {"picture": str(tmp_path / f"{number}_one.png")}
-        assert load_image(tmp_path / f"{number}_one.png").shape == (24, 32, 3)
-        with pytest.raises(BadInput, match=r"is a file, and the folder of a run is needed here: a model alone is opened by"):
-            load_run_view(path)
+    run, path, number = new_run(tmp_path / "run"), tmp_path / name, 0
+    assert path in every_kind(tmp_path)
+    display, said = heard()
+    assert export(ExportRequest(model=path, out=tmp_path / f"{number}.ply"), display)["gaussians"] == 5
+    request = RenderRequest(model=path, out=tmp_path / f"{number}", trajectory="orbit", num_frames=1, size_wh=(32, 24))
+    assert render(request, display)["pictures"] == 1
+    assert clean(CleanRequest(model=path, max_size=1e6), display)["gaussians"] == 5
+    assert evaluate(EvaluateRequest(model=path, scene=site / "sfm"), display)["num_gaussians"] == 5
+    assert load_subject(path).summary.startswith("5 Gaussians") and plan_file_of(path) is None
+    assert "5 Gaussians" in viewed(path, monkeypatch)
+    assert extended_by_command(path, run, monkeypatch) == 5
+    assert ("taken as they stand" in said.getvalue()) == (path.suffix == ".spz")
+    save_picture(path, None, tmp_path / f"{number}_shown.png", Picture(size_wh=(640, 420)))
+    # Five Gaussians on white, below the title of the page.
+    assert (load_image(tmp_path / f"{number}_shown.png")[60:].min(axis=2) < 230).sum() > 20
+    with pytest.raises(BadInput, match="a model alone, of which there are no seams: use --view splats"):
+        save_picture(path, "seams", tmp_path / "x.png")
+    one = {**vars(request), "out": tmp_path / f"{number}_one.png", "trajectory": None, "num_frames": 120}
+    assert render(RenderRequest(**one), display) == {"picture": str(tmp_path / f"{number}_one.png")}
+    assert load_image(tmp_path / f"{number}_one.png").shape == (24, 32, 3)
+    with pytest.raises(BadInput, match=r"is a file, and the folder of a run is needed here: a model alone is opened by"):
+        load_run_view(path)
 
 
 def poisoned(change: Callable[[np.ndarray], None], count: int = 30) -> np.ndarray:

@@ -1,5 +1,5 @@
-"""Panoramas that come with poses: their faces, each with the pose that the panorama's gives it. Once
-per source.
+"""Panoramas that come with poses: their faces, each with the pose that the panorama's gives it.
+Once per source.
 
     cam_from_world(face) = cam_from_rig(face) · cam_from_world(panorama)
 """

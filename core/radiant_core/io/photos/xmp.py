@@ -3,7 +3,7 @@ panorama. Once per photograph.
 
     DJI                       drone-dji:RtkStdLon, RtkStdLat, RtkStdHgt
     Parrot, senseFly, others  Camera:GPSXYAccuracy, GPSZAccuracy
-    panoramas                 GPano:ProjectionType; FullPanoWidthPixels beside CroppedArea… of a part
+    panoramas                 GPano:ProjectionType; FullPanoWidthPixels beside CroppedArea…
 
 Attributes and elements alike; the packet is searched, never parsed: it comes from strangers.
 """
