@@ -35,7 +35,7 @@ from radiant_core.train.together.scrutiny import Scrutiny
 
 _INBOX, _LAST_TOTAL, _RELAY = "inbox", "last_total", "relay."
 MOST_STATE_BYTES = 1 << 20
-"""Of what an edge remembers of its senders."""
+"""Of what an edge remembers of its senders, compressed."""
 
 
 class Holder:
@@ -188,7 +188,7 @@ class Relay:
             return
         unpacking = zlib.decompressobj()
         try:
-            self.inbox.restore(json.loads(unpacking.decompress(state, MOST_STATE_BYTES)))
+            self.inbox.restore(json.loads(unpacking.decompress(state, 16 * MOST_STATE_BYTES)))
         except (zlib.error, ValueError, KeyError, TypeError) as error:
             raise BadInput(f"what is known of the devices of an edge is damaged ({error}): remove the checkpoint of the root.") from error
 

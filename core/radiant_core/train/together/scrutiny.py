@@ -75,8 +75,8 @@ MIN_SHARE = 0.3
 NUM_ERRORS = 3.0
 """Standard errors of a mean cosine that make it sure."""
 TIE_COSINE = 0.02
-"""Senders whose usual mean cosine is surely below it contradict each other: two honest devices, and
-two edges, of the town have 0.09 to 0.35 over 40 steps of 334, noise has 0."""
+"""Senders whose usual mean cosine is surely below it contradict each other: noise has 0; that of
+two honest devices may be 0.146 or more in each step (docs/experiments/privacy.md)."""
 SAMPLE = 16
 """Of so many Gaussians one is compared in a step, others in the next; a power of two."""
 MIN_SHARED = 16
