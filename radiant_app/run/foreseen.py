@@ -157,7 +157,7 @@ def _work_s(config: RunConfig, work: _Work) -> tuple[float, float, float, float,
     if work.joins:
         trainings = trainings_of(train, work.num_photographs, len(work.counts))
         aggregate = config.aggregate.config.joining_after(trainings)
-        epochs = aggregate.epochs_at_edges + (aggregate.epochs_at_cloud if work.num_edges > 1 else 0)
+        epochs = aggregate.at_edge.num_epochs + (aggregate.at_cloud.num_epochs if work.num_edges > 1 else 0)
         joining_s = START_CPU_S * (work.num_edges + 1) + epochs * work.num_photographs * view_s
         if aggregate.refines:
             steps = sum(refining_steps(aggregate.refining_epochs_after(trainings), count) for count in work.counts)
