@@ -53,7 +53,7 @@ MAX_SEED = 2**31 - 1
 """What numpy, torch and COLMAP all take."""
 MAX_DEVICES = 1_000
 """Devices that one machine is divided into; each is a process of its own."""
-FIRST, PLACE, JOINING, OUTPUT = "Options", "Scale, direction and ground control", "Joining models", "Presets, settings and output"
+FIRST, PLACE, JOINING, OUTPUT = "Options", "Scale, direction and ground control", "Joining models", "Settings and output"
 GROUPS = {
     "sfm": "Photographs and poses",
     "plan": "Plan and machines",
