@@ -14,7 +14,8 @@ from radiant_core.choices import View, Viewer
 from radiant_core.errors import BadInput
 
 _INSPECTED_HELP = (
-    "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window and --page also a 3D Gaussian Splatting .ply."
+    "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window and --page also a 3D Gaussian Splatting .ply. "
+    "Without it, a window opens in which photographs, machines and quality are chosen and a run is begun."
 )
 _WEB_HELP = (
     "Serve the inspector read-only to a browser until Ctrl-C. The printed address contains a secret; without it the page stays empty."
@@ -25,7 +26,7 @@ _PICTURE, _BROWSER, _PLAN = "A picture instead of the window", "In a browser", "
 
 def inspect(
     context: typer.Context,
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help=_INSPECTED_HELP, show_default=False)],
+    run_folder: Annotated[Path | None, typer.Argument(metavar="[RUN]", help=_INSPECTED_HELP, show_default=False)] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG.", rich_help_panel=_PICTURE)] = None,
     view: Annotated[
         View | None,
@@ -62,10 +63,20 @@ def inspect(
 
     Opens a window; a picture or a page in a browser needs no desktop.
 
+    radiant inspect
     radiant inspect RUN
     radiant inspect RUN --view seams --screenshot seams.png
     radiant inspect RUN --page
     """
+    if run_folder is None:
+        if asked := typed_options(context):
+            option = next(iter(asked.values()))
+            raise BadInput(
+                f"{option} needs something to show: name a run, a plan or a model, or type 'radiant inspect' alone."
+            )
+        from radiant_app.commands.inspect.window import open_start_window
+
+        raise typer.Exit(open_start_window())
     if (served := _served_as(typed_options(context))) is not None:
         return _serve(served, run_folder, host, port)
     from radiant_app.commands.inspect.window import Picture, inspect_with_open3d, open_inspector, save_picture

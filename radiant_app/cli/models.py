@@ -19,6 +19,15 @@ _RULES, _STEPS = "What is left out", "Steps that were made"
 _POLYGON = 'a .geojson file with one polygon, or "x,y x,y x,y" in the model\'s coordinates.'
 Uncleaned = Annotated[bool, typer.Option("--uncleaned", help="The model as trained, including what its cleaning leaves out.")]
 
+AroundOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--surroundings/--no-surroundings",
+        help="What lies around the scene; by default in files of the model, not in a page.",
+        show_default=False,
+    ),
+]
+
 
 def render(
     model: Annotated[Path, typer.Argument(help="A run, the folder of `radiant train`, or a model file.", show_default=False)],
@@ -32,6 +41,9 @@ def render(
         int | None, typer.Option("--long-side-px", min=16, help="Long side of the pictures, at most that of the cameras.")
     ] = None,
     uncleaned: Uncleaned = False,
+    surroundings: Annotated[
+        bool, typer.Option("--surroundings", help="Show what lies around the scene too; orbits and keyframes leave it out by default.")
+    ] = False,
     cameras: Annotated[
         Path | None,
         typer.Option(help="cameras.safetensors to render; by default the held-out cameras.", rich_help_panel=_PATH),
@@ -81,6 +93,7 @@ def render(
         size_wh=size_wh_of(size),
         long_side_px=long_side_px,
         as_trained=uncleaned,
+        surroundings=surroundings,
     )
     finish(render_pictures(request, terminal_display()), as_json)
 
@@ -157,6 +170,7 @@ def export(
     format: FormatOption = None,  # noqa: A002
     clean: Annotated[bool, typer.Option("--clean", help="Move what too few photographs constrain into NAME_unconstrained.ply.")] = False,
     uncleaned: Uncleaned = False,
+    surroundings: AroundOption = None,
     photographs: Annotated[
         bool, typer.Option("--photographs", help="viewer: show the worst photographs beside the model; without it none is included.")
     ] = False,
@@ -200,6 +214,7 @@ def export(
         interval=interval,
         clean=clean,
         as_trained=uncleaned,
+        surroundings=surroundings,
         crs=crs,
         require_grids=require_grids,
         num_levels=levels,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from radiant_viewer.runs.run_feeds import RunProgress, StageState, State
 
 EVENTS_NAME = "events.jsonl"
+LOSS = re.compile(r"loss (\d+\.\d+)")
+"""How trainings tell their loss (`radiant_core.hierarchy.reporter`)."""
 SECONDS_BETWEEN = 0.5
 MIN_PHASE_S = 0.05
 """A phase that starts sooner after a line is not written: its total may change with each event."""
@@ -87,10 +90,11 @@ class EventFile:
 
 def read_progress(run: Path) -> RunProgress:
     """Read the progress of a run from events and manifest; BadInput for a file of anything else."""
-    from radiant_viewer.runs.run_feeds import RunProgress, WholeRunState
+    from radiant_viewer.runs.run_feeds import LossCurve, RunProgress, WholeRunState
 
     path = run / EVENTS_NAME
     stages: dict[str, StageState] = {}
+    losses: dict[str, list[tuple[float, float]]] = {}
     warnings: list[str] = []
     seconds_left, outline, whole = None, Outlined(stages=()), None
     for event in _events(path):
@@ -111,8 +115,9 @@ def read_progress(run: Path) -> RunProgress:
             outline = event
         elif (state := _next_state(event)) is not None:
             stages[state.stage] = state
+            _count_loss(event, losses)
     status = _status(run)
-    is_running = status == "running" and _is_locked(run)
+    is_running = status == "running" and is_locked(run)
     if status == "running" and not is_running:
         status = "interrupted"
     if not is_running:
@@ -127,12 +132,25 @@ def read_progress(run: Path) -> RunProgress:
         whole=whole,
         is_running=is_running,
         status=status,
+        losses=tuple(LossCurve(stage=stage, points=tuple(points)) for stage, points in losses.items() if len(points) > 1),
     )
+
+
+def _count_loss(event: Event, losses: dict[str, list[tuple[float, float]]]) -> None:
+    """Add the loss that trainings tell in their note; a stage that begins again begins its curve."""
+    if isinstance(event, StageStarted):
+        losses.pop(event.stage, None)
+    if not isinstance(event, StageProgress) or not event.total > 0 or (told := LOSS.search(event.note)) is None:
+        return
+    curve, share = losses.setdefault(event.stage, []), event.done / event.total
+    if curve and share < curve[-1][0]:
+        curve.clear()
+    curve.append((share, float(told[1])))
 
 
 def progress_stamps(run: Path) -> tuple[object, ...]:
     """Return values that change whenever `read_progress` would read something new."""
-    stamps: list[object] = [_is_locked(run)]
+    stamps: list[object] = [is_locked(run)]
     for name in (EVENTS_NAME, "manifest.json"):
         with suppress(OSError):
             status = (run / name).stat()
@@ -178,7 +196,7 @@ def _status(run: Path) -> str:
     return status if isinstance(status, str) else ""
 
 
-def _is_locked(run: Path) -> bool:
+def is_locked(run: Path) -> bool:
     """Whether a process holds the run's lock, which the kernel frees when that process ends."""
     try:
         with (run / LOCK_NAME).open("rb") as file:

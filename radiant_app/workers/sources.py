@@ -257,8 +257,8 @@ def _reconstruct(
         assert model is not None
         if task.refine_poses:
             given = Alignment(path=model, photos=images, refine_poses=True)
-            return scene_from_rough_colmap(given, folder, report, masks, task.placement)
-        return scene_from_colmap(model, images, folder, report, masks, task.placement)
+            return _named_model(model, scene_from_rough_colmap(given, folder, report, masks, task.placement))
+        return _named_model(model, scene_from_colmap(model, images, folder, report, masks, task.placement))
     if kind == "alignment":
         assert model is not None
         given = Alignment(path=model, photos=images, refine_poses=task.refine_poses)
@@ -278,6 +278,14 @@ def _reconstruct(
             )
         return scene_from_mill19(images, folder, report, masks=masks)
     return reconstruct(images, folder, task.sfm, report, masks, task.placement)
+
+
+def _named_model(model: Path, result: SfmResult) -> SfmResult:
+    """The result with a first line that says which COLMAP model was used, as those of alignments
+    have."""
+    name = f"sparse/{model.name}" if model.parent.name == "sparse" else model.name
+    said = f"{name} of COLMAP gives the poses of {len(result.scene.cameras)} photographs and {len(result.scene.points)} points."
+    return replace(result, warnings=(said, *result.warnings))
 
 
 def save_given_frames(folder: Path, result: SfmResult) -> list[str]:

@@ -51,7 +51,7 @@ def trained(source: Path, out: Path, asked: argparse.Namespace) -> tuple[np.ndar
     scene = radiant.reconstruct(source, out)
     scene_s = sum(os.times()[:4]) - before
     options = {"num_steps": asked.steps, "long_side_px": asked.long_side_px}
-    models = [radiant.train(scene, seed=seed, **options).splats for seed in range(asked.seeds)]
+    models = [radiant.train(scene, asked.preset, seed=seed, **options).splats for seed in range(asked.seeds)]
     return np.array([radiant.evaluate(model, scene, long_side_px=asked.long_side_px).mean_psnr_db for model in models]), scene_s
 
 
@@ -67,6 +67,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--long-side-px", type=int, default=192)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--preset", default="default")
     parser.add_argument("--formats", nargs="*", default=[name for name in FORMATS if "ecef" not in name])
     asked = parser.parse_args()
     baselines: dict[str, np.ndarray] = {}

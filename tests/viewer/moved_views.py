@@ -24,6 +24,7 @@ from PySide6.QtWidgets import QApplication
 
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.layers.layer import Layer
+from radiant_viewer.pictures.images import save_png
 from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.beacons import BALL, BALL_M, beacon_places
 from tests.viewer.made_up_run import HALF_WH, Town, made_up_town
@@ -31,10 +32,12 @@ from tests.viewer.window_user import until, use_window
 
 NEAR_PX, REST_MS = 2.0, 450
 MARK = np.array([0, 255, 255])
-SPACING_PX, OTHER_PX, COVERED_PX, EDGE_PX = 18.0, 13.0, 20.0, 20.0
-"""Places nearer to each other, to one of the other kind, to a border or a camera, which marks may
-cover, or to the rim of a view are not looked for."""
+SPACING_PX, OTHER_PX, COVERED_PX, LINE_PX, EDGE_PX = 18.0, 13.0, 20.0, 10.0, 20.0
+"""Places nearer to each other, to one of the other kind, to a border or a camera, to a line of any
+layer, which may cover them, or to the rim of a view are not looked for."""
 THERE_AND_BACK = ("T", "F")
+SEEN = Path("moved_views.png")
+"""Where the screen is kept on which layers and model disagreed."""
 LEAST_BALL_PX, LARGEST_BALL_PX = 1.6, 4.0
 LEFT, MIDDLE, RIGHT = Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton, Qt.MouseButton.RightButton
 
@@ -190,6 +193,13 @@ class Watcher:
         """Both views after a move; AssertionError names it, the place and where it is instead."""
         self.moved = moved
         self.settle()
+        try:
+            self._look_at_both()
+        except AssertionError:
+            save_png(SEEN, pixels_of(self.window))
+            raise
+
+    def _look_at_both(self) -> None:
         screen = pixels_of(self.window)
         for canvas in (self.window.view, self.window.map):
             for color, places, what in ((BALL, self.balls, "the model's ball"), (MARK, self.marks, "the layer's mark")):
@@ -208,11 +218,19 @@ class Watcher:
             reach = int(SPACING_PX // 2)
             rows, columns = (np.arange(int(at) - reach, int(at) + reach + 1) for at in (y, x))
             near = strength[np.ix_(rows, columns)]
-            assert near.sum() > 4, f"{self.moved}: {what} {index} is not where the camera has it, at {x:.0f}, {y:.0f} px"
+            where = f"{'map' if canvas.is_map else '3D'}, {x:.0f}, {y:.0f} px"
+            assert near.sum() > 4, f"{self.moved}: {what} {index} is not where the camera has it, {where}"
             at = np.array([(near * (columns + 0.5)[None]).sum(), (near * (rows + 0.5)[:, None]).sum()]) / near.sum()
             error = float(np.linalg.norm(at - (x, y)))
             self.num_seen, self.worst_px = self.num_seen + 1, max(self.worst_px, error)
             assert error <= NEAR_PX, f"{self.moved}: {what} {index} is {error:.1f} px away from where the camera has it"
+
+    def _along_lines(self) -> np.ndarray:
+        """Places (K,3) along the lines that are drawn: the frame of a selected camera is wide."""
+        shown = [*self.window.visible_layers(), *self.window._marks._layers.values()]
+        ends = np.concatenate([np.zeros((1, 2, 3)), *(layer.segments for layer in shown)])
+        shares = np.linspace(0, 1, 40)[:, None, None]
+        return ((1 - shares) * ends[None, :, 0] + shares * ends[None, :, 1]).reshape(-1, 3)
 
     def _expected(self, canvas: Canvas, places: np.ndarray) -> np.ndarray:
         """Places (K,3) as the canvas's own camera has them, px (K,2) from the upper left."""
@@ -226,6 +244,7 @@ class Watcher:
             chosen &= (_away_px(expected, expected) < SPACING_PX).sum(axis=1) == 1
             chosen &= ~(_away_px(expected, others) < OTHER_PX).any(axis=1)
             chosen &= ~(_away_px(expected, self._expected(canvas, self.covered)) < COVERED_PX).any(axis=1)
+            chosen &= ~(_away_px(expected, self._expected(canvas, self._along_lines())) < LINE_PX).any(axis=1)
             if are_balls:
                 # Their standard deviation across the view.
                 rims = [self._expected(canvas, self.balls + BALL_M * step) for step in np.eye(3)]
@@ -268,6 +287,7 @@ def act(window: InspectorWindow, town: Town, seed: int, number: int) -> None:
             window.reset_views()
             name += ", then Fit"
         watcher.check(f"step {step}, {name}")
+        print(f"{step}: {name}, {watcher.num_seen} seen, worst {watcher.worst_px:.2f} px", file=sys.stderr, flush=True)
     print(json.dumps({"seen": watcher.num_seen, "worst_px": round(watcher.worst_px, 2)}))
 
 

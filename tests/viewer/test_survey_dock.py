@@ -88,6 +88,9 @@ path = run / "survey/measures.json"
 for line in sys.stdin:
     request = json.loads(line)
     print("surface: 1 of 2", file=sys.stderr, flush=True)
+    if "prepare" in request:
+        print(json.dumps({"prepared": True}), flush=True)
+        continue
     (run / "requests.jsonl").open("a").write(line)
     if "measure" not in request or request["name"] == "bad":
         print(json.dumps({"error": "it cannot be"}), flush=True)
@@ -146,7 +149,7 @@ window.map, window.view = Map(), View()
 python = sys.executable
 maker = (python, str(folder / "maker.py"), str(folder / "ortho.tif"))
 commands = SurveyCommands(measuring=(python, str(folder / "worker.py"), str(run)), ortho=lambda out: (*maker, str(out)))
-dock = SurveyDock(window, load_run_view(run), commands)
+dock = SurveyDock(window, load_run_view(run), commands, 0.0, "m")
 def click(canvas, pixel):
     return any(taker(canvas, pixel) for taker in canvas.click_takers)
 assert not click(window.view, (75, 49)), "nobody asked for places yet"
@@ -154,6 +157,9 @@ dock.click.click()
 assert click(window.view, (75, 49)) and click(window.view, (95, 49)) and "no model under" in window.said[-1]
 window.attempt(dock.take)
 assert click(window.map, (3, 4))
+# From (25.5, -0.5) to (3, 4); of 60 m and 500 px of focal length a pixel is 0.12 m, and σ of a place half of it.
+assert dock.text.text().startswith("distance on the map 22.95 ± 0.08 m"), dock.text.text()
+assert window.layers_drawn["Measure at work"].labels[0].text in dock.text.text()
 dock.name.setText("street")
 dock.measure.click()
 assert dock.is_busy

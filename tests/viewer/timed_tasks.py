@@ -1,7 +1,7 @@
-"""Five tasks of docs/inspector.md, done in the real window; what each came to is what the window
-shows, as JSON.
+"""Tasks of docs/inspector.md, done in the real window; what each came to is what the window shows,
+as JSON.
 
-DISPLAY=:1 python -m tests.viewer.timed_tasks RUN OUT    OUT holds other.json, another plan
+DISPLAY=:1 python -m tests.viewer.timed_tasks RUN OUT [TASK …]    OUT holds other.json, another plan
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PySide6.QtCore import QPoint
 
 from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.window.window import InspectorWindow
@@ -99,13 +100,92 @@ def compare_plans(user: User, out: Path) -> dict[str, Any]:
     }
 
 
-TASKS = (find_worst_seam, move_twenty_cameras, find_worst_photograph, export_regions, compare_plans)
+def see_from_above(user: User, out: Path) -> dict[str, Any]:
+    """A key."""
+    user.press("Ctrl+1")
+    return {"looks": user.window.view.pose.rotation[2].tolist()}
 
 
-def main(run: Path, out: Path) -> None:
-    """Every task in a window of its own on the run as it was; writes OUT/results.json."""
+def measure_distance(user: User, out: Path) -> dict[str, Any]:
+    """A key and two clicks in the 3D view; when the figure stands there."""
+    window = user.window
+    assert window.model is not None
+    until(lambda: window.model.shown_is_full, "the model never came")
+    began = time.monotonic()
+    user.press("M")
+    for share in (0.42, 0.58):
+        view = window.view.plotter
+        user.click(view, f"at {share:.2f}", QPoint(round(share * view.width()), view.height() // 2))
+    tool = window.docks.survey.tool
+    return {"text": window.docks.survey.text.text(), "points": tool.points.tolist(), "figure_s": time.monotonic() - began}
+
+
+def leave_out_by_lasso(user: User, out: Path) -> dict[str, Any]:
+    """A key, a drag and a key."""
+    window, select = user.window, user.window.docks.cleaning.select
+    assert window.model is not None and select is not None
+    until(lambda: window.model.shown_is_full, "the model never came")
+    before = window.view.screenshot().astype(int)
+    user.press("L")
+    view = window.view.plotter
+    turn = np.linspace(0, 2 * np.pi, 40)
+    path = np.array([view.width() / 2, view.height() / 2]) + 60 * np.column_stack([np.cos(turn), np.sin(turn)])
+    user.drag(view, path, "around the middle")
+    chosen, camera = select.tool.chosen, window.view.pose.camera(window.view.size_wh)
+    user.press("Delete")
+    until(lambda: window.model.shown_is_full, "the model never came without them")
+    after = window.view.screenshot().astype(int)
+    session = window.docks.cleaning.session
+    assert session is not None
+    changed = np.abs(before - after).max(axis=2) > 30
+    rows, columns = np.nonzero(changed)
+    result = {
+        "chosen": int(chosen.sum()),
+        "left": len(session.model.splats),
+        "K": camera.Ks[0].tolist(),
+        "cam_from_world": camera.cam_from_world[0].tolist(),
+        "changed_inside": float(changed[_disc(changed.shape, 50)].mean()),
+        "changed_outside": float(changed[~_disc(changed.shape, 75)].mean()),
+        "middle": [float(columns.mean()), float(rows.mean())],
+        "file": json.loads((window.subject.path / "cleaning.json").read_text()),
+    }
+    session.undo()
+    return {**result, "undone": len(session.model.splats)}
+
+
+def film_a_border(user: User, out: Path) -> dict[str, Any]:
+    """Two keyframes and the flight between them."""
+    window = user.window
+    user.press("K")
+    user.press("T")
+    user.press("K")
+    user.click_tab("Fly-through")
+    return {"keyframes": len(window.docks.fly.keyframes)}
+
+
+def _disc(shape: tuple[int, ...], radius: float) -> np.ndarray:
+    rows, columns = np.indices(shape[:2])
+    return np.hypot(rows + 0.5 - shape[0] / 2, columns + 0.5 - shape[1] / 2) < radius
+
+
+TASKS = (
+    find_worst_seam,
+    move_twenty_cameras,
+    find_worst_photograph,
+    export_regions,
+    compare_plans,
+    see_from_above,
+    measure_distance,
+    leave_out_by_lasso,
+    film_a_border,
+)
+
+
+def main(run: Path, out: Path, *names: str) -> None:
+    """Every task, or those named, in a window of its own on the run as it was; writes
+    OUT/results.json and a line a task."""
     results: dict[str, Any] = {}
-    for task in TASKS:
+    for task in (each for each in TASKS if not names or each.__name__ in names):
         (run / "plan_edits.json").unlink(missing_ok=True)
         began = time.monotonic()
 
@@ -116,8 +196,10 @@ def main(run: Path, out: Path) -> None:
             results[task.__name__] = {**found, "actions": user.actions, "open_s": opened - began, "task_s": time.monotonic() - opened}
 
         use_window(run, act)
+        done = results[task.__name__]
+        print(f"{task.__name__}: {len(done['actions'])} actions, window {done['open_s']:.1f} s, task {done['task_s']:.1f} s", flush=True)
     (out / "results.json").write_text(json.dumps(results))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:])

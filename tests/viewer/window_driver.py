@@ -173,12 +173,12 @@ def steps_of_begun_run(nothing):
     window.docks.fly.add_view()
     window.view.plotter.camera.azimuth += 25
     window.raise_dock(window.docks.fly)
-    window.measure.set_active(True)
+    window.docks.survey.click.setChecked(True)
     pose, keyframes = window.view.pose, window.docks.fly.keyframes
     (given.out / "scene.ply").rename(given.run_folder / "scene.ply")
     QTest.qWait(1500)
     assert windows() == [window], "the window was replaced under a measurement"
-    window.measure.set_active(False)
+    window.docks.survey.click.setChecked(False)
     until(lambda: windows() and windows() != [window])
     (fresh,) = windows()
     QTest.qWait(100)

@@ -18,10 +18,11 @@ from PySide6.QtWidgets import QMessageBox
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_viewer.layers.palette import VERMILLION
+from tests.viewer.window_kit import patient
 
 
 def until(done, seconds=30):
-    for _ in range(20 * seconds):
+    for _ in range(round(20 * patient(seconds))):
         if done():
             return
         QTest.qWait(50)
@@ -160,26 +161,33 @@ def seams(window):
 
 def tools(window, out: Path):
     window.reset_views()
-    window.measure.set_active(True)
+    measure = next(action for action in window.findChildren(QAction) if action.text() == "Measure")
+    survey, drawing = window.docks.survey, window.docks.cleaning
+    measure.trigger()
+    survey.kind.setCurrentText("area")
     for x, y in ((-60, -30), (60, -30), (60, 30)):
         pixel = window.map.pixels_of(np.array([[x, y, 0.0]]))[0]
         spot = QPoint(round(pixel[0]), round(window.map.size_wh[1] - 1 - pixel[1]))
         QTest.mouseClick(window.map.plotter, Qt.MouseButton.LeftButton, pos=spot)
-    assert np.allclose(window.measure.corners, [[-60, -30], [60, -30], [60, 30]], atol=2), window.measure.corners
-    assert "area" in window.statusBar().currentMessage(), window.statusBar().currentMessage()
-    length, area = (float(part.split()[-2]) for part in window.statusBar().currentMessage().split("·"))
-    assert abs(length - 180) < 4 and abs(area - 3600) < 250, (length, area)
-    window.measure.undo()
-    assert window.statusBar().currentMessage().startswith("Distance 1")
-    window.measure.set_active(False)
-    measure, drawing = next(action for action in window.findChildren(QAction) if action.text() == "Measure"), window.docks.cleaning
+    assert np.allclose(survey.tool.points[:, :2], [[-60, -30], [60, -30], [60, 30]], atol=2), survey.tool.points
+    words = window.statusBar().currentMessage().split()
+    assert words[0] == "area" and words[2] == "±" and abs(float(words[1]) - 3600) < 250, words
+    # At 60 m with 500 px of focal length a pixel is 0.12 m, and a corner half of that.
+    assert 2 < float(words[3]) < 15, words
+    window.docks.undo_corner()
+    words = window.statusBar().currentMessage()
+    assert words.startswith("distance on the map 1") and abs(float(words.split()[4]) - 120) < 3, words
+    measure.trigger()
+    assert not survey.tool.is_active and not len(survey.tool.points)
     measure.trigger()
     drawing.draw.setChecked(True)
-    assert drawing.polygon.is_active and not window.measure.is_active, "two tools take the clicks"
+    assert drawing.polygon.is_active and not survey.tool.is_active and not measure.isChecked(), "two tools take the clicks"
     measure.trigger()
-    assert window.measure.is_active and not drawing.polygon.is_active and not drawing.draw.isChecked()
-    measure.trigger()
-    assert not window.measure.is_active
+    assert survey.tool.is_active and not drawing.polygon.is_active and not drawing.draw.isChecked()
+    drawing.select.lasso.click()
+    assert drawing.select.is_active and not survey.tool.is_active, "two tools take the drags"
+    drawing.select.lasso.click()
+    assert not drawing.select.is_active
     before = window.screenshot()
     crop = window.docks.cleaning.box
     crop.active.setChecked(True)
@@ -305,7 +313,7 @@ def navigation(window):
     assert window.docks.photo.at == chosen, "the window took the key of a flight"
     window.bookmarks.keep(3)
     bookmarked = view.pose
-    window._see_from("top")
+    window.see_from("top")
     assert view.pose.rotation[2][2] < -0.999
     window.bookmarks.see(3)
     assert np.allclose(view.pose.position, bookmarked.position) and np.allclose(view.pose.rotation, bookmarked.rotation)

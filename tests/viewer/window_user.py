@@ -20,6 +20,7 @@ from radiant_app.commands.inspect.window import open_inspector
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.window.window import InspectorWindow
+from tests.viewer.window_kit import patient
 
 LEFT = Qt.MouseButton.LeftButton
 PATIENCE_S = 60
@@ -40,6 +41,15 @@ class User:
         """Once, in the middle of a widget or at a spot of it."""
         self.actions.append(f"click {what}")
         QTest.mouseClick(widget, LEFT, pos=spot or QPoint())
+
+    def drag(self, widget: QWidget, path: np.ndarray, what: str) -> None:
+        """The left button along places (P,2) px of a widget."""
+        self.actions.append(f"drag {what}")
+        places = [QPoint(round(x), round(y)) for x, y in path]
+        QTest.mousePress(widget, LEFT, pos=places[0])
+        for place in places[1:]:
+            QTest.mouseMove(widget, place)
+        QTest.mouseRelease(widget, LEFT, pos=places[-1])
 
     def click_tab(self, title: str) -> None:
         """The tab of a panel."""
@@ -116,7 +126,7 @@ class User:
 def until(condition: Callable[[], object], what: str, patience_s: float = PATIENCE_S) -> None:
     """Let the window work until a condition holds; AssertionError with `what` after a minute, or
     as long as is said."""
-    end = time.monotonic() + patience_s
+    end = time.monotonic() + patient(patience_s)
     while not condition():
         assert time.monotonic() < end, what
         QTest.qWait(10)

@@ -17,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
+from radiant_core.geometry.selection import Stroke, chosen_by
 from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS, Support, unconstrained
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.splats import Splats
 
 MAX_CORNERS = 10_000
 MAX_STEPS = 1_000
+MAX_STROKES = 500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +94,19 @@ class SizeStep:
         _require(self.at_most > 0, f"a size of {self.at_most:g}", "more than 0")
 
 
-CleaningStep = PolygonStep | RegionsStep | SupportStep | OpacityStep | SizeStep
+@dataclass(frozen=True, kw_only=True)
+class SelectionStep:
+    """Leave out what strokes in views chose (`geometry.selection`), or keep only that. BadInput
+    without a stroke, or for more than `MAX_STROKES`."""
+
+    strokes: tuple[Stroke, ...]
+    keep: Literal["inside", "outside"] = "outside"
+
+    def __post_init__(self) -> None:
+        _require(1 <= len(self.strokes) <= MAX_STROKES, f"a selection of {len(self.strokes)} strokes", f"1 to {MAX_STROKES}")
+
+
+CleaningStep = PolygonStep | RegionsStep | SupportStep | OpacityStep | SizeStep | SelectionStep
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,6 +177,8 @@ def keeps(step: CleaningStep, splats: Splats, around: Surroundings = Surrounding
         return _regions_keep(step, splats.means, around.regions)
     if isinstance(step, SupportStep):
         return _support_keeps(step, splats, around)
+    if isinstance(step, SelectionStep):
+        return chosen_by(step.strokes, splats.means) == (step.keep == "inside")
     if isinstance(step, OpacityStep):
         # Compared as stored: no rounding of the logistic function decides.
         return splats.logit_opacities.astype(np.float64) >= np.log(step.at_least / (1 - step.at_least))
@@ -203,6 +219,9 @@ def describe(step: CleaningStep, unit: str) -> str:
         return f"regions and {step.margin:g} {unit} around them"
     if isinstance(step, SupportStep):
         return f"seen by {step.num_views} photographs, {step.parallax_deg:g}° apart"
+    if isinstance(step, SelectionStep):
+        strokes = "a stroke" if len(step.strokes) == 1 else f"{len(step.strokes)} strokes"
+        return f"{'only' if step.keep == 'inside' else 'all but'} what {strokes} in the 3D view chose"
     if isinstance(step, OpacityStep):
         return f"opacity {step.at_least:g} or more"
     return f"at most {step.at_most:g} {unit} wide"

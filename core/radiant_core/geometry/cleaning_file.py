@@ -15,7 +15,17 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError
 
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.geometry.cleaning import Cleaning, CleaningStep, OpacityStep, PolygonStep, RegionsStep, SizeStep, SupportStep
+from radiant_core.geometry.cleaning import (
+    Cleaning,
+    CleaningStep,
+    OpacityStep,
+    PolygonStep,
+    RegionsStep,
+    SelectionStep,
+    SizeStep,
+    SupportStep,
+)
+from radiant_core.geometry.selection import Front, Stroke
 from radiant_core.io.run_store import read_bounded, write_json
 from radiant_core.io.strict import Strict, problem_sentence
 
@@ -28,6 +38,7 @@ KINDS: dict[str, type[CleaningStep]] = {
     "support": SupportStep,
     "opacity": OpacityStep,
     "size": SizeStep,
+    "selection": SelectionStep,
 }
 
 
@@ -60,7 +71,35 @@ class _Size(Strict):
     at_most: float
 
 
-_Step = Annotated[_Polygon | _Regions | _Support | _Opacity | _Size, Field(discriminator="kind")]
+class _Front(Strict):
+    box: tuple[float, float, float, float]
+    rows: int
+    columns: int
+    depths: list[float]
+
+
+class _Stroke(Strict):
+    cam_from_world: list[float]
+    path: list[tuple[float, float]]
+    radius: float = 0.0
+    takes_away: bool = False
+    front: _Front | None = None
+    tolerance: float
+
+
+class _Selection(Strict):
+    kind: Literal["selection"]
+    strokes: list[_Stroke]
+    keep: Literal["inside", "outside"] = "outside"
+
+    def step(self) -> SelectionStep:
+        """The step."""
+        strokes = (stroke.model_dump() for stroke in self.strokes)
+        made = (Stroke(**{**each, "front": None if each["front"] is None else Front(**each["front"])}) for each in strokes)
+        return SelectionStep(strokes=tuple(made), keep=self.keep)
+
+
+_Step = Annotated[_Polygon | _Regions | _Support | _Opacity | _Size | _Selection, Field(discriminator="kind")]
 
 
 class _File(Strict):
@@ -103,5 +142,7 @@ def step_record(step: CleaningStep) -> dict[str, object]:
 
 
 def _step(record: Strict) -> CleaningStep:
+    if isinstance(record, _Selection):
+        return record.step()
     values = record.model_dump()
     return KINDS[values.pop("kind")](**values)

@@ -80,8 +80,7 @@ def reconstruct(
     (work_folder / "sparse").mkdir()
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
-    _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
-    blind = flatten(work_folder / "sparse") if has_faces(photo.name for photo in photographs) else ()
+    blind = _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     remove_readable(work_folder)
@@ -125,12 +124,15 @@ def reconstruct(
     )
 
 
-def _triangulate(refined: pycolmap.Reconstruction, attempt: Attempt, photo_folder: Path, folder: Path, report: Report) -> None:
+def _triangulate(refined: pycolmap.Reconstruction, attempt: Attempt, photo_folder: Path, folder: Path, report: Report) -> tuple[str, ...]:
+    """Write the model with all its points; what is said of faces of panoramas that it leaves
+    out."""
     total = int(refined.num_reg_images())
     report(SfmProgress(phase="triangulating", done=0, total=total))
     # Once: what more photographs see has just been adjusted.
     triangulate(refined, attempt.database, photo_folder, folder, attempt.config, refinements=1)
     report(SfmProgress(phase="triangulating", done=total, total=total))
+    return flatten(folder) if has_faces(image.name for image in refined.images.values()) else ()
 
 
 def _placed(

@@ -107,15 +107,37 @@ def measure(
     given = require_measure(kind, places, base)
     points, deviations = _on_surface(given, surface, None if sigmas is None else np.asarray(sigmas, np.float64))
     if kind == "distance":
-        return _distance(points, deviations, surface, accuracy)
+        return _distance(points, deviations, accuracy)
     if kind == "height":
-        rise = points[1, 2] - points[0, 2]
-        sigma = float(np.sqrt(np.square(deviations).sum() + (accuracy.scale * rise) ** 2))
-        return Measured(kind=kind, places=points, figures=(Figure(name="height", value=float(rise), sigma=sigma, power=1),), filled=0.0)
+        return _height(points, deviations, accuracy)
     if kind == "profile":
         return _profile(points, surface, accuracy)
     outline = Outline.of(points, surface)
     return _area(outline, surface, accuracy) if kind == "area" else _volume(outline, surface, accuracy, base)
+
+
+def measure_places(kind: MeasureKind, places: ArrayLike, sigmas: ArrayLike, accuracy: Accuracy) -> Measured:
+    """A distance, height or area by places (P,3) alone, whose heights have σ (P,), before there is
+    a surface; the area is that on the map. BadInput as `measure`, and for what needs the surface."""
+    points, deviations = require_measure(kind, places), np.asarray(sigmas, np.float64)
+    if kind == "distance":
+        return _distance(points, deviations, accuracy)
+    if kind == "height":
+        return _height(points, deviations, accuracy)
+    if kind != "area":
+        raise BadInput(f"a {kind} is of the surface, which places alone do not say: measure it on a finished run.")
+    from shapely.geometry import Polygon
+
+    shape = Polygon(points[:, :2] - points[0, :2])
+    if not shape.is_valid or shape.area <= 0:
+        raise BadInput("the outline crosses itself or spans no area: give its corners in order around it.")
+    area = float(shape.area)
+    return Measured(
+        kind=kind,
+        places=points,
+        figures=(Figure(name="area", value=area, sigma=_area_sigma(points, area, accuracy), power=2),),
+        filled=0.0,
+    )
 
 
 def _on_surface(given: FloatArray, surface: HeightMap, of_given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
@@ -138,7 +160,18 @@ def _on_surface(given: FloatArray, surface: HeightMap, of_given: FloatArray | No
     return np.column_stack([given[:, :2], np.where(is_given, asked, heights)]), np.where(is_given, of_given, sigmas)
 
 
-def _distance(points: FloatArray, sigmas: FloatArray, surface: HeightMap, accuracy: Accuracy) -> Measured:
+def _height(points: FloatArray, sigmas: FloatArray, accuracy: Accuracy) -> Measured:
+    rise = points[1, 2] - points[0, 2]
+    sigma = float(np.sqrt(np.square(sigmas).sum() + (accuracy.scale * rise) ** 2))
+    return Measured(kind="height", places=points, figures=(Figure(name="height", value=float(rise), sigma=sigma, power=1),), filled=0.0)
+
+
+def _area_sigma(points: FloatArray, area: float, accuracy: Accuracy) -> float:
+    across = np.roll(points[:, :2], -1, axis=0) - np.roll(points[:, :2], 1, axis=0)
+    return float(np.sqrt(accuracy.place**2 * np.square(across).sum() / 4 + (2 * accuracy.scale * area) ** 2))
+
+
+def _distance(points: FloatArray, sigmas: FloatArray, accuracy: Accuracy) -> Measured:
     steps = np.diff(points, axis=0)
     figures = []
     for name, axes in (("distance", 3), ("distance on the map", 2)):
@@ -222,8 +255,7 @@ class Outline:
 
     def sigma(self, accuracy: Accuracy) -> float:
         """σ of the area."""
-        across = np.roll(self.points[:, :2], -1, axis=0) - np.roll(self.points[:, :2], 1, axis=0)
-        return float(np.sqrt(accuracy.place**2 * np.square(across).sum() / 4 + (2 * accuracy.scale * self.area) ** 2))
+        return _area_sigma(self.points, self.area, accuracy)
 
 
 def _area(outline: Outline, surface: HeightMap, accuracy: Accuracy) -> Measured:

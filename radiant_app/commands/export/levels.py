@@ -100,7 +100,9 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
 
     model = given_model(request.model, display, as_trained=request.as_trained)
     splats = None if request.model.is_dir() else model.splats
-    page = scene_page(request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained)
+    page = scene_page(
+        request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained, surroundings=request.surroundings
+    )
     shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs), **left_out_of(model)}
     if request.out.suffix.lower() == ".html":
         from radiant_core.export.sog import moved_sentence

@@ -4,14 +4,14 @@ options that belong to its format; others are refused before anything takes minu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from radiant_app.commands.model.clean import measure_support, require_cleaned_model
 from radiant_app.commands.model.given_model import given_model
 from radiant_app.commands.model.place import ExportPlace, place_of
-from radiant_app.events import Warned
+from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent
 from radiant_core.errors import BadInput
@@ -51,6 +51,9 @@ class ExportRequest:
     """Whether Gaussians that too few photographs constrain go into a file of their own."""
     as_trained: bool = False
     """Whether what the model's cleaning leaves out is written too."""
+    surroundings: bool | None = None
+    """Whether what lies around the scene is written; None: into files of the model, not into a
+    page."""
     crs: str | None = None
     """System of the file's coordinates; None: the scene's own metres, longitude and latitude in
     GeoJSON, the UTM zone in a GeoTIFF."""
@@ -93,6 +96,8 @@ def require_options(request: ExportRequest, kind: ExportFormat) -> None:
         raise BadInput(f"--clean is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(CLEANED)}.")
     if request.as_trained and kind == "geojson":
         raise BadInput("--uncleaned is of a model's Gaussians, and geojson has none: leave it out.")
+    if request.surroundings is not None and kind not in (*CLEANED, "viewer"):
+        raise BadInput(f"--surroundings is of a model's Gaussians, and {kind} has none: leave it out, or write {', '.join(CLEANED)}.")
     if (request.num_levels is not None or request.fit_levels is not None or request.regions) and kind not in LEVELLED:
         raise BadInput(f"--levels, --fit-levels and --regions are of levels of detail, and {kind} has none: leave them out, or add --lod.")
     if request.tile_form is not None and kind != "tiles":
@@ -143,9 +148,25 @@ def _require_system(request: ExportRequest, kind: ExportFormat) -> None:
 def exported_model(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
     """The Gaussians to write, and what a cleaning and `clean` left out of them."""
     if request.clean:
-        return _without_unconstrained(request, display)
+        return _without_surroundings(request, *_without_unconstrained(request, display), display)
     model = given_model(request.model, display, as_trained=request.as_trained)
-    return model.splats, left_out_of(model)
+    return _without_surroundings(request, model.splats, left_out_of(model), display)
+
+
+def _without_surroundings(
+    request: ExportRequest, splats: Splats, figures: dict[str, Any], display: ProgressDisplay
+) -> tuple[Splats, dict[str, Any]]:
+    """The Gaussians without what lies around the scene, where that was asked for; says how many
+    that is."""
+    if request.surroundings is not False or not len(splats):
+        return splats, figures
+    from radiant_viewer.runs.run_view import load_run_view
+    from radiant_viewer.runs.shown_model import framed_box, model_box, shown_model
+
+    run = load_run_view(request.model, as_trained=request.as_trained) if request.model.is_dir() else None
+    shown = shown_model(splats, model_box(splats) if run is None else framed_box(run.scene, run.cloud_plan))
+    display(Decided(decision=replace(shown.decision, stage="export", reason="asked for by --no-surroundings", forced=True)))
+    return shown.splats, {**figures, "left_out_around": int(shown.around.sum())}
 
 
 def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:

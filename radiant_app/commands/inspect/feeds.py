@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from radiant_app.commands.run.control import BegunCommand, resuming_arguments, stop_run
 from radiant_app.files.event_file import progress_stamps, read_progress
 from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
@@ -21,11 +22,12 @@ from radiant_viewer.runs.run_view import plan_path
 
 if TYPE_CHECKING:
     from radiant_viewer.runs.run_feeds import RunFeeds, RunProgress
+    from radiant_viewer.start.start_feeds import StartFeeds
 
 
 def feeds_of(run: Path) -> RunFeeds:
     """The feeds of a run folder; of anything else, feeds that know nothing."""
-    from radiant_viewer.runs.run_feeds import RunFeeds, SurveyCommands
+    from radiant_viewer.runs.run_feeds import RunControl, RunFeeds, SurveyCommands
 
     if not (run / "manifest.json").is_file():
         return RunFeeds()
@@ -34,12 +36,45 @@ def feeds_of(run: Path) -> RunFeeds:
         gantt_rows=lambda: _gantt_rows(run),
         gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)],
         progress=_Progress(run),
+        control=RunControl(
+            arguments=lambda: resuming_arguments(run),
+            stop=lambda: stop_run(run),
+            resume=lambda: BegunCommand(resuming_arguments(run)),
+        ),
         pages=(*python, "radiant_app", "clean", str(run), "--pages"),
         survey=SurveyCommands(
             measuring=(*python, "radiant_app.commands.survey.worker", str(run)),
             ortho=lambda out: (*python, "radiant_app", "export", str(run), str(out), "--format", "ortho"),
         ),
     )
+
+
+def start_feeds() -> StartFeeds:
+    """What the start window is given."""
+    from radiant_app.commands.machine.this_machine import machine_profile
+    from radiant_viewer.start.start_feeds import StartFeeds
+
+    python, measured = (sys.executable, "-m"), machine_profile()
+    return StartFeeds(
+        worker=(*python, "radiant_app.commands.inspect.start_worker"),
+        begin=BegunCommand,
+        feeds=feeds_of,
+        state=run_state,
+        measuring=(*python, "radiant_app.commands.machine.this_machine"),
+        measured=measured,
+    )
+
+
+def run_state(path: Path) -> str:
+    """What a run, plan or model is now, in a word; empty where it is gone."""
+    if not path.exists():
+        return ""
+    if not (path / "manifest.json").is_file():
+        return "model or plan" if path.is_file() else "folder"
+    try:
+        return read_progress(path).status or "run"
+    except BadInput:
+        return "run"
 
 
 class _Progress:

@@ -27,18 +27,26 @@ from radiant_viewer.share.vendored import SHA256
 FOLDER, MADE_OF = "viewer", "made_of.json"
 
 
-def scene_page(model: Path, splats: Splats | None, *, with_photographs: bool, as_trained: bool = False) -> ScenePage:
-    """The page of a run or training by its cleaning, unless `as_trained`, else of `splats`; raises
-    as the readers."""
+def scene_page(
+    model: Path, splats: Splats | None, *, with_photographs: bool, as_trained: bool = False, surroundings: bool | None = None
+) -> ScenePage:
+    """The page of a run or training by its cleaning, unless `as_trained`, else of `splats`, without
+    what lies around the scene unless `surroundings` (None: as `as_trained`); raises as the
+    readers."""
     if model.is_dir():
         from radiant_app.report.known_scale import page_scale
         from radiant_viewer.runs.run_view import load_run_view
 
         require_model(model)
         run = load_run_view(model, as_trained=as_trained)
-        return page_of_run(run, with_photographs=with_photographs, with_surroundings=as_trained, scale=page_scale(run))
+        around = as_trained if surroundings is None else surroundings
+        return page_of_run(run, with_photographs=with_photographs, with_surroundings=around, scale=page_scale(run))
     if splats is None:
         raise BadInput(f"{model} is no run: give its folder, or a .ply file.")
+    if surroundings is False and len(splats):
+        from radiant_viewer.runs.shown_model import model_box, shown_model
+
+        splats = shown_model(splats, model_box(splats)).splats
     return page_of_model(splats, model.stem)
 
 

@@ -21,6 +21,7 @@ from radiant_viewer.runs.unplanned import folder_kind
 if TYPE_CHECKING:
     from radiant_core.scene import SfmScene
     from radiant_viewer.editing.plan_files import PlanSetting
+    from radiant_viewer.window.inspector import Opening
 
 EDITS = "_edits.json"
 """Ending of the file beside a plan that keeps what was changed in the window."""
@@ -47,15 +48,34 @@ def plan_file_of(source: Path) -> Path | None:
 def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None) -> int:
     """Show a run or a plan until its window is closed; returns the exit code. Raises BadInput as
     `plan_file_of` and the readers."""
-    from radiant_app.commands.inspect.feeds import feeds_of
     from radiant_viewer.window.inspector import open_window
+
+    opened = opening_of(source, system, scene)
+    return open_window(opened.path, opened.feeds, setting=opened.setting, scene=opened.scene)
+
+
+def opening_of(source: Path, system: Path | None = None, scene: Path | None = None) -> Opening:
+    """How the inspector opens a run, a model or a plan; raises as `open_inspector`."""
+    from radiant_app.commands.inspect.feeds import feeds_of
+    from radiant_viewer.runs.run_feeds import RunFeeds
+    from radiant_viewer.window.inspector import Opening
 
     plan = plan_file_of(source)
     if plan is None:
         if scene is not None:
             raise BadInput("a run knows its scene: leave out --scene, or give a plan file.")
-        return open_window(source, feeds_of(source), setting=(lambda: run_setting(source, system)) if source.is_dir() else None)
-    return open_window(plan, setting=lambda: plan_setting(plan, system), scene=None if scene is None else _load_planned_scene(scene))
+        setting = (lambda: run_setting(source, system)) if source.is_dir() else None
+        return Opening(path=source, feeds=feeds_of(source), setting=setting)
+    loaded = None if scene is None else _load_planned_scene(scene)
+    return Opening(path=plan, feeds=RunFeeds(), setting=lambda: plan_setting(plan, system), scene=loaded)
+
+
+def open_start_window() -> int:
+    """Show the window in which a run is begun or chosen, and then that; returns the exit code."""
+    from radiant_app.commands.inspect.feeds import start_feeds
+    from radiant_viewer.window.inspector import open_start
+
+    return open_start(start_feeds(), opening_of)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,8 @@ processes at a time (`run.this_machine`), and takes, in seconds,
 
 with G and F of N/D photographs and r what `plan.timeline.refining` says of a device's round.
 
-Scoring and the report come on top. Once per call.
+A training other than that of the curves takes them times the share of its steps, pixels and
+Gaussians (`training_factor`). Scoring and the report come on top. Once per call.
 """
 
 from __future__ import annotations
@@ -23,14 +24,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from radiant_app.config.run_config import ExecutionOptions
 from radiant_app.files.profile_file import load_profile
-from radiant_app.run.predictions import joining_shares, planned_training, refining_law_of
+from radiant_app.run.predictions import joining_shares, planned_training, refining_law_of, training_key_of
 from radiant_app.run.this_machine import Division, divided
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.plan.profiles.curve_fit import FittedCurve
 from radiant_core.plan.profiles.profile import Profile
+from radiant_core.plan.profiles.training_scale import TrainingSize, splats_at, step_time
 from radiant_core.plan.timeline.refining import AT_CLOUD, AT_EDGE, AT_EDGE_LATER, predict_round
+from radiant_core.splats import SH_BASES
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.memory import training_memory
 from radiant_core.train.needs import Overrides
@@ -57,6 +62,7 @@ class Forecast:
     """The training that the times hold for."""
     shortage: str | None = None
     """What to do where memory holds no training, however photographs are divided; None: it does."""
+    division: Division
 
     @property
     def text(self) -> str:
@@ -69,52 +75,79 @@ class Forecast:
         return f"about {total} ({parts}; {'; '.join(doubts)}); {self.key}; by the curves of {self.machine}"
 
 
-def forecast(num_photographs: int, profile: Path, free_bytes: int) -> Forecast:
-    """Predict a run without options from a curve file; BadInput for a file that is none."""
+def forecast(num_photographs: int, profile: Path, free_bytes: int, training: TrainConfig | None = None) -> Forecast:
+    """Predict a run on this machine from a curve file; BadInput for a file that is none.
+
+    Args:
+        num_photographs: those of the source.
+        profile: the curve file.
+        free_bytes: memory of this machine.
+        training: that of the run; None: of a run without options, for which the curves hold.
+    """
     curves = load_profile(profile)
-    train = planned_training("default", Overrides())
+    train = training or planned_training("default", Overrides())
     # Every eighth is held out of training.
     num_trained = num_photographs - math.ceil(num_photographs / 8)
     division = divided(lambda count: training_memory(train, count), num_trained, free_bytes)
     alone = division.num_devices == 1
-    stages = list(_stages_of_one(curves, num_photographs) if alone else _stages(curves, train, num_photographs, division))
+    per_device = math.ceil(num_photographs / division.num_devices)
+    factor = 1.0 if training is None else training_factor(curves, train, per_device)
+    stages = list(_stages_of_one(curves, num_photographs, factor) if alone else _stages(curves, train, num_photographs, division, factor))
     return Forecast(
         num_photographs=num_photographs,
         parts_s={stage: seconds for stage, seconds, _ in stages if seconds is not None},
         unknown=tuple(stage for stage, seconds, _ in stages if seconds is None),
         extrapolated=tuple(stage for stage, _, far in stages if far),
         machine=curves.machine,
-        key=str(curves.key),
+        key=str(curves.key if training is None else training_key_of(train, "default")),
         shortage=division.warning,
+        division=division,
     )
 
 
-def _stages(curves: Profile, train: TrainConfig, num_photographs: int, division: Division) -> Iterator[Stage]:
+def training_factor(curves: Profile, train: TrainConfig, num_photographs: int) -> float:
+    """How many times the seconds of the curves' training one of other steps, pixels and Gaussians
+    takes with so many photographs, by the law of a step that the curves follow."""
+    splat_bytes = 4 * (11 + 3 * SH_BASES[train.sh_degree])
+    law, counts = step_time(curves, splat_bytes), np.array([max(num_photographs, 1)], np.float64)
+
+    def seconds(num_steps: int, long_side_px: int, max_num_splats: int | None) -> float:
+        size = TrainingSize(long_side_px=long_side_px, splats_of=splats_at(curves, splat_bytes, long_side_px, max_num_splats))
+        return num_steps * float(law.seconds(size, counts)[0])
+
+    key = curves.key
+    measured_s = seconds(key.num_steps, key.long_side_px, key.max_num_splats)
+    return seconds(train.num_steps, train.long_side_px, train.max_num_splats) / measured_s
+
+
+def _stages(curves: Profile, train: TrainConfig, num_photographs: int, division: Division, factor: float) -> Iterator[Stage]:
     num_devices, num_edges = division.num_devices, len(division.system.edges)
     workers = min(num_devices, division.at_once, ExecutionOptions().num_workers)
     per_device, per_edge = (math.ceil(num_photographs / parts) for parts in (num_devices, num_edges))
     at_edges, at_cloud = joining_shares(train, AggregateConfig(), num_photographs, num_devices)
     share_of = {"edges": at_edges, "cloud": at_cloud}
     waves_of = {"devices": math.ceil(num_devices / workers), "edges": math.ceil(num_edges / workers)}
-    for stage, fits, count in (
-        ("structure from motion", (curves.sfm_s,), num_photographs),
-        ("devices", (curves.init_s, curves.train_s), per_device),
-        ("edges", (curves.aggregate_s,), per_edge),
-        ("cloud", (curves.merge_s,), num_photographs),
-    ):
-        yield _stage(stage, fits, count, share_of.get(stage, 1.0) * waves_of.get(stage, 1))
+    yield _stage("structure from motion", (curves.sfm_s,), num_photographs)
+    yield _training_stage("devices", curves, per_device, factor, waves_of["devices"])
+    for stage, fits, count in (("edges", (curves.aggregate_s,), per_edge), ("cloud", (curves.merge_s,), num_photographs)):
+        yield _stage(stage, fits, count, share_of[stage] * waves_of.get(stage, 1))
     law = refining_law_of(train, AggregateConfig(), num_photographs, num_devices)
     beside_s, trained_s = (float(fit.curve(per_device)) for fit in (curves.init_s, curves.train_s))
-    device_s = predict_round(law, beside_s=beside_s, train_s=trained_s, num_photographs=per_device)
+    device_s = predict_round(law, beside_s=beside_s, train_s=factor * trained_s, num_photographs=per_device)
     at_edges = waves_of["edges"] * (AT_EDGE + (law.num_rounds - 1) * AT_EDGE_LATER)
     beside_rounds = at_edges + law.num_rounds * AT_CLOUD
     yield "refining", law.num_rounds * waves_of["devices"] * device_s + beside_rounds * beside_s, False
 
 
-def _stages_of_one(curves: Profile, num_photographs: int) -> Iterator[Stage]:
+def _stages_of_one(curves: Profile, num_photographs: int, factor: float) -> Iterator[Stage]:
     yield _stage("structure from motion", (curves.sfm_s,), num_photographs)
-    yield _stage("device", (curves.init_s, curves.train_s), num_photographs)
+    yield _training_stage("device", curves, num_photographs, factor)
     yield _stage("edge", (curves.aggregate_alone_s,), num_photographs)
+
+
+def _training_stage(name: str, curves: Profile, count: int, factor: float, waves: int = 1) -> Stage:
+    seconds = float(curves.init_s.curve(count)) + factor * float(curves.train_s.curve(count))
+    return name, waves * seconds, any(count > FAR * fit.largest_count for fit in (curves.init_s, curves.train_s))
 
 
 def _stage(name: str, fits: Sequence[FittedCurve | None], count: int, factor: float = 1.0) -> Stage:

@@ -61,6 +61,13 @@ class RenderRequest:
     long_side_px: int | None = None
     as_trained: bool = False
     """Whether what the model's cleaning leaves out is shown too."""
+    surroundings: bool = False
+    """Whether what lies around the scene, or far before it, is shown too."""
+
+    @property
+    def shows_all(self) -> bool:
+        """Whether nothing of the model is hidden for its pictures."""
+        return self.as_trained or self.surroundings
 
 
 def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -79,7 +86,7 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
     splats = model.splats
     splats = splats if scene is None else _scene_alone(splats, scene, display)
-    near_m = _near_planes(splats, cameras, display) if request.keyframes is not None and not request.as_trained else None
+    near_m = _near_planes(splats, cameras, display) if request.keyframes is not None and not request.shows_all else None
     if is_film:
         if request.out.suffix.lower() == ".mp4":
             display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
@@ -155,7 +162,7 @@ def _near_planes(splats: Splats, cameras: Cameras, display: ProgressDisplay) -> 
             choice="what lies far before the scene is not drawn",
             figure=far,
             unit=f"of {len(cameras)} pictures",
-            reason="their eyes are far outside the scene, which sky and haze before it would hide; --uncleaned shows them",
+            reason="their eyes are far outside the scene, which sky and haze before it would hide; --surroundings shows them",
         )
         display(Decided(decision=decision))
     return reach.near_m(cameras)
@@ -166,7 +173,7 @@ def _scene_alone(splats: Splats, box: FloatArray, display: ProgressDisplay) -> S
     from radiant_viewer.runs.shown_model import shown_model
 
     shown = shown_model(splats, box)
-    display(Decided(decision=replace(shown.decision, stage="render", reason=f"{shown.decision.reason}; --uncleaned shows it")))
+    display(Decided(decision=replace(shown.decision, stage="render", reason=f"{shown.decision.reason}; --surroundings shows it")))
     return shown.splats
 
 
@@ -195,7 +202,7 @@ def _cameras(request: RenderRequest, model: _ModelOnce) -> tuple[Cameras, FloatA
         return keyframe_cameras(request.keyframes, request.fps, request.size_wh), None
     if request.trajectory is not None:
         cameras, box = _flight(request, lens, model)
-        return cameras, None if request.as_trained or request.trajectory != "orbit" else box
+        return cameras, None if request.shows_all or request.trajectory != "orbit" else box
     if request.cameras is None and not request.model.is_dir():
         raise BadInput(f"{request.model} is a model alone: say from where to look by --trajectory orbit, --cameras or --keyframes.")
     if request.cameras is not None:

@@ -5,6 +5,7 @@ One JSON line per request on standard input, one per answer on standard output:
     {"measure": kind, "points": [[x, y, z or null], …] of the world, "eyes": [[x, y, z], …] from
      where they were clicked, "name": …, "base": …}
     {"remove": name}    {"export": path}    →    {"name": …} or {"error": one sentence}
+    {"prepare": true}   →    {"prepared": true}: the surface is made or read, for the next measure
 
 What is kept is what `radiant measure` keeps, by the same functions; progress goes to standard
 error. The run and its surface are read for the first measure, and anew once its files changed. Ends
@@ -45,6 +46,9 @@ class Measuring:
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Do what is asked; a RadiantError becomes its sentence."""
         try:
+            if "prepare" in request:
+                self._surface()
+                return {"prepared": True}
             if "measure" in request:
                 return {"name": self._measure(request)}
             if "remove" in request:

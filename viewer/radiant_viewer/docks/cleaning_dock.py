@@ -36,7 +36,8 @@ from radiant_core.geometry.cleaning import (
 from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS
 from radiant_viewer.docks.box_editor import BoxEditor
 from radiant_viewer.docks.pages_job import PagesJob
-from radiant_viewer.host.measure_tool import MeasureTool
+from radiant_viewer.docks.select_row import SelectRow
+from radiant_viewer.host.polygon_tool import PolygonTool
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.turntable import haze_size
 from radiant_viewer.runs.cleaning_session import CleaningSession
@@ -56,7 +57,7 @@ class CleaningDock(QDockWidget):
         self.setObjectName("cleaning")
         self._host, self.session, self._unit = host, session, unit
         self.box = BoxEditor(host, session, unit)
-        self.polygon = MeasureTool(host, unit, ground, mark=MARK, hint=HINT)
+        self.polygon = PolygonTool(host, unit, ground, mark=MARK, hint=HINT)
         self.steps = QListWidget()
         self.steps.setToolTip("What is left out of the model, in this order; of every export, film, picture and surface")
         self.count, self.draw = QLabel(""), QPushButton("Draw on map")
@@ -65,6 +66,7 @@ class CleaningDock(QDockWidget):
         self.draw.setToolTip(HINT)
         self.draw.toggled.connect(self.polygon.set_active)
         self.undo, self.redo, self.reset = QPushButton("Undo"), QPushButton("Redo"), QPushButton("Reset")
+        self.select = None if session is None else SelectRow(host, session, self._add)
         self.margin = _spin(0, 1e6, USUAL_MARGIN, f" {unit}")
         self.views, self.parallax = QSpinBox(), _spin(0, 180, MIN_PARALLAX_DEG, "° apart")
         self.views.setRange(1, 1000)
@@ -94,6 +96,8 @@ class CleaningDock(QDockWidget):
         self.redo.setEnabled(bool(model.cleaning.undone))
         self.count.setText(self._total_text())
         self.box.show_count()
+        if self.select is not None:
+            self.select.show_chosen()
         self.pages.look()
 
     def keep_inside(self, keep: Literal["inside", "outside"]) -> None:
@@ -163,6 +167,8 @@ class CleaningDock(QDockWidget):
             buttons.addWidget(button)
         buttons.addWidget(self.count, stretch=1)
         left.addWidget(self.steps, stretch=1)
+        if self.select is not None:
+            left.addWidget(self.select)
         left.addLayout(buttons)
         inside, outside = QPushButton("Keep inside"), QPushButton("Leave it out")
         inside.clicked.connect(lambda: self._host.attempt(lambda: self.keep_inside("inside")))

@@ -1,9 +1,12 @@
-"""Progress of a run: a bar per stage, warnings, time left, polled once a second. Needs the
-`desktop` extra."""
+"""Progress of a run: a bar per stage, loss, warnings, time left, polled once a second; the run is
+stopped and resumed here. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
+from shlex import join
+
 from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import (
     QDockWidget,
     QHBoxLayout,
@@ -18,9 +21,10 @@ from PySide6.QtWidgets import (
 )
 
 from radiant_core.errors import RadiantError
+from radiant_viewer.docks.loss_curve import LossWidget
 from radiant_viewer.host.protocols import StatusHost
 from radiant_viewer.layers.region_layer import duration_text
-from radiant_viewer.runs.run_feeds import RunFeeds, RunProgress, StageState
+from radiant_viewer.runs.run_feeds import Begun, RunFeeds, RunProgress, StageState
 
 POLL_MS = 1000
 HEADINGS = ("Stage", "State", "", "Doing")
@@ -41,6 +45,15 @@ class ProgressDock(QDockWidget):
         self.reload = QPushButton("Reload")
         self.reload.setToolTip("Read the run's plan, model and figures anew (F5)")
         self.reload.clicked.connect(host.reload)
+        self.stop, self.resume, self.copy = QPushButton("Stop"), QPushButton("Resume"), QPushButton("Copy command")
+        self.stop.setToolTip("End the run as Ctrl-C in its terminal does; what is finished is kept")
+        self.resume.setToolTip("Go on with the run: its own command with --resume")
+        self.copy.setToolTip("Copy the command line that goes on with this run")
+        self.stop.clicked.connect(self._on_stop)
+        self.resume.clicked.connect(self._on_resume)
+        self.copy.clicked.connect(self._on_copy)
+        self.loss = LossWidget()
+        self._begun: Begun | None = None
         self.table = QTableWidget(0, len(HEADINGS))
         self.table.setHorizontalHeaderLabels(HEADINGS)
         self.table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
@@ -50,7 +63,8 @@ class ProgressDock(QDockWidget):
         self.table.horizontalHeader().setStretchLastSection(True)
         row = QHBoxLayout()
         row.addWidget(self.summary, stretch=1)
-        row.addWidget(self.reload)
+        for button in (self.stop, self.resume, self.copy, self.reload):
+            row.addWidget(button)
         body = QWidget()
         layout = QVBoxLayout(body)
         layout.setContentsMargins(4, 2, 4, 4)
@@ -60,7 +74,10 @@ class ProgressDock(QDockWidget):
         self.machines.setWordWrap(True)
         self.machines.hide()
         layout.addWidget(self.machines)
-        layout.addWidget(self.table)
+        across = QHBoxLayout()
+        across.addWidget(self.table, stretch=1)
+        across.addWidget(self.loss)
+        layout.addLayout(across)
         self.setWidget(body)
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._poll)
@@ -81,6 +98,8 @@ class ProgressDock(QDockWidget):
             return
         was_running, had_ended = self.shown.is_running, bool(self.shown.status) and not self.shown.is_running
         self.shown = now
+        self._show_control(now)
+        self.loss.show_curves(now.losses)
         if now.stages != self._filled:
             self._fill(now.stages)
         self.summary.setText(_summary(now))
@@ -92,7 +111,51 @@ class ProgressDock(QDockWidget):
         if now.is_running and had_ended:
             self._host.show_status("The run goes on.")
 
+    def _show_control(self, now: RunProgress) -> None:
+        can_be_ours = self._feeds.control is not None
+        is_beginning = self._begun is not None and not now.is_running
+        self.copy.setVisible(can_be_ours)
+        self.stop.setVisible(can_be_ours and now.is_running)
+        self.resume.setVisible(can_be_ours and not now.is_running and now.status in ("interrupted", "failed"))
+        self.resume.setEnabled(not is_beginning)
+        if not now.is_running:
+            self.stop.setEnabled(True)
+
+    def _on_stop(self) -> None:
+        assert self._feeds.control is not None
+        try:
+            self._feeds.control.stop()
+        except RadiantError as error:
+            self._host.show_status(str(error))
+            return
+        self.stop.setEnabled(False)
+        self._host.show_status("The run is being stopped; Resume goes on with it")
+
+    def _on_resume(self) -> None:
+        assert self._feeds.control is not None
+        try:
+            self._begun = self._feeds.control.resume()
+        except RadiantError as error:
+            self._host.show_status(str(error))
+            return
+        self.resume.setEnabled(False)
+        self._host.show_status("The run begins again where it was")
+
+    def _on_copy(self) -> None:
+        assert self._feeds.control is not None
+        try:
+            line = f"radiant {join(self._feeds.control.arguments())}"
+        except RadiantError as error:
+            self._host.show_status(str(error))
+            return
+        QGuiApplication.clipboard().setText(line)
+        self._host.show_status(f"Copied: {line}")
+
     def _poll(self) -> None:
+        if self._begun is not None and (words := self._begun.poll()) is not None:
+            self._begun = None
+            if words:
+                self._host.show_status(f"The run ended: {words}")
         self.read()
         self.polled.emit()
 

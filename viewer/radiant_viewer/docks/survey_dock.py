@@ -1,7 +1,8 @@
 """Measuring in the 3D view with σ, and the map's orthophoto. Needs the `desktop` extra.
 
-Clicks make the places of a measure; `radiant measure` keeps it with the run, in a process of its
-own that makes the surface once. The table shows all that is kept.
+Clicks make the places of a measure, and what they measure by the rendered picture stands there at
+once (`quick_measure`). `radiant measure` keeps it with a finished run by the run's surface, which a
+process of its own makes once, from the first click on. The table shows all that is kept.
 """
 
 from __future__ import annotations
@@ -33,30 +34,36 @@ from radiant_viewer.docks.ortho_job import OrthoJob
 from radiant_viewer.host.line_process import LineProcess
 from radiant_viewer.host.place_tool import PlaceTool
 from radiant_viewer.host.protocols import Host
+from radiant_viewer.layers.layer import Label
 from radiant_viewer.layers.measure_layer import CLICKED, CLOSED, KEPT, clicked_layer, kept_layer
+from radiant_viewer.runs.quick_measure import quick_text
 from radiant_viewer.runs.run_feeds import SurveyCommands
-from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 LEAST: dict[str, int] = {"distance": 2, "height": 2, "area": 3, "volume": 3, "profile": 2}
-HINT = "Choose what to measure, press 'Click places' and click in the 3D view or on the map; then 'Measure'."
-WITHOUT_MODEL = "A measure needs a finished model: finish the run first."
+HINT = "Choose what to measure, click places in the 3D view or on the map; 'Measure' (Shift+M) keeps it with σ by the surface."
+WITHOUT_MODEL = "Lengths and areas are shown as you click; a finished run keeps measures, with σ by its surface."
+PREPARING = "Preparing the surface"
 FIELD_PX = 110
 
 
 class SurveyDock(QDockWidget):
-    """Measures of a run; disabled, with the reason, where it has no finished model."""
+    """Measures of a run, None of a model alone; kept where it has a finished model. Clicks on the
+    map are at the height `ground`, lengths in `unit`."""
 
-    def __init__(self, host: Host, run: RunView, commands: SurveyCommands | None) -> None:
+    def __init__(self, host: Host, run: RunView | None, commands: SurveyCommands | None, ground: float, unit: str) -> None:
         super().__init__("Measures")
         self.setObjectName("measures")
-        self._host, self._run = host, run
-        self._map = map_frame_of(run.scene.frame)
+        self._host, self._run, self._unit = host, run, unit
+        self._map = None if run is None else map_frame_of(run.scene.frame)
         self._sent: list[str] = []
-        can_measure = commands is not None and run.model is not None and not run.is_growing
+        """What is not answered yet, in order."""
+        self._quick = ""
+        self._is_prepared = False
+        can_measure = self._can_measure = commands is not None and run is not None and run.model is not None and not run.is_growing
         self.process = LineProcess(self, commands.measuring if commands is not None else ())
-        self.ortho = OrthoJob(host, self, run.folder, commands)
-        self.tool = PlaceTool(host, ground_height(run.scene), self._on_points)
+        self.ortho = OrthoJob(host, self, Path() if run is None else run.folder, commands)
+        self.tool = PlaceTool(host, ground, self._on_points)
         self.kind, self.name, self.base = QComboBox(), QLineEdit(), QLineEdit()
         self.kind.addItems(get_args(MeasureKind))
         self.name.setPlaceholderText("name")
@@ -71,15 +78,15 @@ class SurveyDock(QDockWidget):
         self.table = QTableWidget(0, 2)
         self.table.setHorizontalHeaderLabels(["Measure", "Figures with their standard deviation"])
         self._lay_out()
-        for widget in (self.kind, self.name, self.base, self.click, self.measure, self.remove, self.export, self.ortho.button):
+        for widget in (self.name, self.base, self.measure, self.remove, self.export, self.ortho.button):
             widget.setEnabled(can_measure)
         self._connect()
         self.show_kept()
 
     @property
     def is_measuring(self) -> bool:
-        """Whether an answer is awaited."""
-        return bool(self._sent)
+        """Whether the answer to a measure, a removal or an export is awaited."""
+        return any(doing != PREPARING for doing in self._sent)
 
     @property
     def is_busy(self) -> bool:
@@ -88,6 +95,8 @@ class SurveyDock(QDockWidget):
 
     def show_kept(self) -> None:
         """Show the measures that are kept now, in the table and in both views."""
+        if self._run is None or self._map is None:
+            return
         try:
             kept = load_measures(self._run.folder)
         except RadiantError as error:
@@ -104,7 +113,10 @@ class SurveyDock(QDockWidget):
         self._host.render_views()
 
     def take(self) -> None:
-        """Measure at the clicked places; BadInput where there are too few or too many."""
+        """Measure at the clicked places; BadInput where there are too few or too many, or nothing
+        is kept."""
+        if not self._can_measure:
+            raise BadInput(WITHOUT_MODEL)
         kind, points = self.kind.currentText(), self.tool.points
         if len(points) < LEAST[kind]:
             raise BadInput(f"{kind} takes {LEAST[kind]} places or more, and {len(points)} are clicked so far.")
@@ -143,14 +155,25 @@ class SurveyDock(QDockWidget):
             raise BadInput(f"{text!r} is no height of a base: give a number, or nothing.") from None
 
     def _send(self, request: dict[str, Any], doing: str) -> None:
-        if self._sent:
+        if self.is_measuring:
             raise BadInput("something is being measured: wait for it.")
         self._sent.append(doing)
         self.text.setText(doing)
         self.process.send(request)
 
+    def _prepare(self, active: bool) -> None:
+        """Make the surface while places are being clicked: half a minute for the first measure."""
+        if active and self._can_measure and not self._is_prepared:
+            self._is_prepared = True
+            self._sent.append(PREPARING)
+            self.process.send({"prepare": True})
+
     def _on_answer(self, answer: dict[str, Any]) -> None:
-        doing = self._sent.pop() if self._sent else ""
+        # They come in the order of their requests.
+        doing = self._sent.pop(0) if self._sent else ""
+        if doing == PREPARING:
+            # What is wrong with the surface the first measure says.
+            return
         if "error" in answer:
             self.text.setText(answer["error"])
             self._host.show_status(answer["error"])
@@ -172,24 +195,33 @@ class SurveyDock(QDockWidget):
 
     def _on_ended(self, _: bool, words: str) -> None:
         self._sent.clear()
+        self._is_prepared = False
         self.text.setText(f"Measuring ended: {words}")
 
     def _on_said(self, words: str) -> None:
-        if self._sent:
-            self.text.setText(f"{self._sent[-1]} {words}")
+        if self.is_measuring:
+            self.text.setText(" ".join(filter(None, (self._quick, self._sent[-1], words))))
 
     def _on_points(self) -> None:
         # Asked for while the dock is made.
         kind = self.kind.currentText() if hasattr(self, "kind") else ""
+        self._quick = ""
         if len(self.tool.points):
-            self._host.draw_mark(clicked_layer(self.tool.drawn, closed=kind in CLOSED))
-            self._host.show_status(f"{len(self.tool.points)} places of {kind}; Backspace takes the last one back, 'Measure' measures.")
+            cameras = None if self._run is None else self._run.scene.cameras
+            self._quick = quick_text(kind, self.tool.points, cameras, self._unit)
+            label = (Label(text=self._quick.partition(";")[0], position=self.tool.drawn[-1]),) if self._quick else ()
+            self._host.draw_mark(clicked_layer(self.tool.drawn, closed=kind in CLOSED, labels=label))
+            words = self._quick or f"{len(self.tool.points)} places of {kind}"
+            self.text.setText(words)
+            keeps = ", Shift+M keeps it" if self._can_measure else ""
+            self._host.show_status(f"{words}. Backspace takes the last place back{keeps}")
         else:
             self._host.remove_mark(CLICKED)
         self._host.render_views()
 
     def _connect(self) -> None:
         self.click.toggled.connect(self.tool.set_active)
+        self.click.toggled.connect(self._prepare)
         self.kind.currentIndexChanged.connect(lambda _: self._on_points())
         self.measure.clicked.connect(lambda: self._host.attempt(self.take))
         self.remove.clicked.connect(lambda: self._host.attempt(self.remove_chosen))

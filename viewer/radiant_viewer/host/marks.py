@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from radiant_viewer.host.canvas import TOP_SLOT, Canvas
-from radiant_viewer.host.measure_tool import MeasureTool
+from radiant_viewer.host.polygon_tool import PolygonTool
 from radiant_viewer.layers.layer import Layer
 
 
@@ -43,7 +43,7 @@ class Marks:
             for canvas in self._canvases:
                 canvas.draw(layer, TOP_SLOT, visible=name not in self._before_solo)
 
-    def follow_solo(self, is_solo: bool, tools: Sequence[MeasureTool]) -> None:
+    def follow_solo(self, is_solo: bool, tools: Sequence[PolygonTool]) -> None:
         """Hide the marks when *Solo* begins, but those of tools at work; show all when it ends."""
         if is_solo and not self._is_solo:
             self._before_solo = frozenset(self._layers) - {tool.mark for tool in tools if tool.is_active}

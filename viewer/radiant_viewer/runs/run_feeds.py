@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 if TYPE_CHECKING:
     from radiant_viewer.charts.gantt_chart import GanttRow
@@ -55,6 +55,14 @@ class WholeRunState:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LossCurve:
+    """The loss of a stage: (share of it that is done, loss), as far as it was told."""
+
+    stage: str
+    points: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunProgress:
     """Stages in the order they began, warnings, and seconds left to devices and edges if known."""
 
@@ -72,6 +80,8 @@ class RunProgress:
     machines: tuple[str, ...] = ()
     """A line per machine of a run over a network: joined, offline since, what arrived, why
     refused."""
+    losses: tuple[LossCurve, ...] = ()
+    """Of the stages that train, in the order they began."""
 
 
 def no_rows() -> Sequence[GanttRow]:
@@ -89,6 +99,28 @@ class SurveyCommands:
     ortho: Callable[[Path], tuple[str, ...]]
 
 
+class Begun(Protocol):
+    """A command of the application at work."""
+
+    def poll(self) -> str | None:
+        """None while it is at work; its last words once it ended, empty where it ended well."""
+        ...
+
+    def stop(self) -> None:
+        """End it as Ctrl-C does."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunControl:
+    """Stops and resumes a run of this machine; each raises BadInput where that cannot be."""
+
+    arguments: Callable[[], tuple[str, ...]]
+    """Of `radiant`, that go on with the run."""
+    stop: Callable[[], None]
+    resume: Callable[[], Begun]
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunFeeds:
     """Functions that read the present state; they raise BadInput or StoreDamaged if they cannot."""
@@ -99,3 +131,4 @@ class RunFeeds:
     survey: SurveyCommands | None = None
     pages: tuple[str, ...] = ()
     """Command line that makes the pages anew that are sent; empty where there is none."""
+    control: RunControl | None = None

@@ -34,31 +34,34 @@ class Docks:
 
     fly: FlyDock
     cleaning: CleaningDock
+    survey: SurveyDock
     photo: PhotoDock | None = None
     cameras: CameraDock | None = None
     seams: SeamDock | None = None
     gantt: GanttDock | None = None
     progress: ProgressDock | None = None
     control: ControlDock | None = None
-    survey: SurveyDock | None = None
 
     @property
     def is_busy(self) -> bool:
-        """Whether a film, a polygon, a measure or the marking of a point is in progress."""
-        is_measuring = self.survey is not None and self.survey.is_busy
+        """Whether a film, a polygon, a selection, a measure or the marking of a point is in
+        progress."""
         is_marking = self.control is not None and self.control.isVisible() and self.control.photograph != ""
-        return is_measuring or is_marking or self.fly.job is not None or self.cleaning.polygon.is_active
+        is_choosing = self.cleaning.polygon.is_active or (self.cleaning.select is not None and self.cleaning.select.is_active)
+        return self.survey.is_busy or is_marking or self.fly.job is not None or is_choosing
 
     @property
     def click_buttons(self) -> list[QPushButton]:
-        """What lets clicks in the views make places or corners."""
-        return [self.cleaning.draw, *([self.survey.click] if self.survey is not None else [])]
+        """What lets clicks and drags in the views make places, corners or strokes."""
+        select = self.cleaning.select
+        return [self.cleaning.draw, self.survey.click, *([] if select is None else [select.lasso, select.brush])]
 
     def undo_corner(self) -> None:
-        """Take the last clicked place or drawn corner back."""
+        """Take the last clicked place, drawn corner or stroke back."""
         self.cleaning.polygon.undo()
-        if self.survey is not None:
-            self.survey.tool.undo()
+        self.survey.tool.undo()
+        if self.cleaning.select is not None and self.cleaning.select.is_active:
+            self.cleaning.select.tool.undo()
 
     def end(self) -> None:
         """Stop polling, films and what runs in processes of its own."""
@@ -79,19 +82,20 @@ def make_docks(host: Host, subject: Subject, feeds: RunFeeds, ply_path: Path | N
     run = subject.run
     fly = FlyDock(host, ply_path, FlightFile(subject.path))
     cleaning = CleaningDock(host, subject.cleaning_session(), subject.unit, subject.ground, PagesJob(host, subject.path, feeds.pages))
+    survey = SurveyDock(host, run, feeds.survey if run is None or run.kind != "scene" else None, subject.ground, subject.unit)
     if run is None:
-        return Docks(fly=fly, cleaning=cleaning)
+        return Docks(fly=fly, cleaning=cleaning, survey=survey)
     figures = image_figures(run.folder)
     return Docks(
         fly=fly,
         cleaning=cleaning,
+        survey=survey,
         photo=PhotoDock(host, run, figures),
         cameras=CameraDock(host, run, figures),
         seams=make_seam_dock(host, run),
         gantt=GanttDock(host, feeds),
         progress=ProgressDock(host, feeds),
         control=ControlDock(host, run),
-        survey=SurveyDock(host, run, feeds.survey) if run.kind != "scene" else None,
     )
 
 

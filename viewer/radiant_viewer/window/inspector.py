@@ -1,4 +1,5 @@
-"""The desktop window of `radiant inspect RUN|MODEL.ply`: map, 3D view, and docks around them.
+"""The desktop window of `radiant inspect [RUN|MODEL.ply]`: map, 3D view, and docks around them; the
+start window where nothing is named.
 
 It draws the same layers as the headless pictures. Needs the `desktop` extra and a display. Building
 it takes a second or two; showing or hiding a layer redraws both views, some 50 ms each.
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from radiant_core.scene import SfmScene
     from radiant_viewer.editing.plan_files import PlanSetting
     from radiant_viewer.layers.themes import ThemeName
+    from radiant_viewer.start.start_feeds import StartFeeds
     from radiant_viewer.window.waiting_window import WaitingWindow
     from radiant_viewer.window.window import InspectorWindow
 
@@ -55,15 +57,67 @@ def open_window(
     Raises: BadInput without a desktop, and as `load_subject`.
     """
     require_desktop()
-    owner = _WindowOwner(Path(path), feeds or RunFeeds(), setting, scene)
+    owner = _WindowOwner(Opening(path=Path(path), feeds=feeds or RunFeeds(), setting=setting, scene=scene))
     # Errors come before any window appears.
     first = owner.read()
+    application = _application()
+    owner.show(first, theme)
+    return _work_on(application)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Opening:
+    """What a window shows; fields as the arguments of `open_window`."""
+
+    path: Path
+    feeds: RunFeeds
+    setting: Callable[[], PlanSetting] | None = None
+    scene: SfmScene | None = None
+
+
+def open_start(feeds: StartFeeds, opening: Callable[[Path], Opening], theme: ThemeName = "light") -> int:
+    """Show the start window, and what is opened or begun there, until the last window is closed.
+
+    Args:
+        feeds: the application's commands.
+        opening: how a path is opened; raises BadInput for what cannot be shown.
+
+    Returns: the exit code.
+    Raises: BadInput without a desktop.
+    """
+    require_desktop()
+    application = _application()
+    from radiant_viewer.window.start_window import StartWindow
+
+    window, owners = StartWindow(feeds, theme), []
+
+    def open_path(path: Path) -> None:
+        try:
+            owner = _WindowOwner(opening(path))
+            reading = owner.read()
+        except RadiantError as error:
+            window.show_status(str(error))
+            return
+        # The application ends with its last window: this one is closed after the next is shown.
+        owner.show(reading, window.theme.name)
+        owners.append(owner)
+        window.close()
+
+    window.wants_open.connect(open_path)
+    window.show()
+    return _work_on(application)
+
+
+def _application() -> QApplication:
     from PySide6.QtWidgets import QApplication
 
     existing = QApplication.instance()
     application = existing if isinstance(existing, QApplication) else QApplication(sys.argv[:1])
     application.setStyle("Fusion")
-    owner.show(first, theme)
+    return application
+
+
+def _work_on(application: QApplication) -> int:
     with _close_on_signals(application) as caught:
         code = application.exec()
     return 128 + caught[-1] if caught else code
@@ -109,10 +163,8 @@ class _Reading:
 class _WindowOwner:
     """Holds the window, and replaces it when the run is read again."""
 
-    def __init__(
-        self, path: Path, feeds: RunFeeds, setting: Callable[[], PlanSetting] | None = None, scene: SfmScene | None = None
-    ) -> None:
-        self._path, self._feeds, self._setting, self._scene = path, feeds, setting, scene
+    def __init__(self, opening: Opening) -> None:
+        self._path, self._feeds, self._setting, self._scene = opening.path, opening.feeds, opening.setting, opening.scene
         self.window: InspectorWindow | WaitingWindow | None = None
 
     def read(self) -> _Reading | None:
@@ -127,11 +179,14 @@ class _WindowOwner:
         """Open a window, then close the previous one: else the application would end between."""
         from PySide6.QtCore import Qt
 
+        from radiant_viewer.start.recent import remember_run
         from radiant_viewer.window.waiting_window import WaitingWindow
         from radiant_viewer.window.window import InspectorWindow
         from radiant_viewer.window.window_state import read_window_state, restore_window
 
         before = self.window
+        if before is None:
+            remember_run(self._path)
         if reading is None:
             self.window = WaitingWindow(self._path, self._feeds, theme)
         else:

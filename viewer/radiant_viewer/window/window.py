@@ -10,15 +10,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from PySide6.QtCore import Qt, QTimer, Signal
-from PySide6.QtGui import QAction, QCloseEvent, QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
+from PySide6.QtGui import QAction, QCloseEvent, QShowEvent
+from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QPushButton, QSplitter
 
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
@@ -27,14 +26,12 @@ from radiant_viewer.editing.plan_files import PlanSetting
 from radiant_viewer.editing.planning import make_planning
 from radiant_viewer.host.canvas import FIT_ANGLE_DEG, Canvas
 from radiant_viewer.host.marks import Marks
-from radiant_viewer.host.measure_tool import MeasureTool
-from radiant_viewer.host.one_tool import keep_one_on
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, apply_theme, style_sheet
 from radiant_viewer.pictures.images import Image, save_png
 from radiant_viewer.pictures.offscreen import fitting_pose
-from radiant_viewer.pictures.view_motion import SIDE_KEYS, SIDES_DEG, Side
+from radiant_viewer.pictures.view_motion import SIDES_DEG, Side
 from radiant_viewer.pictures.view_pose import camera_pose
 from radiant_viewer.runs.bookmarks import Bookmarks
 from radiant_viewer.runs.growing_model import GROWING_S
@@ -43,19 +40,18 @@ from radiant_viewer.runs.run_layers import hidden_at_first
 from radiant_viewer.runs.run_view import RunView, file_stamps
 from radiant_viewer.runs.shown_model import MODEL, SURROUNDINGS, model_layers, seen_of
 from radiant_viewer.splats.model_view import ModelView
-from radiant_viewer.window.bookmark_keys import BOOKMARK_KEYS, BookmarkKeys
+from radiant_viewer.window.actions import add_actions
+from radiant_viewer.window.bookmark_keys import BookmarkKeys
 from radiant_viewer.window.docks import make_docks, place_docks, place_plan_docks, resize_docks
 from radiant_viewer.window.panels import Panels
 from radiant_viewer.window.place_label import PlaceLabel
 from radiant_viewer.window.qt_palette import qt_palette
-from radiant_viewer.window.shortcuts import show_shortcuts
 from radiant_viewer.window.subject import Subject
 from radiant_viewer.window.window_size import fit_to_screen, remember_size
 
 SELECTED = "Selected camera"
 MAP_SHARE, EDITED_SHARE = 0.35, 0.6
 """Share of the map of both views' width; larger while a plan is edited on it."""
-STEPS = (("Left", -1, "worse"), ("Right", 1, "better"))
 PICK_PX = 14
 """Largest distance of a click from the camera that it selects."""
 _Result = TypeVar("_Result")
@@ -84,7 +80,7 @@ class InspectorWindow(QMainWindow):
         self._was_shown = False
         self._restore = restore
         self._tried, self._read_at_s = subject.stamps, time.monotonic()
-        self._dark_button: list[QAction] = []
+        self.dark_button: QAction | None = None
         self.edit_button: QAction | None = None
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
@@ -97,7 +93,6 @@ class InspectorWindow(QMainWindow):
         self.setCentralWidget(splitter)
         self.layer_dock = LayerDock(self.layers, hidden_at_first(self.layers), self._on_visibility)
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
-        self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
         seen = self._seen()
@@ -117,7 +112,7 @@ class InspectorWindow(QMainWindow):
             place_plan_docks(self, self.planning, self.layer_dock, self.docks.cameras)
         self.panels = Panels(self, self.all_docks())
         self.bookmarks = BookmarkKeys(self, self, Bookmarks(subject.path))
-        self._add_actions()
+        self.shortcuts = add_actions(self)
         self.place = PlaceLabel(self.statusBar(), self.map, None if subject.run is None else subject.run.scene.frame)
         self.set_theme(theme)
         self.show_status(".   ".join(filter(None, (subject.summary, "" if setting is None else setting.reason))))
@@ -234,10 +229,10 @@ class InspectorWindow(QMainWindow):
     def set_theme(self, name: ThemeName) -> None:
         """Use the light or the dark theme, also in the views."""
         self.theme = THEMES[name]
-        for button in self._dark_button:
-            button.blockSignals(True)
-            button.setChecked(name == "dark")
-            button.blockSignals(False)
+        if self.dark_button is not None:
+            self.dark_button.blockSignals(True)
+            self.dark_button.setChecked(name == "dark")
+            self.dark_button.blockSignals(False)
         QApplication.setPalette(qt_palette(self.theme))
         self.setStyleSheet(style_sheet(self.theme))
         for canvas in (self.map, self.view):
@@ -337,78 +332,16 @@ class InspectorWindow(QMainWindow):
         is_editing = self.planning is not None and self.planning.is_busy
         has_dialog = QApplication.activeModalWidget() is not None or QApplication.activePopupWidget() is not None
         is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
-        return is_editing or has_dialog or is_pressed or self.measure.is_active or self.docks.is_busy or self.crop_box is not None
+        return is_editing or has_dialog or is_pressed or self.docks.is_busy or self.crop_box is not None
 
-    def _add_actions(self) -> None:
-        bar = self.addToolBar("View")
-        bar.setMovable(False)
-        bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
-        photo, seams, fly, cleaning = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.cleaning
-        planning = self.planning
-        actions = None if planning is None else planning.actions
-        # Text, tip, key and action; an entry without a text has its button in a dock.
-        entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
-            ("Fit", "Fit the scene into both views", "F", self.reset_views),
-            *(("", f"See the scene from {word}", f"Ctrl+{key}", partial(self._see_from, side)) for key, side, word in SIDE_KEYS),
-            ("", "See again what the 3D view showed before the last move", "V", self.view.go_back),
-            ("Fly to", "See the scene from the selected camera", "Return", self.fly_to_selected if self.run else None),
-            ("Worst photograph", "The held-out photograph with the lowest PSNR", "W", photo.show_worst if photo else None),
-            *(("", f"The next {word} held-out photograph", f"Alt+{key}", partial(photo.step, by)) for key, by, word in STEPS if photo),
-            ("Seam tour", "The worst seam first", "T", self._begin_tour if seams else None),
-            ("", "The next seam", "N", (lambda: seams.step(1)) if seams else None),
-            ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
-            ("", "Take the last measured or drawn corner back", "Backspace", self._undo_corner),
-            ("", "Add the 3D view as a keyframe", "K", fly.add_view),
-            ("", "Undo the last edit of the plan", "Ctrl+Z", actions.undo if actions else None),
-            ("", "Redo it", "Ctrl+Shift+Z", actions.redo if actions else None),
-            ("", "Save the edited plan", "Ctrl+Shift+P", actions.ask_save if actions else None),
-            ("", "Save the plan's regions for a GIS, as GeoJSON", "Ctrl+G", actions.ask_regions if actions else None),
-            ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
-            ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
-            ("", "Read the run anew", "F5", self.reload),
-            ("", "Show all keys and what the mouse does", "F1", lambda: show_shortcuts(self, self.shortcuts)),
-        ]
-        self.shortcuts: dict[str, str] = {}
-        for text, tip, key, action in entries:
-            if action is None:
-                continue
-            self.shortcuts[key] = tip
-            if text:
-                button = bar.addAction(text, action)
-                button.setToolTip(f"{tip} ({key})")
-                button.setShortcut(QKeySequence(key))
-            else:
-                QShortcut(QKeySequence(key), self).activated.connect(action)
-        self.shortcuts |= BOOKMARK_KEYS
-        toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
-            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", self._set_editing)] if planning else []),
-            ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
-            ("Crop", "Cleaning: hide what lies outside a box", "B", self._set_cropping),
-            ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: self.set_theme("dark" if dark else "light")),
-        ]
-        for text, tip, key, toggle in toggles:
-            self.shortcuts[key] = tip
-            button = bar.addAction(text)
-            button.setCheckable(True)
-            button.setToolTip(f"{tip} ({key})")
-            button.setShortcut(QKeySequence(key))
-            button.toggled.connect(toggle)
-            if text == "Dark":
-                self._dark_button.append(button)
-            if text == "Edit plan":
-                self.edit_button = button
-            if text == "Measure":
-                keep_one_on([button, *self.docks.click_buttons])
-            if text == "Crop":
-                cleaning.box.active.toggled.connect(button.setChecked)
-        bar.addWidget(self.panels.button)
-
-    def _begin_tour(self) -> None:
+    def begin_tour(self) -> None:
+        """Go to the worst seam."""
         if self.docks.seams is not None:
             self.raise_dock(self.docks.seams)
             self.docks.seams.go(0)
 
-    def _see_from(self, side: Side) -> None:
+    def see_from(self, side: Side) -> None:
+        """Fit the scene into the 3D view from a side."""
         self.view.set_pose(fitting_pose(self.subject.framing, self.view.size_wh, FIT_ANGLE_DEG, SIDES_DEG[side]))
         self.render_views()
 
@@ -418,18 +351,26 @@ class InspectorWindow(QMainWindow):
         model = self.subject.model if session is None else session.model
         return None if model is None else seen_of(model, self.subject.box, self.layer_dock.is_visible)
 
-    def _set_editing(self, active: bool) -> None:
+    def set_editing(self, active: bool) -> None:
+        """Edit the plan on the map, or not."""
         assert self.planning is not None
         self._share_views(EDITED_SHARE if active else MAP_SHARE)
         self.planning.set_active(active)
 
-    def _set_cropping(self, active: bool) -> None:
+    def set_measuring(self, active: bool) -> None:
+        """Let clicks in both views measure, with the panel that shows it in front."""
+        self.docks.survey.click.setChecked(active)
+        self.raise_dock(self.docks.survey if active else None)
+
+    def choose_by(self, button: QPushButton) -> None:
+        """Turn lasso or brush on or off, with the panel of the cleaning in front."""
+        button.toggle()
+        self.raise_dock(self.docks.cleaning if button.isChecked() else None)
+
+    def set_cropping(self, active: bool) -> None:
+        """Show the box of the cleaning, or take it away."""
         self.docks.cleaning.box.active.setChecked(active)
         self.raise_dock(self.docks.cleaning if active else None)
-
-    def _undo_corner(self) -> None:
-        self.measure.undo()
-        self.docks.undo_corner()
 
     def _on_cleaned(self) -> None:
         """Show the model without what its cleaning leaves out now."""
@@ -473,7 +414,7 @@ class InspectorWindow(QMainWindow):
         for layer in self.layers:
             for canvas in (self.map, self.view):
                 canvas.show(layer.name, self._draws(layer))
-        self._marks.follow_solo(self.layer_dock.solo is not None, (self.measure, self.docks.cleaning.polygon))
+        self._marks.follow_solo(self.layer_dock.solo is not None, (self.docks.cleaning.polygon,))
         if self.model is not None and (seen := self._seen()) is not None:
             self.model.set_seen(seen)
         self.render_views()
@@ -489,12 +430,14 @@ class InspectorWindow(QMainWindow):
         self.select_index(index)
         return True
 
-    def _ask_screenshot(self) -> None:
+    def ask_screenshot(self) -> None:
+        """Ask for a name and save both views."""
         path, _ = QFileDialog.getSaveFileName(self, "Save screenshot", str(Path.cwd() / "inspect.png"), "PNG (*.png)")
         if path:
             self.attempt(lambda: self.save_screenshot(Path(path)))
 
-    def _ask_window_picture(self) -> None:
+    def ask_window_picture(self) -> None:
+        """Ask for a name and save the window."""
         path, _ = QFileDialog.getSaveFileName(self, "Save window", str(Path.cwd() / "window.png"), "PNG (*.png)")
         if path:  # The dialog must have left the screen.
             QTimer.singleShot(300, lambda: self.attempt(lambda: self.save_window_picture(Path(path))))

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import binary as colmap_binary
 from radiant_core.io.colmap import text as colmap_text
 from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
+from radiant_core.numerics import FloatArray
 
 MAX_FILE_BYTES = 1 << 33
 STEMS = ("cameras", "images", "points3D")
@@ -30,6 +33,14 @@ def image_names(folder: Path) -> tuple[str, ...]:
     """Names of the images of the model in `folder`; raises as `read_model`."""
     path = model_files(folder)[STEMS.index("images")]
     return tuple(image.name for image in _PARSERS[path.suffix].parse_images(_bytes_of(path), str(path)))
+
+
+def image_centers(folder: Path) -> FloatArray:
+    """Centres (C,3) of the images of the model in `folder`, −Rᵀ t; raises as `read_model`."""
+    path = model_files(folder)[STEMS.index("images")]
+    poses = [image.cam_from_world for image in _PARSERS[path.suffix].parse_images(_bytes_of(path), str(path))]
+    stacked = np.array(poses, np.float64).reshape(-1, 4, 4)
+    return np.asarray(-np.einsum("nji,nj->ni", stacked[:, :3, :3], stacked[:, :3, 3]))
 
 
 def read_model(folder: Path) -> ColmapModel:

@@ -1,4 +1,4 @@
-"""Measuring on the map: clicks add corners; the status bar shows the path's length and area."""
+"""A polygon drawn on the map: clicks add corners; the status bar shows its length and area."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from radiant_viewer.layers.layer import Label
 from radiant_viewer.layers.measure_layer import clicked_layer
 from radiant_viewer.pictures.measure import area_text, length_text, path_length, polygon_area
 
-MARK, HINT = "Measurement", "Measure: click corners on the map; Backspace takes the last one back, M ends."
 
-
-class MeasureTool:
+class PolygonTool:
     """Takes the clicks on the map while `is_active`; `corners` (K,2) are the clicked places, `mark`
     names what shows them."""
 
-    def __init__(self, host: Host, unit: str, height: float, *, mark: str = MARK, hint: str = HINT) -> None:
+    def __init__(self, host: Host, unit: str, height: float, *, mark: str, hint: str) -> None:
         self._host, self._unit, self._height = host, unit, height
         self.mark, self._hint = mark, hint
         self.is_active = False

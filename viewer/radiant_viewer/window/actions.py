@@ -1,0 +1,111 @@
+"""The toolbar and the keys of the inspector's window. Needs the `desktop` extra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QKeySequence, QShortcut
+
+from radiant_viewer.host.one_tool import keep_one_on
+from radiant_viewer.pictures.view_motion import SIDE_KEYS
+from radiant_viewer.window.bookmark_keys import BOOKMARK_KEYS
+from radiant_viewer.window.shortcuts import show_shortcuts
+
+if TYPE_CHECKING:
+    from radiant_viewer.window.window import InspectorWindow
+
+STEPS = (("Left", -1, "worse"), ("Right", 1, "better"))
+_Entry = tuple[str, str, str, Callable[[], object] | None]
+"""Text, tip, key and action; one without a text has its button in a dock, or none."""
+_Toggle = tuple[str, str, str, Callable[[bool], object]]
+
+
+def add_actions(window: InspectorWindow) -> dict[str, str]:
+    """Make toolbar and keys; returns what each key does, for F1."""
+    bar = window.addToolBar("View")
+    bar.setMovable(False)
+    bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
+    shortcuts: dict[str, str] = {}
+    for text, tip, key, action in (*_entries(window, lambda: show_shortcuts(window, shortcuts)), *_choosing(window)):
+        if action is None:
+            continue
+        shortcuts[key] = tip
+        if text:
+            button = bar.addAction(text, action)
+            button.setToolTip(f"{tip} ({key})")
+            button.setShortcut(QKeySequence(key))
+        else:
+            QShortcut(QKeySequence(key), window).activated.connect(action)
+    shortcuts |= BOOKMARK_KEYS
+    for text, tip, key, toggle in _toggles(window):
+        shortcuts[key] = tip
+        button = bar.addAction(text)
+        button.setCheckable(True)
+        button.setToolTip(f"{tip} ({key})")
+        button.setShortcut(QKeySequence(key))
+        button.toggled.connect(toggle)
+        if text == "Dark":
+            window.dark_button = button
+        if text == "Edit plan":
+            window.edit_button = button
+        if text == "Measure":
+            window.docks.survey.click.toggled.connect(button.setChecked)
+            keep_one_on(window.docks.click_buttons)
+        if text == "Crop":
+            window.docks.cleaning.box.active.toggled.connect(button.setChecked)
+    bar.addWidget(window.panels.button)
+    return shortcuts
+
+
+def _entries(window: InspectorWindow, help_: Callable[[], object]) -> tuple[_Entry, ...]:
+    docks, planning = window.docks, window.planning
+    photo, seams = docks.photo, docks.seams
+    actions = None if planning is None else planning.actions
+    return (
+        ("Fit", "Fit the scene into both views", "F", window.reset_views),
+        *(("", f"See the scene from {word}", f"Ctrl+{key}", partial(window.see_from, side)) for key, side, word in SIDE_KEYS),
+        ("", "See again what the 3D view showed before the last move", "V", window.view.go_back),
+        ("Fly to", "See the scene from the selected camera", "Return", window.fly_to_selected if window.run else None),
+        ("Worst photograph", "The held-out photograph with the lowest PSNR", "W", photo.show_worst if photo else None),
+        *(("", f"The next {word} held-out photograph", f"Alt+{key}", partial(photo.step, by)) for key, by, word in STEPS if photo),
+        ("Seam tour", "The worst seam first", "T", window.begin_tour if seams else None),
+        ("", "The next seam", "N", (lambda: seams.step(1)) if seams else None),
+        ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
+        ("", "Keep what the clicked places measure", "Shift+M", lambda: window.attempt(docks.survey.take)),
+        ("", "Take the last place, corner or stroke back", "Backspace", docks.undo_corner),
+        ("", "Add the 3D view as a keyframe", "K", docks.fly.add_view),
+        ("", "Undo the last edit of the plan", "Ctrl+Z", actions.undo if actions else None),
+        ("", "Redo it", "Ctrl+Shift+Z", actions.redo if actions else None),
+        ("", "Save the edited plan", "Ctrl+Shift+P", actions.ask_save if actions else None),
+        ("", "Save the plan's regions for a GIS, as GeoJSON", "Ctrl+G", actions.ask_regions if actions else None),
+        ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", window.ask_screenshot),
+        ("", "Save the whole window as PNG", "Ctrl+Shift+S", window.ask_window_picture),
+        ("", "Read the run anew", "F5", window.reload),
+        ("", "Show all keys and what the mouse does", "F1", help_),
+    )
+
+
+def _choosing(window: InspectorWindow) -> tuple[_Entry, ...]:
+    """Keys of lasso and brush, where there is a model."""
+    select = window.docks.cleaning.select
+    if select is None:
+        return ()
+    return (
+        ("Lasso", "Choose Gaussians with a lasso in the 3D view", "L", partial(window.choose_by, select.lasso)),
+        ("", "Choose Gaussians with a brush in the 3D view", "Shift+L", partial(window.choose_by, select.brush)),
+        ("", "Leave out what lasso and brush chose", "Delete", lambda: window.attempt(select.make_step)),
+        ("", "Choose nothing, and end lasso and brush", "Escape", select.end),
+    )
+
+
+def _toggles(window: InspectorWindow) -> tuple[_Toggle, ...]:
+    editing: tuple[_Toggle, ...] = (("Edit plan", "Drag edges and borders, select cameras on the map", "E", window.set_editing),)
+    return (
+        *(editing if window.planning else ()),
+        ("Measure", "Measure by clicks in both views, with σ", "M", window.set_measuring),
+        ("Crop", "Cleaning: hide what lies outside a box", "B", window.set_cropping),
+        ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: window.set_theme("dark" if dark else "light")),
+    )
