@@ -26,7 +26,7 @@ _PICTURE, _BROWSER, _PLAN = "A picture instead of the window", "In a browser", "
 
 def inspect(
     context: typer.Context,
-    run_folder: Annotated[Path | None, typer.Argument(metavar="[RUN]", help=_INSPECTED_HELP, show_default=False)] = None,
+    run_folder: Annotated[Path | None, typer.Argument(metavar="RUN", help=_INSPECTED_HELP, show_default=False)] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG.", rich_help_panel=_PICTURE)] = None,
     view: Annotated[
         View | None,
@@ -71,9 +71,7 @@ def inspect(
     if run_folder is None:
         if asked := typed_options(context):
             option = next(iter(asked.values()))
-            raise BadInput(
-                f"{option} needs something to show: name a run, a plan or a model, or type 'radiant inspect' alone."
-            )
+            raise BadInput(f"{option} needs something to show: name a run, a plan or a model, or type 'radiant inspect' alone.")
         from radiant_app.commands.inspect.window import open_start_window
 
         raise typer.Exit(open_start_window())
