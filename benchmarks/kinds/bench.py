@@ -3,7 +3,8 @@ default.
 
     for each kind, number of photographs and seed: the preset as it is, without each helper in turn,
     and plain, without all of them; as many steps each, scored on every eighth photograph
-    plain once more, with as many steps as take the CPU seconds of the preset
+    plain once more, with as many steps as take the CPU seconds of the preset, whose steps and
+    plain's are taken in turns, so that both are slowed alike by what else a machine does
 
     gain of a helper = PSNR of the preset − PSNR without it, paired over seeds and images
 
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -27,7 +28,21 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.kinds.rows import (
+    ADDED,
+    DEFAULT,
+    HELPERS,
+    PLAIN,
+    PLAIN_LONGER,
+    Gain,
+    KindRow,
+    cases_of,
+    difference_of,
+    gains_of,
+    pairs_by_helper,
+)
 from benchmarks.kinds.scenes import KINDS, make_scene
+from benchmarks.kinds.statistics import statistics_of, statistics_tables
 from benchmarks.metric import Metric
 from benchmarks.options import BenchOptions
 from benchmarks.train import Source, Split, TrainBench, score_model, split_source
@@ -36,46 +51,27 @@ from radiant_app.events import StageProgress
 from radiant_app.report.progress import terminal_display
 from radiant_core import __version__
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.bootstrap import PairedDifference, paired_bootstrap
-from radiant_core.hierarchy.device import PreparedTraining, fit_prepared, prepare_training
+from radiant_core.evaluate.bootstrap import PairedDifference
+from radiant_core.hierarchy.device import PreparedTraining, prepare_training, report_result
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
 from radiant_core.light.captures import read_captures
-from radiant_core.numerics import FloatArray
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.extent import working_extent
-from radiant_core.train.needs import PIXELS_PER_SPLAT, Overrides, fit_to_backend
+from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_training_views
+from radiant_core.train.results import TrainResult
+from radiant_core.train.trainer import Training
 from radiant_core.train.views import TrainingViews
 
-HELPERS: Mapping[str, Mapping[str, Any]] = {
-    "fill-in points": {"fill_in": False},
-    "light": {"light": "none"},
-    "sky": {"sky": False},
-    "limit of extent": {"max_extent_per_distance": None},
-    "limit of sizes": {"max_scale_per_distance": None},
-    "limit of needles": {"max_elongation": None},
-    "skipped images": {"skip_images": "none"},
-    "few: left out at random": {"drop_gaussians": "none"},
-    "few: more Gaussians": {"density.pixels_per_splat": PIXELS_PER_SPLAT},
-    "settling rates": {"settle_epochs": None},
-    "small pictures first": {"start_scale": 1.0},
-}
-"""Each helper of the preset, and the settings that switch it off."""
-ADDED: Mapping[str, Mapping[str, Any]] = {
-    "dense points": {"dense_points": "always"},
-    "fill-in points always": {"fill_in": True},
-    "light always": {"light": "always"},
-}
-"""What the preset does not do, or where it decides against it, and the settings that force it."""
-DEFAULT, PLAIN, PLAIN_LONGER = "default", "plain", "plain, equal time"
 MOST_TIMES_LONGER = 4.0
+STEPS_IN_TURN = 20
 NUMBERS = (30, 90)
 QUICK: Mapping[str, Any] = {"kinds": ("turntable", "clouds"), "numbers": (24,), "long_side_px": 128, "num_steps": 200}
 MARGIN_DB = 0.1
@@ -123,50 +119,6 @@ class KindsBench:
         return {path: value for change in HELPERS.values() for path, value in change.items()}
 
 
-@dataclass(frozen=True, kw_only=True)
-class KindRow:
-    """One trained model. Per held-out image psnr_db and, after a correction of colours,
-    psnr_cc_db."""
-
-    kind: str
-    num_photographs: int
-    arm: str
-    """A helper that is changed, `DEFAULT`, `PLAIN` or `PLAIN_LONGER`."""
-    seed: int
-    cpu_s: float
-    """Preparing and training, in which trials count."""
-    num_steps: int
-    num_gaussians: int
-    psnr_db: tuple[float, ...]
-    psnr_cc_db: tuple[float, ...]
-    steps: str = ""
-    """Hash of all that decides the bits of its steps."""
-    choices: Mapping[str, str] = field(default_factory=dict)
-    """What was decided, by topic."""
-    chosen: Mapping[str, Any] = field(default_factory=dict)
-    """The values of settings that were "auto"."""
-
-    @property
-    def scene(self) -> str:
-        """Kind and number."""
-        return f"{self.kind}-{self.num_photographs}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gain:
-    """What a helper gains on one scene, or the default over plain and over plain in equal time."""
-
-    kind: str
-    num_photographs: int
-    helper: str
-    psnr_db: PairedDifference
-    psnr_cc_db: PairedDifference
-    cpu_s: float
-    """CPU seconds that it costs."""
-    acts: bool
-    """Whether any step of a training differs by it."""
-
-
 def bench_kinds(bench: KindsBench) -> tuple[list[KindRow], list[Metric]]:
     """Measure what is missing of the matrix, write its tables into `out`, and return its rows and
     metrics `kinds.<kind>-<photographs>.<…>`."""
@@ -188,8 +140,9 @@ def _rows_of_scene(bench: KindsBench, kind: str, number: int) -> Iterator[KindRo
         cell = _Cell(bench=bench, kind=kind, number=number, work=Path(work))
         for seed in bench.seeds:
             default = replace(bench.default, seed=seed)
-            yield (first := cell.row(DEFAULT, default))
-            yield (bare := cell.row(PLAIN, plain := with_settings(default, bench.without_all)))
+            plain = with_settings(default, bench.without_all)
+            yield from (both := cell.rows({DEFAULT: default, PLAIN: plain}))
+            first, bare = both
             longer = round(plain.num_steps * min(MOST_TIMES_LONGER, max(1.0, first.cpu_s / bare.cpu_s)))
             yield cell.row(PLAIN_LONGER, replace(plain, num_steps=longer))
             for arm, change in bench.changes.items():
@@ -227,50 +180,83 @@ class _Cell:
 
     def row(self, arm: str, config: TrainConfig) -> KindRow:
         """The row of an arm, measured where it is not there yet."""
-        key = content_key(__version__, asdict(config))[:16]
-        record = self.bench.out / "rows" / f"{self.kind}-{self.number}-{_key(arm)}-{config.seed}-{key}.json"
-        if not record.is_file():
-            row = self._measure(arm, config)
-            record.parent.mkdir(parents=True, exist_ok=True)
-            write_json(record, asdict(row))
-        own = read_json(record)
-        return KindRow(**{**own, "psnr_db": tuple(own["psnr_db"]), "psnr_cc_db": tuple(own["psnr_cc_db"])})
+        return self.rows({arm: config})[0]
 
-    def _measure(self, arm: str, config: TrainConfig) -> KindRow:
-        recorder, task = Recorder(stage="train"), DeviceTask(scene=self.split.training, train=config, backend=resolve_backend("auto"))
-        views, begun_s = self.views, time.process_time()
-        prepared = prepare_training(task, views, recorder)
-        steps = _key_of_steps(prepared)
+    def rows(self, arms: Mapping[str, TrainConfig]) -> list[KindRow]:
+        """The rows of arms, measured beside each other where one is not there yet."""
+        records = {
+            arm: self.bench.out
+            / "rows"
+            / f"{self.kind}-{self.number}-{_key(arm)}-{config.seed}-{content_key(__version__, asdict(config))[:16]}.json"
+            for arm, config in arms.items()
+        }
+        if not all(record.is_file() for record in records.values()):
+            for row in self._measure(arms):
+                records[row.arm].parent.mkdir(parents=True, exist_ok=True)
+                write_json(records[row.arm], asdict(row))
+        read = [read_json(record) for record in records.values()]
+        return [KindRow(**{**own, "psnr_db": tuple(own["psnr_db"]), "psnr_cc_db": tuple(own["psnr_cc_db"])}) for own in read]
+
+    def _measure(self, arms: Mapping[str, TrainConfig]) -> Iterator[KindRow]:
+        views, prepared, seconds, recorders = self.views, dict[str, PreparedTraining](), dict[str, float](), dict[str, Recorder]()
+        for arm, config in arms.items():
+            begun_s, recorders[arm] = time.process_time(), Recorder(stage="train")
+            task = DeviceTask(scene=self.split.training, train=config, backend=resolve_backend("auto"))
+            prepared[arm] = prepare_training(task, views, recorders[arm])
+            seconds[arm] = time.process_time() - begun_s
         # The default's model is kept for those of other arms that are the same.
-        model, num_steps = self.bench.out / "models" / f"{steps}.safetensors", prepared.config.num_steps
-        if arm != DEFAULT and model.is_file():
-            splats = load_splats(model)
-        else:
-            result = fit_prepared(prepared, recorder)
-            splats, num_steps = result.splats, result.num_steps
-        cpu_s = time.process_time() - begun_s
-        if arm == DEFAULT:
-            model.parent.mkdir(parents=True, exist_ok=True)
-            save_splats(model, splats)
-        figures = score_model(self.split, prepared, splats)
-        return KindRow(
-            kind=self.kind,
-            num_photographs=self.number,
-            arm=arm,
-            seed=config.seed,
-            cpu_s=cpu_s,
-            num_steps=num_steps,
-            num_gaussians=len(splats),
-            psnr_db=figures.psnr_db,
-            psnr_cc_db=figures.psnr_cc_db,
-            steps=steps,
-            choices={decision.topic: decision.choice for decision in recorder.decisions},
-            chosen={
-                each.name: value
-                for each in fields(TrainConfig)
-                if getattr(config, each.name) == "auto" and (value := getattr(prepared.config, each.name)) != "auto"
-            },
-        )
+        keys = {arm: _key_of_steps(each) for arm, each in prepared.items()}
+        models = {arm: self.bench.out / "models" / f"{keys[arm]}.safetensors" for arm in arms}
+        known = {arm: load_splats(models[arm]) for arm in arms if arm != DEFAULT and len(arms) == 1 and models[arm].is_file()}
+        trained = _train_beside({arm: each for arm, each in prepared.items() if arm not in known}, seconds)
+        for arm, config in arms.items():
+            splats = known[arm] if arm in known else trained[arm].splats
+            if arm in trained:
+                report_result(prepared[arm].config, prepared[arm].initial, trained[arm], recorders[arm])
+            if arm == DEFAULT:
+                models[arm].parent.mkdir(parents=True, exist_ok=True)
+                save_splats(models[arm], splats)
+            figures = score_model(self.split, prepared[arm], splats)
+            yield KindRow(
+                kind=self.kind,
+                num_photographs=self.number,
+                arm=arm,
+                seed=config.seed,
+                cpu_s=seconds[arm],
+                num_steps=prepared[arm].config.num_steps,
+                num_gaussians=len(splats),
+                psnr_db=figures.psnr_db,
+                psnr_cc_db=figures.psnr_cc_db,
+                steps=keys[arm],
+                choices={decision.topic: decision.choice for decision in recorders[arm].decisions},
+                chosen=_chosen(config, prepared[arm].config),
+                statistics=statistics_of(self.split.training, views) if arm == DEFAULT else {},
+            )
+
+
+def _train_beside(prepared: Mapping[str, PreparedTraining], seconds: dict[str, float]) -> dict[str, TrainResult]:
+    """The models of trainings that take their steps in turns, some at a time, so that what else a
+    machine does slows them alike; adds the CPU seconds of each."""
+    results, trainings = dict[str, TrainResult](), dict[str, Training]()
+    for arm, each in prepared.items():
+        begun_s = time.process_time()
+        trainings[arm] = Training(each.initial, each.views, each.config, each.options)
+        seconds[arm] += time.process_time() - begun_s
+    while len(results) < len(trainings):
+        for arm, training in trainings.items():
+            begun_s, until = time.process_time(), training.step + STEPS_IN_TURN
+            while training.step < until and not training.is_done:
+                training.take_step()
+            if training.is_done and arm not in results:
+                results[arm] = training.result()
+            seconds[arm] += time.process_time() - begun_s
+    return results
+
+
+def _chosen(config: TrainConfig, prepared: TrainConfig) -> dict[str, Any]:
+    """The values that settings which were "auto" have in a prepared training."""
+    names = [each.name for each in fields(TrainConfig) if getattr(config, each.name) == "auto"]
+    return {name: value for name in names if (value := getattr(prepared, name)) != "auto"}
 
 
 def _key_of_steps(prepared: PreparedTraining) -> str:
@@ -281,58 +267,6 @@ def _key_of_steps(prepared: PreparedTraining) -> str:
     if hasattr(config.density, "pixels_per_splat"):
         config = with_settings(config, {"density.pixels_per_splat": None})
     return content_key(training_key(prepared.initial, prepared.views, config, prepared.options), extent)[:16]
-
-
-def gains_of(rows: Sequence[KindRow]) -> list[Gain]:
-    """What every helper gains on every scene whose default was measured with the same seeds."""
-    return [
-        Gain(
-            kind=pair.with_it[0].kind,
-            num_photographs=pair.with_it[0].num_photographs,
-            helper=pair.helper,
-            psnr_db=_difference([pair], "psnr_db"),
-            psnr_cc_db=_difference([pair], "psnr_cc_db"),
-            cpu_s=float(np.mean([a.cpu_s - b.cpu_s for a, b in zip(pair.with_it, pair.without, strict=True)])),
-            acts=pair.acts,
-        )
-        for pair in _pairs(rows)
-    ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Pair:
-    """Rows of one scene with a helper and without it, seed by seed."""
-
-    helper: str
-    with_it: list[KindRow]
-    without: list[KindRow]
-
-    @property
-    def acts(self) -> bool:
-        """Whether any step differs."""
-        return any(a.steps != b.steps for a, b in zip(self.with_it, self.without, strict=True))
-
-
-def _pairs(rows: Sequence[KindRow]) -> Iterator[_Pair]:
-    groups: dict[tuple[str, str], dict[int, KindRow]] = {}
-    for row in rows:
-        groups.setdefault((row.scene, row.arm), {})[row.seed] = row
-    for (scene, arm), own in groups.items():
-        default = groups.get((scene, DEFAULT), {})
-        seeds = sorted(own.keys() & default.keys())
-        if arm != DEFAULT and seeds:
-            sides = [default[seed] for seed in seeds], [own[seed] for seed in seeds]
-            with_it, without = sides[::-1] if arm in ADDED else sides
-            yield _Pair(helper=arm, with_it=with_it, without=without)
-
-
-def _difference(pairs: Sequence[_Pair], figure: str) -> PairedDifference:
-    a, b = ([_by_seed_and_image(getattr(pair, side), figure) for pair in pairs] for side in ("with_it", "without"))
-    return paired_bootstrap(a, b)
-
-
-def _by_seed_and_image(rows: Sequence[KindRow], figure: str) -> FloatArray:
-    return np.array([getattr(row, figure) for row in rows], np.float64)
 
 
 def _metrics(rows: Sequence[KindRow]) -> list[Metric]:
@@ -370,7 +304,8 @@ def _plain(gain: Gain) -> dict[str, Any]:
 
 
 def markdown(rows: Sequence[KindRow]) -> str:
-    """Two tables: default and plain on every scene, and what every helper gains on each."""
+    """Tables: default and plain on every scene, what every helper gains on each and on all, and
+    whether what decides about it was right."""
     gains = {(f"{gain.kind}-{gain.num_photographs}", gain.helper): gain for gain in gains_of(rows)}
     scenes = list(dict.fromkeys(row.scene for row in rows))
     helpers = [name for name in (*HELPERS, *ADDED) if any(helper == name for _, helper in gains)]
@@ -392,21 +327,18 @@ def markdown(rows: Sequence[KindRow]) -> str:
             lines.append(_line(scene, *means, _bounded(gain.psnr_db), _bounded(gain.psnr_cc_db), in_time, *costs))
     lines += ["", _line("scene", *helpers), "|---" * (len(helpers) + 1) + "|"]
     lines += [_line(scene, *(_gain_text(gains.get((scene, helper))) for helper in helpers)) for scene in scenes]
-    lines += ["", *_summary(rows)]
+    lines += ["", *_summary(rows), "", *statistics_tables(cases_of(rows))]
     return "\n".join(lines) + "\n"
 
 
 def _summary(rows: Sequence[KindRow]) -> list[str]:
     """A line for each helper: over all scenes, every one with equal weight, and its extremes."""
     lines = [_line("helper", "acts on", "gain", "most", "least"), "|---" * 5 + "|"]
-    of_helper: dict[str, list[_Pair]] = {}
-    for pair in _pairs(rows):
-        of_helper.setdefault(pair.helper, []).append(pair)
-    for helper, pairs in of_helper.items():
-        means = sorted((_difference([pair], "psnr_db").mean, pair.with_it[0].scene) for pair in pairs)
+    for helper, pairs in pairs_by_helper(rows).items():
+        means = sorted((difference_of([pair], "psnr_db").mean, pair.with_it[0].scene) for pair in pairs)
         least, most = (f"{mean:+.2f}, {scene}" for mean, scene in (means[0], means[-1]))
         acting = f"{sum(pair.acts for pair in pairs)} of {len(pairs)}"
-        lines.append(_line(helper, acting, _bounded(_difference(pairs, "psnr_db")), most, least))
+        lines.append(_line(helper, acting, _bounded(difference_of(pairs, "psnr_db")), most, least))
     return lines
 
 
@@ -432,9 +364,7 @@ def bench_of(options: BenchOptions) -> KindsBench:
     """The benchmark that the options ask for; `quick` has two kinds, 24 photographs and few
     steps."""
     assert options.out is not None, "checked with the options"
-    some: dict[str, Any] = (
-        {"kinds": ("turntable", "clouds"), "numbers": (24,), "long_side_px": 128, "num_steps": 200} if options.quick else {}
-    )
+    some = QUICK if options.quick else {}
     given = {
         "kinds": options.kinds,
         "numbers": None if options.num_photographs is None else (options.num_photographs,),

@@ -309,8 +309,8 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         Regime(
             row="shapes-held",
             evidence=(
-                "needles held at 10 times: +0.13, +0.26, −0.09 dB (town, lewis, caliterra), −0.19 on a turntable of 90, "
-                "where sizes cost 0.34"
+                "needles held at 10 times: +0.13, +0.26, −0.09 dB (town, lewis, caliterra); thinner ones than a pixel at 10 "
+                "pixels: +0.35, +0.26 (90 of a façade, a turntable); sizes cost 0.34 on the turntable"
             ),
             reason="a shape shows in views it was not fitted to",
         ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -149,6 +149,57 @@ def _request_of(typed: Mapping[str, Any]) -> PlanRequest:
         content=content_request(*(typed[name] for name in ("ground", "field_of_view", "buffer", "deadline"))),
         overrides=Overrides(long_side_px=typed["long_side_px"], num_steps=typed["steps"], max_num_splats=typed["max_splats"]),
     )
+
+
+def next_flight(
+    run: Annotated[Path, typer.Argument(help="A finished run, or folder of `radiant train`.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="New folder of the map, and of the flight lists.", show_default=False)],
+    photographs: Annotated[int | None, typer.Option(min=1, help="Propose so many more; without it and --batteries: the map alone.")] = None,
+    batteries: Annotated[int | None, typer.Option(min=1, help="Propose what so many batteries of each device last for.")] = None,
+    system: Annotated[Path | None, typer.Option(help="TOML of the devices that fly; else one.")] = None,
+    resolution: Annotated[float | None, typer.Option(min=1e-6, help="Metres of a cell, else four pixels of the photographs.")] = None,
+    safe: Annotated[float, typer.Option(min=0.1, help="Least metres from every surface of the model.")] = 5.0,
+    take_off: Annotated[float | None, typer.Option(help="Height of take-off on the map, else that of low ground.")] = None,
+    min_height: Annotated[float | None, typer.Option(help="Least metres above take-off, else those of --safe.")] = None,
+    max_height: Annotated[float, typer.Option(help="Most metres above take-off and above the ground below.")] = 120.0,
+    no_fly: Annotated[list[Path] | None, typer.Option(help="GeoJSON polygon that is not flown over; repeatable.")] = None,
+    flight_format: options.FlightFormatOption = "kmz,plan,kml",
+    speed: options.SpeedOption = 8.0,
+    battery: options.BatteryOption = "20m",
+    crs: Annotated[str | None, typer.Option(help="System of the map, else the UTM zone.")] = None,
+    seed: options.Seed = 0,
+    as_json: options.AsJson = False,
+) -> None:
+    """Map what photographs fix of a surface, and plan where to fly next.
+
+    Without --photographs and --batteries only the map is written.
+
+    radiant next-flight RUN --out next --photographs 13
+    radiant next-flight RUN --out next --batteries 1 --system system.toml
+    """
+    from radiant_app.commands.plan.flight import battery_seconds, flight_formats
+    from radiant_app.commands.plan.next_flight import NextFlightRequest, plan_next_flight
+    from radiant_app.report.progress import terminal_display
+    from radiant_core.plan.flight.figures import Drone
+
+    request = NextFlightRequest(
+        run=run,
+        out=out,
+        photographs=photographs,
+        batteries=batteries,
+        system=system,
+        resolution=resolution,
+        safe_m=safe,
+        lowest_m=min_height,
+        highest_m=max_height,
+        take_off=take_off,
+        no_fly=tuple(no_fly or ()),
+        formats=flight_formats(flight_format),
+        drone=Drone(speed_m_per_s=speed, battery_s=battery_seconds(battery)),
+        crs=crs,
+        seed=seed,
+    )
+    finish(plan_next_flight(request, terminal_display()), as_json)
 
 
 def _paper_of(plan_method: PlanMethod, raster_cell_m: float | None, settings: list[str] | None) -> PaperConfig | None:

@@ -21,10 +21,11 @@ from benchmarks.kinds.bench import (
     KindsBench,
     bench_kinds,
     bench_of,
-    gains_of,
     markdown,
 )
+from benchmarks.kinds.rows import cases_of, gains_of
 from benchmarks.kinds.scenes import KINDS, make_scene
+from benchmarks.kinds.statistics import statistics_tables
 from benchmarks.options import BenchOptions
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
@@ -84,9 +85,12 @@ def test_rows_that_are_there_are_not_measured_again_and_tables_hold_them(measure
     stored = json.loads((bench.out / "kinds.json").read_text())
     assert len(stored["rows"]) == len(rows) and len(stored["gains"]) == 8
     text = (bench.out / "kinds.md").read_text()
-    assert (
-        text == markdown(rows) and text.count("| turntable-24 |") == 2 and "| · |" in text and "| skipped images | 0 of 2 | +0.00" in text
-    )
+    assert text == markdown(rows) and "| · |" in text and "| skipped images | 0 of 2 | +0.00" in text
+    # Default and plain, what helpers gain, and the statistic of the one helper that acts.
+    assert text.count("| turntable-24 |") == 3
+    (line,) = [line for line in text.splitlines() if line.startswith("| sky | turntable-24 |")]
+    assert f"{rows[0].statistics['above the horizon %']:.3g} above the horizon %" in line and "| on |" in line
+    assert 0 < rows[0].statistics["above the horizon %"] < 100 and rows[0].statistics["photographs"] == 21
 
 
 def test_other_seeds_widen_the_bounds_to_what_seeds_differ_by() -> None:
@@ -102,6 +106,35 @@ def test_other_seeds_widen_the_bounds_to_what_seeds_differ_by() -> None:
     assert gain.helper == "sky" and gain.psnr_db.mean == 0 and gain.psnr_db.low < -0.4 and gain.psnr_db.high > 0.4
     # A seed that only one of both was measured with says nothing.
     assert gains_of(rows[:3])[0].psnr_db.num_seeds == 1 and gains_of([rows[1]]) == []
+
+
+def test_a_statistic_is_right_where_the_helper_pays_or_would_cost() -> None:
+    """Light is off and would cost, and is on nowhere; a sky is on and costs, surely."""
+    row = KindRow(
+        kind="room",
+        num_photographs=30,
+        arm=DEFAULT,
+        seed=0,
+        cpu_s=2,
+        num_steps=9,
+        num_gaussians=9,
+        psnr_db=(20, 22, 24),
+        psnr_cc_db=(21, 23, 25),
+        steps="default",
+        statistics={"above the horizon %": 25.0, "spread %": 1.0},
+    )
+    arms = {"sky": (21, 23, 25), "light always": (19, 22, 24), "light": (20, 22, 24), "skipped images": (20, 22.5, 24)}
+    others = [replace(row, arm=arm, steps="default" if arm == "light" else arm, psnr_db=figures) for arm, figures in arms.items()]
+    cases = {case.helper: case for case in cases_of([row, *others])}
+    assert {helper: (case.is_on, case.verdict) for helper, case in cases.items()} == {
+        "sky": (True, "wrong"),
+        "light": (False, "rather right"),
+        "skipped images": (True, "rather wrong"),
+    }
+    assert cases["sky"].gain.mean == -1 and cases["light"].gain.mean == pytest.approx(-1 / 3)
+    text = "\n".join(statistics_tables(list(cases.values())))
+    assert "| sky | above the horizon % | on | 1 | 0 | 0 | 0 | 1 | -1.00 |" in text
+    assert "| light | room-30 | 1 spread % | off | -0.33" in text
 
 
 def test_a_scene_is_a_project_with_the_true_cameras(tmp_path: Path) -> None:

@@ -81,11 +81,11 @@ def save_device_waypoints(
         for device_id in plan.device_ids:
             written.append(folder / f"{device_id}.csv")
             extra = None if plan.edge_id not in of_edge else of_edge[plan.edge_id].cameras_of(device_id)
-            write_atomic(written[-1], _device_csv(waypoints, _keep_wanted(plan.cameras_of(device_id), wanted), extra).encode())
+            write_atomic(written[-1], waypoints_csv(waypoints, _keep_wanted(plan.cameras_of(device_id), wanted), extra).encode())
         if not plan.dealt:
             (folder / "edges").mkdir(exist_ok=True)
             written.append(folder / "edges" / f"{plan.edge_id}.csv")
-            write_atomic(written[-1], _device_csv(waypoints, _keep_wanted(plan.camera_indices, wanted), None).encode())
+            write_atomic(written[-1], waypoints_csv(waypoints, _keep_wanted(plan.camera_indices, wanted), None).encode())
     return tuple(written)
 
 
@@ -133,7 +133,8 @@ def write_features(path: Path, features: Iterable[dict[str, Any]], crs: Crs | No
         file.write(b"\n]}\n")
 
 
-def _device_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.int64] | None) -> str:
+def waypoints_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.int64] | None = None) -> str:
+    """The rows `own` (K,) of waypoints as CSV, with `extra` ones as buffers, in their order."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")  # RFC 4180
     angles, (flown, kept) = waypoints.heading_pitch_deg, _height_columns(waypoints)

@@ -77,7 +77,7 @@ def colmap_model(scene: SfmScene) -> ColmapModel:
         for index, kind in enumerate(kinds)
     ]
     # By camera, then by point: the order of an image's 2D points, which tracks refer to.
-    points_of = [np.unique(scene.observations[scene.observations[:, 1] == index, 0]) for index in range(len(cameras))]
+    points_of = [np.unique(seen) for seen in scene.points_of_cameras()]
     images, tracks = [], [np.zeros((0, 3), np.int64)]
     for index, points in enumerate(points_of):
         pose = cameras.cam_from_world[index]

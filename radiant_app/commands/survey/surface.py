@@ -49,7 +49,7 @@ def points_of_survey(survey: Survey, display: ProgressDisplay, long_side_px: int
     from radiant_core.survey.surface_points import points_of_model
 
     scene = survey.run.scene
-    images = _photographs(survey)
+    images = photographs_of_survey(survey)
     missing = [] if images is None else [name for name in scene.cameras.names if not (images / name).is_file()]
     from_photographs = images is not None and not missing and len(scene.observations) > 0
     display(Decided(decision=_source_decision(survey, from_photographs)))
@@ -135,7 +135,7 @@ def _matched(survey: Survey, images: Path, hear: Callable[[int, int], None]) -> 
     return points_of_photographs(scene, views, num_threads=torch.get_num_threads(), report=hear)
 
 
-def _photographs(survey: Survey) -> Path | None:
+def photographs_of_survey(survey: Survey) -> Path | None:
     """The folder of the run's photographs, None where they stayed elsewhere."""
     if survey.run.in_field:
         return None
