@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from benchmarks.options import BenchName, BenchOptions, HoldOut
+from radiant_app.cli.help import WIDTH, Command
 from radiant_app.cli.option_types import LongSide, LpipsNet, LpipsWeights
 from radiant_core.choices import CutBy
 
@@ -19,10 +20,10 @@ BenchScene = Annotated[
     ),
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train, methods: PNG of the curves.")]
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+app = typer.Typer(context_settings=WIDTH, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
-@app.command()
+@app.command(cls=Command)
 def bench(
     name: Annotated[BenchName, typer.Argument(help="What to measure.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
@@ -58,7 +59,12 @@ def bench(
     baseline: Annotated[Path | None, typer.Option(help="sfm, plan, raster: earlier figures; exit code 1 where one is worse.")] = None,
     bless: Annotated[bool, typer.Option("--bless", help="Write the figures into the baseline instead of comparing.")] = False,
 ) -> None:
-    """Run time beside error."""
+    """Measure run time beside error (benchmarks/README.md).
+
+    radiant bench plan --quick
+    radiant bench train --scene SCENE --plot curves.png
+    radiant bench methods --scene SCENE --out OUT
+    """
     from benchmarks.runner import run_bench
 
     options = BenchOptions(

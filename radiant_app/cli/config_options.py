@@ -12,7 +12,12 @@ from radiant_app.config.fields import ConfigField, config_fields
 from radiant_app.config.run_config import FIRST, GROUPS, RUN_PRESETS
 
 
-def option(path: str, *names: str, help: str | None = None, group: str | None = None) -> Any:  # noqa: A002
+def option(
+    path: str,
+    *names: str,
+    help: str | None = None,  # noqa: A002
+    group: str | None = None,
+) -> Any:
     """Typer's description of a field's option, with other `names`, `help` or `group` where it means
     more."""
     field = config_fields()[path]

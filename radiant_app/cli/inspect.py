@@ -26,7 +26,7 @@ _PICTURE, _BROWSER, _PLAN = "A picture instead of the window", "In a browser", "
 
 def inspect(
     context: typer.Context,
-    run_folder: Annotated[Path | None, typer.Argument(metavar="[RUN]", help=_INSPECTED_HELP, show_default=False)] = None,
+    run_folder: Annotated[Path | None, typer.Argument(metavar="RUN", help=_INSPECTED_HELP, show_default=False)] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG.", rich_help_panel=_PICTURE)] = None,
     view: Annotated[
         View | None,

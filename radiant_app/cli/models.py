@@ -14,7 +14,7 @@ from radiant_app.report.tables import finish, print_figures
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent, Trajectory
 from radiant_core.errors import BadInput
 
-_PATH, _DETAIL, _SURFACE = "Where the camera goes", "Levels of detail and tiles", "Surfaces, maps and coordinates"
+_PATH, _DETAIL, _SURFACE = "Where the camera goes", "Levels of detail and tiles", "Surfaces and maps"
 _RULES, _STEPS = "What is left out", "Steps that were made"
 _POLYGON = 'a .geojson file with one polygon, or "x,y x,y x,y" in the model\'s coordinates.'
 Uncleaned = Annotated[bool, typer.Option("--uncleaned", help="The model as trained, including what its cleaning leaves out.")]

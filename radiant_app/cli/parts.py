@@ -228,8 +228,8 @@ def join(
 ) -> None:
     """Join a run's models again, or a new region to a finished scene.
 
-    Joining the device models of a run again has no memory limit and refines nothing. Beyond the margin of a new region, the
-    finished scene keeps every bit.
+    Joining the device models of a run again has no memory limit and refines nothing. Beyond the
+    margin of a new region, the finished scene keeps every bit.
 
     radiant join RUN --out joined.ply --aggregate-preset paper
     radiant join RUN EAST_RUN --out larger.ply

@@ -233,8 +233,8 @@ def _unknown_key(path: str, value: Any, kind: str) -> str:
 
 
 def _instead(path: str, section: str = "", expected: str = "expected PATH=VALUE with") -> str:
-    """What to write in place of an unknown path: the path of a bare or an option's name, that of one
-    spelled alike, else what there is."""
+    """What to write in place of an unknown path: the path of a bare or an option's name, that of
+    one spelled alike, else what there is."""
     paths = [known for known in config_fields() if known.startswith(section)]
     if path in paths:
         return f"expected {path}=VALUE."

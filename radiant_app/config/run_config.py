@@ -53,7 +53,7 @@ MAX_SEED = 2**31 - 1
 """What numpy, torch and COLMAP all take."""
 MAX_DEVICES = 1_000
 """Devices that one machine is divided into; each is a process of its own."""
-FIRST, PLACE, JOINING, OUTPUT = "Options", "Scale, direction and ground control", "Joining models", "Presets, settings and output"
+FIRST, PLACE, JOINING, OUTPUT = "Options", "Scale, direction and ground control", "Joining models", "Settings and output"
 GROUPS = {
     "sfm": "Photographs and poses",
     "plan": "Plan and machines",
@@ -155,8 +155,8 @@ class SfmOptions:
     """Median height of the cameras above ground in metres; sets the scale and overrides GPS."""
 
     north: Annotated[str | None, Option(metavar="PHOTO,DEGREES", group=PLACE)] = None
-    """Direction a photograph looks in, clockwise from north, where GPS gives none; of one that looks
-    down, the direction of its top edge."""
+    """Direction a photograph looks in, clockwise from north, where GPS gives none; of one that
+    looks down, the direction of its top edge."""
     gcp: Annotated[Path | None, Option(metavar="FILE", group=PLACE)] = None
     """Ground control points as in OpenDroneMap's gcp_list.txt: the system (EPSG:…, LOCAL), then
     lines of east north up column row photograph name. All photographs are adjusted to them."""
@@ -166,8 +166,8 @@ class SfmOptions:
     """Points left out of the adjustment, with errors in the report; also marked by the word check
     behind a name in the list."""
     require_grids: Annotated[bool, Option(name="--require-grids", group=PLACE)] = False
-    """Refuse ground control in a system whose best transformation lacks a grid; by default a warning
-    gives the error in metres."""
+    """Refuse ground control in a system whose best transformation lacks a grid; by default a
+    warning gives the error in metres."""
 
     contradictions: Annotated[Contradictions, Option(group=PLACE)] = "stop"
     """Where --gcp, --distance, --height, --north or --up differ from the photographs' GPS by more
@@ -213,23 +213,23 @@ class PlanOptions:
     file: Annotated[Path | None, Option(name="--plan")] = None
     """Plan that `radiant plan` made before capture; by default the photographs are planned."""
     cut_by: CutBy = "auto"
-    """Cut regions and strips where cameras stand (positions) or where they look (looks); auto: where
-    they look if devices then see clearly more of their strips."""
+    """Cut regions and strips where cameras stand (positions) or where they look (looks); auto:
+    where they look if devices then see clearly more of their strips."""
     devices: Annotated[DevicesUsed | int, Option(metavar="auto|all|N", shown="auto", parse=_devices_of)] = "auto"
     """auto: with a system, only the fastest devices where one owner has few photographs, better in
     six of seven cells; without, this machine as one device where memory holds all photographs. all:
     every device, always so with gps and known. N: this machine as N devices."""
     within_edge: TrainedAs = "auto"
-    """together: the devices of an edge train one model and sum gradients in every step; joined: each
-    trains a model; auto: together if that is predicted to take at most twice the time."""
+    """together: the devices of an edge train one model and sum gradients in every step; joined:
+    each trains a model; auto: together if that is predicted to take at most twice the time."""
     between_edges: TrainedAs = "auto"
     """The same for the devices of all edges; edges exchange through the cloud."""
     mask_gradients: bool = False
     """Devices that train together add masks that cancel in their edge's sum, so the edge sees no
     single gradient; about 9 times the upload, and training stops if one device is lost."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
-    """Plan from photograph counts in cells of this many metres; 0: from positions. By default 5 with
-    gps and known."""
+    """Plan from photograph counts in cells of this many metres; 0: from positions. By default 5
+    with gps and known."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(
         default_factory=dict
     )
@@ -281,8 +281,8 @@ class TrainOptions:
     max_num_splats: Annotated[int | None, Option(name="--max-splats", min=100)] = None
     """Most Gaussians of a device."""
     step_policy: StepPolicy = "per_photograph"
-    """per_photograph: steps in proportion to a device's photographs, with --steps as the mean; fixed:
-    the same for each."""
+    """per_photograph: steps in proportion to a device's photographs, with --steps as the mean;
+    fixed: the same for each."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=setting_types, fixed=(*SIZES, "seed"))] = field(default_factory=dict)
     """Path of a field of `TrainConfig` → its value."""
 

@@ -1,4 +1,5 @@
-"""Curve files: the profile of a machine, written by `radiant machine profile`, named by system files.
+"""Curve files: the profile of a machine, written by `radiant machine profile`, named by system
+files.
 
     kind = "measured"                    # or "estimate", which every plan says
     machine = "workstation, 8 threads"

@@ -31,7 +31,7 @@ def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 
 
 def _save_blank_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borders: bool) -> dict[str, Path]:
-    names = ["timeline", "regions", "cameras"]
+    names = ["timeline", "regions", "regions_phone", "cameras"]
     names += ["gantt"] if (run / SYSTEM_NAME).is_file() else []
     names += ["timeline_emulated"] if manifest.emulated else []
     names += ["seams"] if has_borders else []

@@ -1,7 +1,7 @@
 """What a run begun by clicks will take, and the command line that it is. Once per choice.
 
-    this machine    `doctor_forecast`, by the curves of `radiant machine profile` where this machine was
-                    measured, else by an estimate of a laptop
+    this machine    `doctor_forecast`, by the curves of `radiant machine profile` where
+                    this machine was measured, else by an estimate of a laptop
     a system file   the least makespan of its machines over so many photographs, as `radiant plan`
                     has it before it knows where they lie
 

@@ -1,4 +1,5 @@
-"""`radiant inspect --page`: a page that flies through a model, made beside the run and served on loopback."""
+"""`radiant inspect --page`: a page that flies through a model, made beside the run and served on
+loopback."""
 
 from __future__ import annotations
 

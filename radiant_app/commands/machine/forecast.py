@@ -1,4 +1,5 @@
-"""What a run of so many photographs will take on this machine, by curves of `radiant machine profile`.
+"""What a run of so many photographs will take on this machine, by curves of `radiant machine
+profile`.
 
 A run without options is one device's, whose model nobody joins or refines:
 

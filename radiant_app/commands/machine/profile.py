@@ -1,4 +1,5 @@
-"""`radiant machine profile`: cost curves of this machine, from a short real run or a finished one's times.
+"""`radiant machine profile`: cost curves of this machine, from a short real run or a finished one's
+times.
 
 Without photographs the sample town is trained. A count of photographs in the middle is predicted
 from the others and compared with its measurement; the written curves are fitted on all.

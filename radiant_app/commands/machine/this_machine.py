@@ -1,6 +1,6 @@
 """The curves of this machine that forecasts of the start window go by: `python -m
-radiant_app.commands.machine.this_machine` makes them, as `radiant machine profile --out FILE` does, in place of
-earlier ones. Once per machine, five minutes.
+radiant_app.commands.machine.this_machine` makes them, as `radiant machine profile --out FILE` does,
+in place of earlier ones. Once per machine, five minutes.
 """
 
 from __future__ import annotations

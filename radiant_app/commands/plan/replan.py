@@ -1,4 +1,5 @@
-"""`radiant plan --after`: a plan or run after devices died, slowed down, were busy, finished or joined.
+"""`radiant plan --after`: a plan or run after devices died, slowed down, were busy, finished or
+joined.
 
 A plan file: positions are its waypoints, captured are those that `--captured` names; its system is
 `--system`. A run: its training cameras, its own system with curves corrected by what has finished.
