@@ -18,7 +18,7 @@ from radiant_app.cli.machine import machine
 from radiant_app.cli.models import clean, evaluate, export, render
 from radiant_app.cli.node import node
 from radiant_app.cli.parts import join, sfm, train
-from radiant_app.cli.plan import next_flight, plan
+from radiant_app.cli.plan import plan
 from radiant_app.cli.run import demo, run
 from radiant_app.cli.streams import CannotPrint, make_streams_last
 from radiant_app.cli.survey import measure
@@ -66,7 +66,6 @@ for _command in (sfm, train, join):
     app.command(cls=Command, rich_help_panel=_PARTS)(_command)
 for _command in (render, export, evaluate, clean, measure):
     app.command(cls=Command, rich_help_panel=_MODELS)(_command)
-app.command("next-flight", cls=Command, rich_help_panel=_MODELS)(next_flight)
 
 
 @app.command(rich_help_panel=_SOURCE, context_settings={"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []})

@@ -46,16 +46,20 @@ def with_config_options(command: Callable[..., None]) -> Callable[..., None]:
     return _with_parameters(command, [each.replace(kind=each.KEYWORD_ONLY) for each in (*first, *made, *own[len(first) :])])
 
 
-def with_options_of(other: Callable[..., None]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Puts the options of `other` that are not keywords alone in place of a command's `**`."""
+def with_options_of(*others: Callable[..., None]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Puts the options of `others` that are not keywords alone in place of a command's `**`."""
 
     def with_them(command: Callable[..., None]) -> Callable[..., None]:
         own = [each for each in inspect.signature(command, eval_str=True).parameters.values() if each.kind is not each.VAR_KEYWORD]
-        theirs = inspect.signature(other, eval_str=True).parameters.values()
-        more = [each.replace(kind=each.KEYWORD_ONLY) for each in theirs if each.kind is not each.KEYWORD_ONLY]
+        more = [each.replace(kind=each.KEYWORD_ONLY) for other in others for each in options_of(other)]
         return _with_parameters(command, [*own, *more])
 
     return with_them
+
+
+def options_of(command: Callable[..., None]) -> list[inspect.Parameter]:
+    """The options of a command's part that are its alone: those that are not keywords alone."""
+    return [each for each in inspect.signature(command, eval_str=True).parameters.values() if each.kind is not each.KEYWORD_ONLY]
 
 
 def _with_parameters(command: Callable[..., None], parameters: Sequence[inspect.Parameter]) -> Callable[..., None]:

@@ -14,6 +14,7 @@ from radiant_core.choices import Contradictions, CutBy, Effort, Heights, LpipsNe
 from radiant_core.train.config import Preset
 
 BEFORE_CAPTURE, FLIGHT, COORDINATES, LATER = "Before capture", "Flight lists", "Coordinates", "After a device died, slowed down or joined"
+NEXT = "Where to fly next"
 PlanSource = Annotated[
     Path | None, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, a run.", show_default=False)
 ]
@@ -39,6 +40,28 @@ ConstraintsOption = Annotated[
 ]
 PlannedTraining = Annotated[
     Preset, option("train.preset", help="Training to plan for: memory limits and measured curves.", group=GROUPS["train"])
+]
+NextOption = Annotated[
+    Path | None,
+    typer.Option("--next", metavar="RUN", help="Finished run, or folder of `radiant train`, to photograph better.", rich_help_panel=NEXT),
+]
+PhotographsOption = Annotated[
+    int | None,
+    typer.Option("--photographs", min=1, help="Propose this many; without it and --batteries, only the map.", rich_help_panel=NEXT),
+]
+BatteriesOption = Annotated[
+    int | None, typer.Option("--batteries", min=1, help="Propose what this many batteries of each device last for.", rich_help_panel=NEXT)
+]
+CellOption = Annotated[
+    float | None,
+    typer.Option("--resolution", min=1e-6, help="Metres of a cell; by default four pixels of the photographs.", rich_help_panel=NEXT),
+]
+SafeOption = Annotated[float, typer.Option("--safe", min=0.1, help="Least metres from every surface of the model.", rich_help_panel=NEXT)]
+TakeOffOption = Annotated[
+    float | None, typer.Option("--take-off", help="Height of take-off on the map; by default that of low ground.", rich_help_panel=NEXT)
+]
+NoFlyOption = Annotated[
+    list[Path] | None, typer.Option("--no-fly", help="GeoJSON polygon that is not flown over; repeatable.", rich_help_panel=NEXT)
 ]
 AfterOption = Annotated[
     Path | None, typer.Option("--after", metavar="PLAN|RUN", help="Plan of waypoints or run to plan again.", rich_help_panel=LATER)

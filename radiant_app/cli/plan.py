@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from radiant_app.cli import option_types as options
-from radiant_app.cli.config_options import typed_options, with_options_of
+from radiant_app.cli.config_options import options_of, typed_options, with_options_of
 from radiant_app.report.tables import finish
 from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
+
+HIGHEST_M = 120.0
+"""Above take-off and ground, the usual limit."""
 
 if TYPE_CHECKING:
     from radiant_app.commands.plan.plan import PlanRequest
@@ -55,7 +58,47 @@ def plan_again(
     finish(result, as_json)
 
 
-@with_options_of(plan_again)
+def plan_next_flight(
+    next_run: options.NextOption = None,
+    photographs: options.PhotographsOption = None,
+    batteries: options.BatteriesOption = None,
+    resolution: options.CellOption = None,
+    safe: options.SafeOption = 5.0,
+    take_off: options.TakeOffOption = None,
+    no_fly: options.NoFlyOption = None,
+    *,
+    given: Mapping[str, Any],
+) -> None:
+    """Map what photographs fix of a surface, and plan where to fly next; `given`: the options that
+    every plan has, by name."""
+    from radiant_app.commands.plan.flight import battery_seconds, flight_formats
+    from radiant_app.commands.plan.next_flight import NextFlightRequest
+    from radiant_app.commands.plan.next_flight import plan_next_flight as plan_next
+    from radiant_app.report.progress import terminal_display
+    from radiant_core.plan.flight.figures import Drone
+
+    assert next_run is not None
+    request = NextFlightRequest(
+        run=next_run,
+        out=given["out"],
+        photographs=photographs,
+        batteries=batteries,
+        system=given["system"],
+        resolution=resolution,
+        safe_m=safe,
+        lowest_m=given["min_height"],
+        highest_m=HIGHEST_M if given["max_height"] is None else given["max_height"],
+        take_off=take_off,
+        no_fly=tuple(no_fly or ()),
+        formats=flight_formats(given["flight_format"] or "kmz,plan,kml"),
+        drone=Drone(speed_m_per_s=given["speed"], battery_s=battery_seconds(given["battery"])),
+        crs=given["crs"],
+        seed=given["seed"],
+    )
+    finish(plan_next(request, terminal_display()), given["as_json"])
+
+
+@with_options_of(plan_again, plan_next_flight)
 def plan(
     context: typer.Context,
     source: options.PlanSource = None,
@@ -101,32 +144,56 @@ def plan(
     radiant plan flight.csv --system system.toml --out plan/plan.json
     radiant plan PHOTOS --system system.toml --out plan/plan.json --compare
     radiant plan --after plan/plan.json --dead north-1 --out plan2/plan.json
+    radiant plan --next RUN --photographs 13 --out next
     """
     from radiant_app.commands.plan.plan import plan as make_plan
     from radiant_app.commands.plan.tables import plan_tables
     from radiant_app.report.progress import terminal_display
 
     _require_one_source(typed_options(context), source, later)
-    if source is None:
-        return plan_again(**later, out=out, system=system, seed=seed, as_json=as_json)
+    again, next_one = ({each.name: later[each.name] for each in options_of(part)} for part in (plan_again, plan_next_flight))
+    if again["after"] is not None:
+        return plan_again(**again, out=out, system=system, seed=seed, as_json=as_json)
+    if next_one["next_run"] is not None:
+        return plan_next_flight(**next_one, given=context.params)
     result = make_plan(_request_of(context.params), terminal_display())
     for table in [] if as_json else plan_tables(result):
         typer.echo(table)
     return finish(result, as_json)
 
 
+_KINDS = {
+    "after": ("planning again", "the plan or run", {"out", "system", "seed", "as_json"}),
+    "next_run": (
+        "the next flight",
+        "a finished run",
+        {"out", "system", "min_height", "max_height", "flight_format", "speed", "battery", "crs", "seed", "as_json"},
+    ),
+}
+"""What else than a source is planned from: what that is, what is named, which options of a plan it
+has too."""
+
+
 def _require_one_source(typed: Mapping[str, str], source: Path | None, later: Mapping[str, Any]) -> None:
-    """Raise BadInput where what is planned is not named once, and for options of the other kind."""
-    if later["after"] is None:
-        if wrong := [option for name, option in typed.items() if name in later]:
-            raise BadInput(f"{wrong[0]} is for planning again: name the plan or run with --after.")
+    """Raise BadInput where what is planned is not named once, and for options of another kind."""
+    flags = {"after": "--after", "next_run": "--next"}
+    alone = {"after": {each.name for each in options_of(plan_again)}, "next_run": {each.name for each in options_of(plan_next_flight)}}
+    asked = [kind for kind in flags if later[kind] is not None]
+    for kind, flag in flags.items():
+        wrong = [option for name, option in typed.items() if name in alone[kind]]
+        if kind not in asked and wrong:
+            raise BadInput(f"{wrong[0]} is for {_KINDS[kind][0]}: name {_KINDS[kind][1]} with {flag}.")
+    if not asked:
         if source is None:
             raise BadInput("source is missing: name waypoints, photographs, a scene or a run; or --after and a plan or run.")
         return
+    kind, flag = asked[0], flags[asked[0]]
+    if len(asked) > 1:
+        raise BadInput("--after plans again and --next plans another flight: ask for one of them.")
     if source is not None:
-        raise BadInput(f"--after plans {later['after']} again, and {source} is another source: leave one of them out.")
-    if wrong := [option for name, option in typed.items() if name not in {*later, "out", "system", "seed", "as_json"}]:
-        raise BadInput(f"{wrong[0]} is for a new plan, and --after keeps to the plan that there is: leave one of them out.")
+        raise BadInput(f"{flag} plans by {later[kind]}, and {source} is another source: leave one of them out.")
+    if wrong := [option for name, option in typed.items() if name not in alone[kind] | _KINDS[kind][2]]:
+        raise BadInput(f"{wrong[0]} is for a new plan, and {flag} keeps to what there is: leave one of them out.")
 
 
 def _request_of(typed: Mapping[str, Any]) -> PlanRequest:
@@ -149,57 +216,6 @@ def _request_of(typed: Mapping[str, Any]) -> PlanRequest:
         content=content_request(*(typed[name] for name in ("ground", "field_of_view", "buffer", "deadline"))),
         overrides=Overrides(long_side_px=typed["long_side_px"], num_steps=typed["steps"], max_num_splats=typed["max_splats"]),
     )
-
-
-def next_flight(
-    run: Annotated[Path, typer.Argument(help="A finished run, or folder of `radiant train`.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="New folder of the map, and of the flight lists.", show_default=False)],
-    photographs: Annotated[int | None, typer.Option(min=1, help="Propose so many more; without it and --batteries: the map alone.")] = None,
-    batteries: Annotated[int | None, typer.Option(min=1, help="Propose what so many batteries of each device last for.")] = None,
-    system: Annotated[Path | None, typer.Option(help="TOML of the devices that fly; else one.")] = None,
-    resolution: Annotated[float | None, typer.Option(min=1e-6, help="Metres of a cell, else four pixels of the photographs.")] = None,
-    safe: Annotated[float, typer.Option(min=0.1, help="Least metres from every surface of the model.")] = 5.0,
-    take_off: Annotated[float | None, typer.Option(help="Height of take-off on the map, else that of low ground.")] = None,
-    min_height: Annotated[float | None, typer.Option(help="Least metres above take-off, else those of --safe.")] = None,
-    max_height: Annotated[float, typer.Option(help="Most metres above take-off and above the ground below.")] = 120.0,
-    no_fly: Annotated[list[Path] | None, typer.Option(help="GeoJSON polygon that is not flown over; repeatable.")] = None,
-    flight_format: options.FlightFormatOption = "kmz,plan,kml",
-    speed: options.SpeedOption = 8.0,
-    battery: options.BatteryOption = "20m",
-    crs: Annotated[str | None, typer.Option(help="System of the map, else the UTM zone.")] = None,
-    seed: options.Seed = 0,
-    as_json: options.AsJson = False,
-) -> None:
-    """Map what photographs fix of a surface, and plan where to fly next.
-
-    Without --photographs and --batteries only the map is written.
-
-    radiant next-flight RUN --out next --photographs 13
-    radiant next-flight RUN --out next --batteries 1 --system system.toml
-    """
-    from radiant_app.commands.plan.flight import battery_seconds, flight_formats
-    from radiant_app.commands.plan.next_flight import NextFlightRequest, plan_next_flight
-    from radiant_app.report.progress import terminal_display
-    from radiant_core.plan.flight.figures import Drone
-
-    request = NextFlightRequest(
-        run=run,
-        out=out,
-        photographs=photographs,
-        batteries=batteries,
-        system=system,
-        resolution=resolution,
-        safe_m=safe,
-        lowest_m=min_height,
-        highest_m=max_height,
-        take_off=take_off,
-        no_fly=tuple(no_fly or ()),
-        formats=flight_formats(flight_format),
-        drone=Drone(speed_m_per_s=speed, battery_s=battery_seconds(battery)),
-        crs=crs,
-        seed=seed,
-    )
-    finish(plan_next_flight(request, terminal_display()), as_json)
 
 
 def _paper_of(plan_method: PlanMethod, raster_cell_m: float | None, settings: list[str] | None) -> PaperConfig | None:

@@ -4,8 +4,8 @@ over. At every event.
     left = Σ left of the phases that have begun + Σ v P of those to come
 
 P are predicted seconds of a phase (`foreseen.py`) and v = Σ measured / Σ P over the phases of its
-unit of which a tenth is done, else over all of them, else what else runs here says. A phase that took t for the share s of
-its stages has left
+unit of which a tenth is done, else over all of them, else what else runs here says. A phase that
+took t for the share s of its stages has left
 
     s · t (1 − s) / s  +  (1 − s) · max(v P − t, (1 − s) v P / 2),
 

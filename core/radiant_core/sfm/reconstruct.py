@@ -65,29 +65,29 @@ def reconstruct(
     phases = with_preview(PHASES, config)
     report = number_phases(report, phases)
     listing = list_usable(photo_folder, report, stretch=True)
-    photographs = listing.photographs
+    photographs, sizes_wh = listing.photographs, [photo.size_wh for photo in listing.photographs]
     placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
     contradicted = check_control(placement, photographs, {photo.name: photo.size_wh for photo in photographs})
-    config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
-    report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
+    config, limited = limit_to_memory(config, sizes_wh)
+    report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases(sizes_wh, config))
     given_masks, beside = masks, beside_warning(photo_folder, masks, control=placement.control_text)
     given_folder, photo_folder = photo_folder, readable_folder(listing, photo_folder, work_folder)
     photos = PhotographSet(folder=photo_folder, given_folder=given_folder, photographs=photographs, masks=masks)
     attempt = find_poses(photos, work_folder, config, report)
     mapped, given = attempt.mapped, attempt.given_masks
     assert mapped is not None
-    (work_folder / "sparse").mkdir()
+    sparse = work_folder / "sparse"
+    sparse.mkdir()
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
-    blind = _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
-    threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
-    undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
+    blind = _triangulate(refined, attempt, photo_folder, sparse, report)
+    undistorted = undistort(sparse, photo_folder, work_folder, undistorting_threads(config, sizes_wh), report)
     remove_readable(work_folder)
-    masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
+    masks = undistort_masks(given, sparse, work_folder, config.threads)
     placed = _placed(read_model(undistorted.model_folder), surveyed, photographs, config.seed, placement)
     scene, repeats = without_repeats(placed.scene, undistorted.image_folder)
-    for folder in (work_folder / "sparse", undistorted.model_folder):
+    for folder in (sparse, undistorted.model_folder):
         fit_model(folder, placed.world_from_model, scene.cameras)
     remove_images(undistorted.image_folder, scene.cameras)
     outliers = gps_outliers(scene, photographs)

@@ -49,8 +49,8 @@ class PageText:
 
 
 def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
-    """Return the px that a page of `size_wh` leaves for the drawing; BadInput for a small page that is
-    not `PHONE_SIZE_WH`."""
+    """Return the px that a page of `size_wh` leaves for the drawing; BadInput for a small page that
+    is not `PHONE_SIZE_WH`."""
     if size_wh == PHONE_SIZE_WH:
         return size_wh[0] - PHONE_LEFT_PX - GAP_PX, size_wh[1] - TITLE_PX - BOTTOM_PX - PHONE_LEGEND_PX
     if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
