@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -20,11 +20,27 @@ BenchScene = Annotated[
     ),
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train, methods: PNG of the curves.")]
+FIELDS = {
+    "preset": "presets",
+    "budget": "budgets_s",
+    "seeds": "num_seeds",
+    "splits": "num_splits",
+    "photographs": "num_photographs",
+    "steps": "num_steps",
+    "lpips_net": "lpips_network",
+    "method": "methods",
+    "kind": "kinds",
+    "placements": "num_placements",
+}
+"""Field of `BenchOptions` by parameter, where their names differ."""
+SEVERAL = ("presets", "budgets_s", "methods", "kinds")
+"""Fields whose options may be given again."""
 app = typer.Typer(context_settings=WIDTH, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 @app.command(cls=Command)
 def bench(
+    context: typer.Context,
     name: Annotated[BenchName, typer.Argument(help="What to measure.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
@@ -67,35 +83,12 @@ def bench(
     """
     from benchmarks.runner import run_bench
 
-    options = BenchOptions(
-        quick=quick,
-        scene=scene,
-        threads=threads,
-        presets=tuple(preset or ()),
-        budgets_s=tuple(budget or ()),
-        num_seeds=seeds,
-        num_splits=splits,
-        num_photographs=photographs,
-        hold_out=hold_out,
-        off_path=off_path,
-        long_side_px=long_side_px,
-        num_steps=steps,
-        field_steps=field_steps,
-        lpips_weights=lpips_weights,
-        lpips_network=lpips_net,
-        ablations=ablations,
-        plot=plot,
-        methods=tuple(method or ()),
-        kinds=tuple(kind or ()),
-        layout=layout,
-        num_placements=placements,
-        cut_by=cut_by,
-        max_gaussians=max_gaussians,
-        out=out,
-        baseline=baseline,
-        bless=bless,
-    )
-    run_bench(name, json_file, options)
+    run_bench(name, json_file, _options_of(context.params))
+
+
+def _options_of(typed: Mapping[str, Any]) -> BenchOptions:
+    values = {FIELDS.get(name, name): value for name, value in typed.items() if name not in ("name", "json_file")}
+    return BenchOptions(**{name: tuple(value or ()) if name in SEVERAL else value for name, value in values.items()})
 
 
 def main(arguments: Sequence[str]) -> object:

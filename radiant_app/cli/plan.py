@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -162,38 +163,63 @@ def plan(
     return finish(result, as_json)
 
 
-_KINDS = {
-    "after": ("planning again", "the plan or run", {"out", "system", "seed", "as_json"}),
-    "next_run": (
-        "the next flight",
-        "a finished run",
-        {"out", "system", "min_height", "max_height", "flight_format", "speed", "battery", "crs", "seed", "as_json"},
-    ),
-}
-"""What else than a source is planned from: what that is, what is named, which options of a plan it
-has too."""
+@dataclass(frozen=True, kw_only=True)
+class _Instead:
+    """What a plan is made of in place of a source."""
+
+    flag: str
+    what: str
+    named: str
+    does: str
+    stays: str
+    options: frozenset[str]
+    """Its own, by parameter."""
+    shared: frozenset[str]
+    """Those of every plan that it has too."""
+
+
+def _instead() -> Mapping[str, _Instead]:
+    """By the parameter that names it."""
+    return {
+        "after": _Instead(
+            flag="--after",
+            what="planning again",
+            named="the plan or run",
+            does="plans {} again",
+            stays="the plan that there is",
+            options=frozenset(each.name for each in options_of(plan_again)),
+            shared=frozenset({"out", "system", "seed", "as_json"}),
+        ),
+        "next_run": _Instead(
+            flag="--next",
+            what="the next flight",
+            named="a finished run",
+            does="plans another flight for {}",
+            stays="the run that there is",
+            options=frozenset(each.name for each in options_of(plan_next_flight)),
+            shared=frozenset({"out", "system", "min_height", "max_height", "flight_format", "speed", "battery", "crs", "seed", "as_json"}),
+        ),
+    }
 
 
 def _require_one_source(typed: Mapping[str, str], source: Path | None, later: Mapping[str, Any]) -> None:
     """Raise BadInput where what is planned is not named once, and for options of another kind."""
-    flags = {"after": "--after", "next_run": "--next"}
-    alone = {"after": {each.name for each in options_of(plan_again)}, "next_run": {each.name for each in options_of(plan_next_flight)}}
-    asked = [kind for kind in flags if later[kind] is not None]
-    for kind, flag in flags.items():
-        wrong = [option for name, option in typed.items() if name in alone[kind]]
-        if kind not in asked and wrong:
-            raise BadInput(f"{wrong[0]} is for {_KINDS[kind][0]}: name {_KINDS[kind][1]} with {flag}.")
-    if not asked:
-        if source is None:
-            raise BadInput("source is missing: name waypoints, photographs, a scene or a run; or --after and a plan or run.")
-        return
-    kind, flag = asked[0], flags[asked[0]]
+    kinds = _instead()
+    asked = [kind for name, kind in kinds.items() if later[name] is not None]
+    for kind in kinds.values():
+        if kind not in asked and (wrong := [option for name, option in typed.items() if name in kind.options]):
+            raise BadInput(f"{wrong[0]} is for {kind.what}: name {kind.named} with {kind.flag}.")
+    if not asked and source is None:
+        raise BadInput("source is missing: name waypoints, photographs, a scene or a run; or --after and a plan or run.")
     if len(asked) > 1:
         raise BadInput("--after plans again and --next plans another flight: ask for one of them.")
-    if source is not None:
-        raise BadInput(f"{flag} plans by {later[kind]}, and {source} is another source: leave one of them out.")
-    if wrong := [option for name, option in typed.items() if name not in alone[kind] | _KINDS[kind][2]]:
-        raise BadInput(f"{wrong[0]} is for a new plan, and {flag} keeps to what there is: leave one of them out.")
+    for name, kind in kinds.items():
+        if kind not in asked:
+            continue
+        if source is not None:
+            raise BadInput(f"{kind.flag} {kind.does.format(later[name])}, and {source} is another source: leave one of them out.")
+        if wrong := [option for option_of, option in typed.items() if option_of not in kind.options | kind.shared]:
+            raise BadInput(f"{wrong[0]} is for a new plan, and {kind.flag} keeps to {kind.stays}: leave one of them out.")
 
 
 def _request_of(typed: Mapping[str, Any]) -> PlanRequest:

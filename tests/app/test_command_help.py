@@ -122,6 +122,9 @@ def test_an_old_name_answers_the_line_to_type(old: str, new: str | None) -> None
             "plan --out p.json",
             "source is missing: name waypoints, photographs, a scene or a run; or --after and a plan or run.",
         ),
+        ("plan a --photographs 3 --out c", "--photographs is for the next flight: name a finished run with --next."),
+        ("plan --next a --slack 2 --out c", "--slack is for a new plan, and --next keeps to the run that there is: leave one of them out."),
+        ("plan --next a --after b --out c", "--after plans again and --next plans another flight: ask for one of them."),
         ("plan a --dead b --out c.json", "--dead is for planning again: name the plan or run with --after."),
         ("plan a --after b --out c.json", "--after plans b again, and a is another source: leave one of them out."),
         (

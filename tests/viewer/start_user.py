@@ -74,7 +74,9 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     was_there = listed_file.exists()
     user.click(window.copy, "Copy")
     kept = listed_file.read_text()
-    window.machines.table.item(0, 2).setText("many")
+    cell = window.machines.table.item(0, 2)
+    assert cell is not None
+    cell.setText("many")
     until(window.machines.said.text, "a wrong number was taken", PATIENCE_S)
     refused = window.machines.said.text()
     window.machines.kind.setCurrentText("This machine alone")

@@ -67,9 +67,9 @@ def test_a_model_that_fits_is_taken_by_its_figure(bent: tuple[Path, Truth]) -> N
     photos, truth = bent
     seen = check_model_poses(hamlet_model(), Path("sparse"), IMAGES)
     # The hamlet's observations are its points' projections; matches of JPEGs are a tenth of a pixel off.
-    assert seen.unit == "px" and seen.figure < 0.01 and "observed points" in seen.reason
+    assert seen.unit == "px" and seen.figure is not None and seen.figure < 0.01 and "observed points" in seen.reason
     matched = check_model_poses(bare(true_model(truth)), Path("sparse"), photos)
-    assert matched.unit == "px" and matched.figure < 0.5 and "matches in" in matched.reason
+    assert matched.unit == "px" and matched.figure is not None and matched.figure < 0.5 and "matches in" in matched.reason
 
 
 @pytest.mark.parametrize(

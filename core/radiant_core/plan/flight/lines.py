@@ -85,7 +85,7 @@ def _goes_around(places: FloatArray) -> bool:
     steps = steps[np.linalg.norm(steps, axis=1) > 0]
     steps = steps / np.linalg.norm(steps, axis=1, keepdims=True)
     one, other = steps[:-1], steps[1:]
-    turns = np.arctan2(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0], (one * other).sum(axis=1))
+    turns: FloatArray = np.arctan2(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0], (one * other).sum(axis=1))
     sides = [float(np.mean(turns * side > 1e-6)) for side in (1, -1)] if len(turns) else [0.0]
     return max(sides) >= MIN_ONE_WAY and bool(abs(turns.sum()) > np.radians(MIN_AROUND_DEG))
 
