@@ -120,7 +120,7 @@ def test_a_colmap_project_is_named_in_one_line(project, tmp_path: Path) -> None:
     result = reconstruct_source(sfm_task(folder, SfmConfig(), None, Placement()), tmp_path / "work", lambda progress: None)
     assert result.warnings[0] == f"sparse/0 of COLMAP gives the poses of 12 photographs and {len(result.scene.points)} points."
     (check,) = (decision for decision in result.decisions if decision.topic == "poses")
-    assert check.choice == "those of 0 of COLMAP" and check.figure < 0.01
+    assert check.choice == "those of 0 of COLMAP" and check.figure is not None and check.figure < 0.01
 
 
 def test_poses_of_a_colmap_model_are_adjusted_too(project, tmp_path: Path) -> None:
@@ -217,10 +217,11 @@ def require_known_points(trained: Path, points: np.ndarray, folder: Path, system
 
 
 def usd_positions(path: Path) -> np.ndarray:
-    from pxr import Usd, UsdVol  # pyright: ignore[reportAttributeAccessIssue]
+    from pxr import Usd, UsdVol
 
-    stage = Usd.Stage.Open(str(path))
-    return np.array(UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Scene/Splats")).GetPositionsAttr().Get())
+    stage = Usd.Stage.Open(str(path))  # pyright: ignore[reportAttributeAccessIssue]
+    field = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Scene/Splats"))  # pyright: ignore[reportAttributeAccessIssue]
+    return np.array(field.GetPositionsAttr().Get())
 
 
 def quiet_display() -> ProgressDisplay:

@@ -110,7 +110,7 @@ def test_opensfms_panoramas_with_what_they_see(walked: tuple[Path, Walk], tmp_pa
     (folder / "masks").rmdir()
     require_true(result, made)
     (check,) = (decision for decision in result.decisions if decision.topic == "poses")
-    assert check.unit == "px" and check.figure < 0.01
+    assert check.unit == "px" and check.figure is not None and check.figure < 0.01
     assert any("6 panoramas as 6 faces each" in decision.choice for decision in result.decisions)
     assert result.warnings[1] == "reconstruction.json of OpenSfM gives the poses of 36 photographs, 360 points, in its own unit."
     assert result.masks_folder is not None and {path.name for path in result.masks_folder.rglob("*.png")} == {"pano_001.jpg.png"}
@@ -132,7 +132,7 @@ def test_panoramas_without_points_are_checked_by_their_faces_and_triangulated(wa
     result = made_scene(walked, tmp_path / "work", path)
     require_true(result, made)
     (check,) = (decision for decision in result.decisions if decision.topic == "poses")
-    assert check.unit == "px" and check.figure < 0.5 and len(result.scene.points) > 300
+    assert check.unit == "px" and check.figure is not None and check.figure < 0.5 and len(result.scene.points) > 300
     turned = replace(made, axes=made.axes.transpose(0, 2, 1))
     path = write(folder, turned)
     with pytest.raises(BadInput, match="does not fit its photographs: matched points lie"):
