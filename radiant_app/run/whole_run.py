@@ -44,7 +44,8 @@ REPORT_SHARES = (0.65, 0.25, 0.1)
 UNIT_HERE, UNIT_PLANNED = 0, 1
 """Units of what runs on this machine, and of machines whose costs are known."""
 OFF_PERCENT = (115.0, 45.0, 40.0, 40.0, 55.0, 55.0)
-"""By phase: nine of ten estimates made in it were off by less (docs/experiments/planner.md)."""
+"""By phase: about what estimates made in it were off by, in two runs of one small scene on a busy
+machine (docs/experiments/planner.md)."""
 
 
 def phase_of(stage: str) -> int | None:

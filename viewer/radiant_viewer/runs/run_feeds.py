@@ -37,8 +37,8 @@ class StageState:
 @dataclass(frozen=True, kw_only=True)
 class WholeRunState:
     """How far a whole run was when it was told last: its phase, by name and by number from 1, and
-    the seconds left of all; `off_percent`: by how much such an estimate was off in nine of ten
-    measured cases."""
+    the seconds left of all; `off_percent`: about what such estimates were off by where they were
+    measured."""
 
     phase: str
     number: int
