@@ -273,7 +273,7 @@ ViewsOption = Annotated[
 ParallaxOption = Annotated[
     float | None,
     typer.Option(
-        "--min-parallax-deg", min=0, max=180, help="Leave out what photographs show under a smaller angle.", rich_help_panel=_RULES
+        "--min-parallax-deg", min=0, max=180, help="Leave out Gaussians seen with less parallax than this.", rich_help_panel=_RULES
     ),
 ]
 HeightsOption = Annotated[

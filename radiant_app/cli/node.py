@@ -76,7 +76,7 @@ def join(
     file: Annotated[Path, typer.Argument(help="Join file from the machine above.")],
     home: HomeOption = Path("radiant_node"),
 ) -> None:
-    """Join the node of a join file.
+    """Join the network by a join file.
 
     radiant node join north.join
     """

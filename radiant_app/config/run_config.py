@@ -277,9 +277,9 @@ class TrainOptions:
     long_side_px: Annotated[int | None, Option(min=16)] = None
     """Long side of the training images."""
     num_steps: Annotated[int | None, Option(name="--steps", min=1)] = None
-    """Training steps of a device; the mean if there are several."""
+    """Training steps per device, the mean over devices."""
     max_num_splats: Annotated[int | None, Option(name="--max-splats", min=100)] = None
-    """Most Gaussians of a device."""
+    """Maximum Gaussians per device."""
     step_policy: StepPolicy = "per_photograph"
     """per_photograph: steps in proportion to a device's photographs, with --steps as the mean;
     fixed: the same for each."""

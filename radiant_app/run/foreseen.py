@@ -178,7 +178,10 @@ def _placing_s(config: RunConfig, sizes: Sequence[tuple[int, int]]) -> float:
 
 def _sizes_of(config: RunConfig) -> list[tuple[int, int]]:
     """Width and height of the photographs in a source's folder, all as large as its first; none of
-    a film, or where they cannot be read: the run itself says why."""
+    a film, of devices that alone may open theirs, or where they cannot be read: the run itself says
+    why."""
+    if config.frames != "shared":
+        return []
     try:
         kind, folder, _ = locate_source(config.source, config.sfm.poses)
         if kind == "film" or not folder.is_dir():
