@@ -137,8 +137,7 @@ def read_progress(run: Path) -> RunProgress:
 
 
 def _count_loss(event: Event, losses: dict[str, list[tuple[float, float]]]) -> None:
-    """Add the loss that trainings tell in their note; a stage that begins again begins its
-    curve."""
+    """Add the loss that trainings tell in their note; a stage that begins anew begins its curve."""
     if isinstance(event, StageStarted):
         losses.pop(event.stage, None)
     if not isinstance(event, StageProgress) or not event.total > 0 or (told := LOSS.search(event.note)) is None:

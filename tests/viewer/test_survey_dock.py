@@ -128,7 +128,7 @@ class View:
     pose = ViewPose(position=np.array([0.0, 0, 50]), focal_point=np.zeros(3), up=np.array([0.0, 1, 0]), angle_deg=90.0)
     def __init__(self):
         self.click_takers = []
-    def depth_at(self, pixel):
+    def depth_at(self, pixel, reach):
         return 50.0 if pixel[0] < 90 else None
 
 class Map(View):

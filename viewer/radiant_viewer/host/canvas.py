@@ -176,13 +176,20 @@ class Canvas:
         if not self.plotter.waits():
             self.plotter.update()
 
-    def depth_at(self, pixel: tuple[float, float]) -> float | None:
-        """How far along the view the model under a pixel (x, y from the upper left) is."""
+    def depth_at(self, pixel: tuple[float, float], reach: int = 0) -> float | None:
+        """How far along the view the model under a pixel (x, y from the upper left) is, or at the
+        nearest one up to `reach` pixels of the picture away: between Gaussians there are holes."""
         picture, (width, height) = self.backdrop.picture, self.size_wh
         if picture is None or not (0 <= pixel[0] < width and 0 <= pixel[1] < height):
             return None
         row, column = (int(share * side) for share, side in zip((pixel[1] / height, pixel[0] / width), picture.shape[:2], strict=True))
-        return float(picture[row, column, 3]) or None
+        low_row, low_column = max(0, row - reach), max(0, column - reach)
+        near = picture[low_row : row + reach + 1, low_column : column + reach + 1, 3]
+        rows, columns = np.nonzero(near > 0)
+        if not len(rows):
+            return None
+        nearest = int(np.argmin(np.hypot(rows + low_row - row, columns + low_column - column)))
+        return float(near[rows[nearest], columns[nearest]])
 
     def depth_ahead(self, share: float) -> float | None:
         """How far along the view the model is, but for this share of its pixels; None without

@@ -15,6 +15,8 @@ from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.view_motion import place_at
 
+REACH = 3
+"""Pixels of the picture in which a click that met a hole looks for the model."""
 NOTHING = "There is no model under that pixel: click on the ground or a house, with Gaussians shown in the layers."
 
 
@@ -64,7 +66,7 @@ class PlaceTool:
             return True
         # Depths count from the upper left, clicks from the lower left; pixels have their middle.
         from_top = (pixel[0] + 0.5, canvas.size_wh[1] - 1 - pixel[1] + 0.5)
-        depth = canvas.depth_at(from_top)
+        depth = canvas.depth_at(from_top, REACH)
         if depth is None:
             self._host.show_status(NOTHING)
         else:

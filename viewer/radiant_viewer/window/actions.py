@@ -4,32 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Protocol, TypeVar
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtGui import QAction, QKeySequence, QShortcut
+from PySide6.QtWidgets import QMainWindow, QPushButton
 
+from radiant_viewer.editing.planning import Planning
+from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.host.one_tool import keep_one_on
-from radiant_viewer.pictures.view_motion import SIDE_KEYS
+from radiant_viewer.layers.themes import ThemeName
+from radiant_viewer.pictures.view_motion import SIDE_KEYS, Side
+from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.window.bookmark_keys import BOOKMARK_KEYS
+from radiant_viewer.window.docks import Docks
+from radiant_viewer.window.panels import Panels
 from radiant_viewer.window.shortcuts import show_shortcuts
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 STEPS = (("Left", -1, "worse"), ("Right", 1, "better"))
 _Entry = tuple[str, str, str, Callable[[], object] | None]
 """Text, tip, key and action; one without a text has its button in a dock, or none."""
 _Toggle = tuple[str, str, str, Callable[[bool], object]]
+_Result = TypeVar("_Result")
 
 
-def add_actions(window: InspectorWindow) -> dict[str, str]:
-    """Make toolbar and keys; returns what each key does, for F1."""
-    bar = window.addToolBar("View")
+class ActionWindow(Protocol):
+    """What keys and buttons do with a window; its methods say what they do."""
+
+    run: RunView | None
+    view: Canvas
+    docks: Docks
+    planning: Planning | None
+    panels: Panels
+    dark_button: QAction | None
+    edit_button: QAction | None
+
+    def attempt(self, action: Callable[[], _Result]) -> _Result | None: ...
+    def reload(self) -> None: ...
+    def reset_views(self) -> None: ...
+    def fly_to_selected(self) -> None: ...
+    def see_from(self, side: Side) -> None: ...
+    def begin_tour(self) -> None: ...
+    def ask_screenshot(self) -> None: ...
+    def ask_window_picture(self) -> None: ...
+    def set_theme(self, name: ThemeName) -> None: ...
+    def set_editing(self, active: bool) -> None: ...
+    def set_measuring(self, active: bool) -> None: ...
+    def set_cropping(self, active: bool) -> None: ...
+    def choose_by(self, button: QPushButton) -> None: ...
+
+
+def add_actions(window: ActionWindow, frame: QMainWindow) -> dict[str, str]:
+    """Make toolbar and keys of a window in its frame; returns what each key does, for F1."""
+    bar = frame.addToolBar("View")
     bar.setMovable(False)
     bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
     shortcuts: dict[str, str] = {}
-    for text, tip, key, action in (*_entries(window, lambda: show_shortcuts(window, shortcuts)), *_choosing(window)):
+    for text, tip, key, action in (*_entries(window, lambda: show_shortcuts(frame, shortcuts)), *_choosing(window)):
         if action is None:
             continue
         shortcuts[key] = tip
@@ -38,7 +69,7 @@ def add_actions(window: InspectorWindow) -> dict[str, str]:
             button.setToolTip(f"{tip} ({key})")
             button.setShortcut(QKeySequence(key))
         else:
-            QShortcut(QKeySequence(key), window).activated.connect(action)
+            QShortcut(QKeySequence(key), frame).activated.connect(action)
     shortcuts |= BOOKMARK_KEYS
     for text, tip, key, toggle in _toggles(window):
         shortcuts[key] = tip
@@ -60,7 +91,7 @@ def add_actions(window: InspectorWindow) -> dict[str, str]:
     return shortcuts
 
 
-def _entries(window: InspectorWindow, help_: Callable[[], object]) -> tuple[_Entry, ...]:
+def _entries(window: ActionWindow, help_: Callable[[], object]) -> tuple[_Entry, ...]:
     docks, planning = window.docks, window.planning
     photo, seams = docks.photo, docks.seams
     actions = None if planning is None else planning.actions
@@ -88,7 +119,7 @@ def _entries(window: InspectorWindow, help_: Callable[[], object]) -> tuple[_Ent
     )
 
 
-def _choosing(window: InspectorWindow) -> tuple[_Entry, ...]:
+def _choosing(window: ActionWindow) -> tuple[_Entry, ...]:
     """Keys of lasso and brush, where there is a model."""
     select = window.docks.cleaning.select
     if select is None:
@@ -101,7 +132,7 @@ def _choosing(window: InspectorWindow) -> tuple[_Entry, ...]:
     )
 
 
-def _toggles(window: InspectorWindow) -> tuple[_Toggle, ...]:
+def _toggles(window: ActionWindow) -> tuple[_Toggle, ...]:
     editing: tuple[_Toggle, ...] = (("Edit plan", "Drag edges and borders, select cameras on the map", "E", window.set_editing),)
     return (
         *(editing if window.planning else ()),

@@ -112,7 +112,7 @@ class InspectorWindow(QMainWindow):
             place_plan_docks(self, self.planning, self.layer_dock, self.docks.cameras)
         self.panels = Panels(self, self.all_docks())
         self.bookmarks = BookmarkKeys(self, self, Bookmarks(subject.path))
-        self.shortcuts = add_actions(self)
+        self.shortcuts = add_actions(self, self)
         self.place = PlaceLabel(self.statusBar(), self.map, None if subject.run is None else subject.run.scene.frame)
         self.set_theme(theme)
         self.show_status(".   ".join(filter(None, (subject.summary, "" if setting is None else setting.reason))))
