@@ -87,8 +87,9 @@ def bench(
 
 
 def _options_of(typed: Mapping[str, Any]) -> BenchOptions:
-    values = {FIELDS.get(name, name): value for name, value in typed.items() if name not in ("name", "json_file")}
-    return BenchOptions(**{name: tuple(value or ()) if name in SEVERAL else value for name, value in values.items()})
+    values: dict[str, Any] = {FIELDS.get(name, name): value for name, value in typed.items() if name not in ("name", "json_file")}
+    values |= {name: tuple(values[name] or ()) for name in SEVERAL}
+    return BenchOptions(**values)
 
 
 def main(arguments: Sequence[str]) -> object:

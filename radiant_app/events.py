@@ -119,7 +119,7 @@ class RunLeft:
     left_s: Amount | None = None
     """Seconds left until the report stands; None where nothing is predicted yet."""
     off_percent: Amount | None = None
-    """By how much of itself such an estimate was off in nine of ten measured cases."""
+    """About what such estimates were off by, where they were measured."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,9 +27,11 @@ from radiant_app.events import (
     Decided,
     Event,
     Failed,
+    Foreseen,
     Heartbeat,
     MemoryPeaked,
     Outlined,
+    RunLeft,
     StageDone,
     StageProgress,
     StageSkipped,
@@ -183,6 +185,8 @@ def _events(_: Path) -> Kind:
         Heartbeat(stage="devices/d"),
         Outlined(stages=("devices/d",)),
         TimeLeft(seconds=1.0, correction=1.0, after="devices/d"),
+        Foreseen(phases_s=(1.0, 2.0), units=(0, 1)),
+        RunLeft(phase="training", number=2, num_phases=6, elapsed_s=3.0, left_s=4.0, off_percent=45.0),
     ]
     assert {type(each) for each in told} == {*get_args(Event)}
     begun: set[str] = set()
